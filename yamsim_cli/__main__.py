@@ -6,7 +6,7 @@ from .terminal.signals import defer_signals
 
 
 def main() -> None:
-    """Run the command line. The function does not return."""
+    """Run the command line, and end the process with its exit code."""
     with defer_signals() as interrupted:
         from .main import main as run
 

@@ -24,7 +24,7 @@ def _keyword(setting: str) -> str:
     return f"{setting}="
 
 
-# The session opener for Python programs. Messages name keywords, and warnings go to the logger `yamsim`.
+# Opens sessions for Python programs: error messages name keywords, and warnings go to the logger `yamsim`.
 PROGRAM = SessionOpener(os.environ, logging.getLogger("yamsim").warning, _keyword, import_if_file, resolve_scene_task)
 
 

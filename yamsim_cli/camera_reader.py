@@ -28,12 +28,12 @@ from .real.serve.socket_servers import CAMERA_SOCKET, default_folder
 
 __all__ = ["CameraForm", "CameraReader", "Picture", "served_cameras"]
 
-_MAX_HEADER_BYTES, _MAX_PICTURE_BYTES = 65_536, 3 * 4096**2  # bytes; longer answers are refused
+_MAX_HEADER_BYTES, _MAX_PICTURE_BYTES = 65_536, 3 * 4096**2  # bytes, limits of an answer; longer ones are refused
 
 
 @dataclass(frozen=True)
 class CameraForm:
-    """The format of a camera's pictures: size in px, maximum rate in Hz, and intrinsics `K` (3, 3) in px."""
+    """Format of the pictures of a camera: size in px, maximum rate in Hz, and intrinsics `K` (3, 3) in px."""
 
     width: int
     height: int
@@ -43,13 +43,13 @@ class CameraForm:
 
 @dataclass(frozen=True)
 class Picture:
-    """A picture of a camera.
+    """A picture of a simulated camera, with the times and the pose at which it was rendered.
 
     Attributes:
         image: RGB (height, width, 3).
         number: sequence number, which increases with time.
-        time_ns: time on the system clock, ns since 1970.
-        sim_time: simulated time, s.
+        time_ns: time of the picture on the system clock, ns since 1970.
+        sim_time: simulated time of the picture, s.
         T_cam_in_base: pose (4, 4) of the camera in the base frame of the left arm, in OpenCV's convention.
     """
 
@@ -129,10 +129,11 @@ class CameraReader(Closable):
 
 
 def served_cameras(folder: str | Path | None = None, timeout: float = 5.0) -> dict[str, CameraForm]:
-    """Return the cameras of a `serve-robot` by name.
+    """Return name -> picture format of all cameras that a running `serve-robot` offers.
 
     Args:
-        folder, timeout: see `CameraReader`.
+        folder: the value of `serve-robot --folder`, with the same default.
+        timeout: longest wait for the answer, s.
 
     Raises:
         ResourceError: no server runs there, or the server is not `serve-robot`.
@@ -163,7 +164,7 @@ def _invalid_answer(folder: str | Path | None) -> ResourceError:
 
 
 class _CameraConnection:
-    """A connection to the server. `real.serve.cameras` describes the protocol."""
+    """Socket connection to the camera server. `real.serve.cameras` describes the protocol."""
 
     def __init__(self, folder: str | Path | None) -> None:
         self.path = _path(folder)

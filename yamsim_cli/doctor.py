@@ -23,9 +23,9 @@ from .core.scene.assets import AssetSet, AssetStore, find_reduced, load_lock
 from .core.scene.assets.asset_store import FileStatus
 from .gl import INSTALL_GL, LINUX_BACKENDS, GlBackend, probe_backend
 
-# Packages that every command needs.
+# Python packages that every command needs.
 PACKAGES = ("mujoco", "mink", "daqp", "numpy", "opencv-python-headless", "pydantic", "pyyaml", "rich", "typer")
-# Extra -> the package that it installs, and the purpose of the package.
+# Optional extra, as in `yamsim[extra]` -> package that it installs, and purpose of the package.
 EXTRAS = {
     "view": ("viser", "the browser page of view and replay"),
     "video": ("av", "MP4"),
@@ -42,20 +42,20 @@ EXTRAS = {
 }
 
 # Resident memory, bytes. Source: measured at 640x480, rounded up.
-_WORKER_BYTES = 300_000_000  # of a worker that renders
+_WORKER_BYTES = 300_000_000  # of a worker process that renders
 _RECORDER_BYTES = 150_000_000  # of the recording process
 
 # Approximate size of an episode with one camera at 640x480.
-_FRAMES = 57
-_IMAGE_BYTES = 22_000  # of a frame
-_LOWDIM_BYTES = 2_000  # of a frame
-_BLOCK_BYTES = 4096  # of a file system, which rounds file sizes up
+_FRAMES = 57  # frames per episode
+_IMAGE_BYTES = 22_000  # bytes of the image of a frame
+_LOWDIM_BYTES = 2_000  # bytes of the lowdim file of a frame
+_BLOCK_BYTES = 4096  # bytes, block size to which a filesystem rounds file sizes up
 
 _EPISODES_WRITTEN = 3  # episodes that are written to measure the speed of the disk
 _SLOW_S = 1.0  # s to write an episode; a slower disk keeps up with one worker at most
-_FEW_EPISODES = 500  # episodes; less free space gives a warning
+_FEW_EPISODES = 500  # episodes; free space for fewer gives a warning
 
-_GPUS = ("/dev/nvidia0", "/dev/dri/renderD128", "/dev/kfd")
+_GPUS = ("/dev/nvidia0", "/dev/dri/renderD128", "/dev/kfd")  # device files that exist if the machine has a GPU
 
 
 class Health(StrEnum):

@@ -15,10 +15,10 @@ from dataclasses import dataclass
 from .core.errors import ResourceError
 
 LINUX_BACKENDS = ("egl", "osmesa")  # EGL finds a GPU or Mesa's software renderer; newer Mesa has no OSMesa
-_PROBE_SECONDS = 60.0  # s, time limit for a trial of a backend
-# OpenGL implementations without a GPU: Mesa's llvmpipe, softpipe, lavapipe and swrast, and others.
+_PROBE_SECONDS = 60.0  # s, time limit of the test of a backend
+# Renderer names of OpenGL implementations that use no GPU: Mesa's llvmpipe, softpipe, lavapipe and swrast, and others.
 _SOFTWARE = re.compile("llvmpipe|softpipe|lavapipe|swrast|software|swiftshader", re.IGNORECASE)
-# The probe reads the rendered image back, since some backends open a context and then render nothing.
+# Python program that tests a backend. It reads a rendered image back, since some backends render nothing.
 _PROBE = """
 import mujoco
 model = mujoco.MjModel.from_xml_string("<mujoco><worldbody><geom size='1'/></worldbody></mujoco>")
@@ -83,7 +83,7 @@ def find_backend(environ: Mapping[str, str], platform: str = sys.platform) -> Gl
 
 
 def bind_backend(name: str) -> None:
-    """Switch MuJoCo to a backend, if MuJoCo was imported before the choice, as in a notebook."""
+    """Switch MuJoCo to the backend `name`, if MuJoCo was already imported with another one, as in a notebook."""
     if (mujoco := sys.modules.get("mujoco")) and name in LINUX_BACKENDS:
         mujoco.GLContext = importlib.import_module(f"mujoco.{name}").GLContext  # type: ignore[attr-defined]
 

@@ -14,16 +14,16 @@ from .core.config.session import Session
 
 ENV_ID = "yamsim/PickPlace-v0"
 
-_BOUND = 10.0  # rad and m, bound of all observed values; larger than any joint value or position
+_BOUND = 10.0  # rad and m, bound of the observation space; larger than any joint value or position
 
 
 class PickPlaceEnv(gymnasium.Env[dict[str, NDArray[Any]], NDArray[np.float32]]):
     """A task, by default to pick an object and place it on a target. A step is a control tick of 32 ms.
 
-    The action is that of `yamsim eval` and of the LeRobot export. For one YAM, the action (8,) has seven drive commands
-    (rad, m) and the weld command, which holds above 0.5. For two arms, the action (16,) has the left drives, the right
-    drives, the left weld and the right weld. The observations `joints` (14,) and `ee_pose_world` (2, 4, 4) of two arms
-    also have the left arm first.
+    The action has the format of `yamsim eval` and of the LeRobot export. For one YAM arm, the action (8,) has seven
+    drive commands (rad, m) and the weld command, which holds above 0.5. For two arms, the action (16,) has the left
+    drives, the right drives, the left weld and the right weld. The observations `joints` (14,) and `ee_pose_world`
+    (2, 4, 4) of two arms also have the left arm first.
     The reward is 1 on success, which ends the episode, else 0. An episode succeeds at the first tick at which its goal
     has held for its hold time, as in `yamsim eval`. With `end="actor"`, the episode continues until its truncation, and
     `info["success"]` belongs to the present tick.
@@ -113,11 +113,11 @@ class PickPlaceEnv(gymnasium.Env[dict[str, NDArray[Any]], NDArray[np.float32]]):
         return spaces.Dict(parts)
 
     def _poses(self) -> dict[str, str]:
-        """Observation key -> name of the object with this pose."""
+        """Return observation key -> name of the object whose pose it has."""
         return {f"{role}_pose_world": item for role, item in self._roles().items()}
 
     def _parts(self) -> dict[str, tuple[str, int]]:
-        """Observation key -> name of the object with these joints, and the maximum number of joints."""
+        """Return observation key -> name of the object whose joints it has, and the maximum number of joints."""
         task = self._config.task
         roles = task.typical_roles
         most = {role: max(len(item.links) for item in one.of) for role, one in task.things.items()}
@@ -127,14 +127,14 @@ class PickPlaceEnv(gymnasium.Env[dict[str, NDArray[Any]], NDArray[np.float32]]):
         }
 
     def _roles(self) -> dict[str, str]:
-        """Name in observations -> object name. The former is the role, unless several objects share the role."""
+        """Return name in observations -> object name. The former is the role, or the object if it shares its role."""
         objects = self._config.task.typical_roles.objects_by_role
         return {role if len(names) == 1 else name: name for role, names in objects.items() for name in names}
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
-        """Start the next trial, or a given trial of a seed."""
+        """Start the next trial, or a given trial of a seed. Return observation and info."""
         from .core.attempt_data import AttemptJob
 
         super().reset(seed=seed)
@@ -150,7 +150,7 @@ class PickPlaceEnv(gymnasium.Env[dict[str, NDArray[Any]], NDArray[np.float32]]):
         return self._observe(), self._info()
 
     def step(self, action: NDArray[np.float32]) -> tuple[dict[str, NDArray[Any]], float, bool, bool, dict[str, Any]]:
-        """Apply an action for one control tick."""
+        """Simulate one control tick with an action. Return observation, reward, terminated, truncated and info."""
         values = np.asarray(action, dtype=np.float64)
         drives = self._task.simulator.scene.drives
         if values.shape != self.action_space.shape or not np.isfinite(values).all():

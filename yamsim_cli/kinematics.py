@@ -32,10 +32,11 @@ __all__ = ["Kinematics", "OutOfReachError", "Site"]
 
 Site = Literal["pinch_site", "grasp_site"]
 
-# Searches from random joints for an arm without analytic inverse kinematics. Source: 1,000 poses of joints that were
-# sampled uniformly from their ranges needed at most 29 starts.
+# Numerical searches from random start joints, for an arm without analytic inverse kinematics. Source: 1,000 poses of
+# uniformly sampled joints needed at most 29 searches.
 _RESTARTS = 50
-# The same for an arm with analytic inverse kinematics. Source: 50 starts solved no more of 25 poses out of reach.
+# The same number for an arm with analytic inverse kinematics, which is tried first. Source: for 25 poses out of reach,
+# 50 searches solved no more than 10 did.
 _RESTARTS_ANALYTIC = 10
 # Cost of a rotation error of 1 rad about each axis. 1 m costs 10, so 1 rad counts as 0.1 m, about the length of the
 # hand. If the arm cannot reach the whole pose, the position decides.
@@ -125,7 +126,7 @@ class Kinematics:
         `core.expert.planning.analytic_ik.find_analytic_ik` decides which arms have analytic inverse kinematics.
 
         Args:
-            start: present joints (dof,), rad; by default home.
+            start: present joints (dof,), rad; by default the home posture.
             position_tolerance, rotation_tolerance: m and rad. A larger rotation tolerance lets the hand tilt where the
                 arm is too short for the exact pose.
 
@@ -150,7 +151,7 @@ class Kinematics:
         return joints
 
     def _starts(self, first: Array) -> Iterator[Array]:
-        """Yield start joints of searches: `first`, clipped to the range, then random joints of a fixed seed."""
+        """Yield start joints of searches: `first`, clipped to the limits, then random joints of a fixed seed."""
         low, high = self._range.T
         yield np.clip(first, low, high)
         rng = np.random.default_rng(0)

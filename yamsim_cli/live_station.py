@@ -1,4 +1,4 @@
-"""A simulated station in real time, for programs that control real stations."""
+"""A station (arms, cameras, objects) simulated in real time, for programs that control real stations."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from .station import Row, Station, StationForm, StationSettings
 
 __all__ = ["LiveStation"]
 
-_MAX_CATCH_UP = 0.1  # s, largest delay that the simulation makes up for; a larger delay is skipped
+_MAX_CATCH_UP = 0.1  # s, largest delay that the simulation catches up with; the rest of a larger delay is skipped
 
 
 class LiveStation(Closable):
     """A station that is simulated in its own thread while open. Call all methods from one thread, which renders.
 
     Attributes:
-        form: names and shapes of rows and pictures.
+        form: names and shapes of the numbers in states and commands, and of pictures.
         lost_s: time that the simulation skipped because its delay was too large, s.
 
     Args:
@@ -56,21 +56,21 @@ class LiveStation(Closable):
         return self._station.time
 
     def begin(self, seed: int = 0, trial: int = 0) -> int:
-        """Reset the scene to the start of a trial, see `Station.begin`. Time is paused meanwhile."""
+        """Reset the scene to the start of a trial of a seed, and return the trial number. Time is paused meanwhile."""
         with self._pause():
             begun = self._station.begin(seed, trial)
             self._station.pictures()  # The first call sets up the renderer, which takes about 1 s.
         return begun
 
     def begin_demonstrated(self, seed: int = 0, trial: int = 0) -> NDArray[np.float32]:
-        """Reset the scene to the start of an episode, see `Station.begin_demonstrated`. Time is paused meanwhile."""
+        """Reset to the start of a trial in which the expert succeeds, and return its commands (frames, numbers)."""
         with self._pause():
             rows = self._station.begin_demonstrated(seed, trial)
             self._station.pictures()
         return rows
 
     def command(self, row: NDArray[np.floating]) -> None:
-        """Set the command, which acts until the next one, see `Station.command`."""
+        """Set the command row (one number per name in `form.action`), which acts until the next command."""
         with self._lock:
             self._station.command(row)
 
@@ -83,7 +83,7 @@ class LiveStation(Closable):
         """Return the state (joints and grippers), and camera -> picture (height, width, 3), of the same moment.
 
         Raises:
-            Exception: the simulation was stopped by this exception.
+            Exception: the exception that stopped the simulation thread, if any.
         """
         with self._lock:
             if self._failure is not None:
@@ -92,7 +92,7 @@ class LiveStation(Closable):
         return state, self._station.pictures(positions=positions)
 
     def judge(self) -> str:
-        """Return why the trial is not successful at present; empty on success. Time is paused meanwhile."""
+        """Return the reason why the trial is not successful at present; "" on success. Time is paused meanwhile."""
         with self._pause():
             return self._station.judge()
 

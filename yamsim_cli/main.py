@@ -92,7 +92,7 @@ def _root(
     """Simulation toolkit for the I2RT YAM arm: recorded demonstrations on MuJoCo."""
 
 
-_INTERRUPTED = 130  # exit code
+_INTERRUPTED = 130  # exit code of a command that a signal interrupted
 # Commands that run until a signal. For these, a signal gives exit code 0.
 _ENDED_BY_SIGNAL = ("view", "serve-policy")
 
@@ -115,7 +115,7 @@ def main(interrupted: Callable[[], bool] = lambda: False) -> NoReturn:
     except YamsimError as error:
         _fail(str(error), error.exit_code)
     except OSError as error:
-        # Any first access to a path of the user can raise this error, such as `exists`.
+        # Any access to a path from the user, such as `exists`, raises this error if the path is too long.
         if error.errno != errno.ENAMETOOLONG:
             raise
         _fail(

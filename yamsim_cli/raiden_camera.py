@@ -1,4 +1,4 @@
-"""A camera for raiden with the pictures of `yamsim serve-robot --cameras`.
+"""A camera for the robot program raiden that reads the pictures of `yamsim serve-robot --cameras`.
 
     camera = YamsimCamera("right_wrist_camera", "right")
     camera.open()
@@ -24,20 +24,20 @@ from .core.errors import YamsimError
 
 __all__ = ["YamsimCamera"]
 
-# Mounted upside down on a real station, so raiden rotates the pictures. Source: TRI-ML/raiden 2353b10, server.py.
+# Mounted upside down on a real station, so raiden rotates its pictures. Source: TRI-ML/raiden 2353b10, server.py.
 _UPSIDE_DOWN = ("right_wrist_camera",)
 _GRAB_S = 5.0  # s, longest wait of `grab` for a picture
 
 
 class YamsimCamera(Camera):
-    """A served camera with the interface of raiden's real cameras: BGR pictures, no depth.
+    """A simulated camera with the interface of raiden's real cameras: BGR pictures, no depth.
 
     Pictures of `right_wrist_camera` are rotated by 180 degrees like those of the real camera, since raiden rotates them
     back.
 
     Args:
         name: raiden's name of the camera, such as "left_wrist_camera".
-        camera: a name that `serve-robot` prints, such as "left".
+        camera: name of the camera at the server, as `serve-robot` prints it, such as "left".
         folder: the value of `serve-robot --folder`, with the same default.
     """
 
@@ -59,7 +59,7 @@ class YamsimCamera(Camera):
 
     @property
     def recording_extension(self) -> str:
-        """The file extension for `start_recording`."""
+        """The extension of the files that `start_recording` writes."""
         return "rgb"
 
     def open(self) -> None:
@@ -94,7 +94,7 @@ class YamsimCamera(Camera):
             self._file = None
 
     def grab(self) -> bool:
-        """Wait for the next picture. Return whether a picture arrived."""
+        """Wait up to `_GRAB_S` for the next picture, and store it for `get_frame`. Return whether a picture arrived."""
         if self._reader is None:
             return False
         try:

@@ -23,8 +23,8 @@ from .core.scene.build import build_rig_scene
 from .core.scene.compose import rig_mesh_sets
 
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
-_HOLD_S = 1.0  # s, for which the arm holds its home posture: long enough for the drives to settle
-_MAX_SAG = 0.1  # rad, largest deviation of a joint from home after that; more means that a drive is too weak
+_HOLD_S = 1.0  # s, simulated time for which the arm holds its home posture: long enough for the drives to settle
+_MAX_SAG = 0.1  # rad, largest accepted deviation of a joint from home after `_HOLD_S`; a weak drive exceeds it
 
 _YAML = """\
 # The arm {name}: check it with `yamsim robots check {name}`; `--rig {name}+linear_4310` then means it in every command.
@@ -103,13 +103,13 @@ _XML = """\
 </mujoco>
 """
 
-ARM, GRIPPER, STATION = "arm", "gripper", "station"
+ARM, GRIPPER, STATION = "arm", "gripper", "station"  # values of `kind` in entries
 
 
 def robot_entries(locations: Locations) -> tuple[dict[str, Any], ...]:
-    """Return all arms, grippers and rigs with two arms, in this order, as plain data.
+    """Return one dictionary for each arm, gripper and station (rig with two arms), in this order.
 
-    If the file of an arm or a station is not valid, its entry has the error as `fault` and an empty `goes_with`.
+    The entry of an arm or station with an invalid file has the error as `fault`, and no fitting parts in `goes_with`.
 
     Raises ConfigError if the file of a gripper is not valid.
     """
@@ -150,7 +150,7 @@ def robot_entries(locations: Locations) -> tuple[dict[str, Any], ...]:
 
 
 def robot_entry(name: str, locations: Locations) -> dict[str, Any]:
-    """Return the entry of an arm, gripper or station. The name of a family gives its newest revision.
+    """Return the dictionary of an arm, gripper or station. The name of a family of arms gives its newest version.
 
     Raises:
         UsageError: no entry has that name.
@@ -169,7 +169,7 @@ def robot_entry(name: str, locations: Locations) -> dict[str, Any]:
 def _loaded_arms(
     locations: Locations, faults: Mapping[str, ConfigError]
 ) -> tuple[dict[str, ArmModel], dict[str, ConfigError]]:
-    """Return name -> arm, and name -> error of each invalid arm, including `faults` of `valid_families`."""
+    """Load all arms. Return name -> arm, and name -> error of each invalid arm, including the given `faults`."""
     loaded, broken = dict[str, ArmModel](), dict(faults)
     for name in locations.config_names(ARMS):
         try:
@@ -211,7 +211,7 @@ def _can_mount(arm: ArmModel, gripper: Gripper) -> bool:
 
 
 def _meshes(locations: Locations) -> dict[str, bool]:
-    """Return asset set -> whether the store has the set."""
+    """Return name of a mesh set -> whether its meshes are on this machine."""
     store = AssetStore(locations.assets)
     return {name: store.resolve(assets) is not None for name, assets in load_lock(locations).sets.items()}
 
@@ -242,7 +242,7 @@ def write_robot_template(name: str, data: Path, locations: Locations) -> tuple[P
 
 
 def _arm_files(name: str) -> Mapping[str, str]:
-    """Return file name -> text for an arm with six joints, with comments for the user."""
+    """Return file name -> text of the template files of an arm with six joints, with comments for the user."""
     names = [f"joint{k}" for k in range(1, 7)]
     drives = "\n".join(f'    <position name="{one}" joint="{one}" class="{name}"/>' for one in names)
     return {"model.yaml": _YAML.format(name=name), "arm.xml": _XML.format(name=name, drives=drives)}

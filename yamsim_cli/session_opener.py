@@ -1,4 +1,4 @@
-"""Opens sessions: loads the config, and finds the files, the meshes and an OpenGL backend."""
+"""Opens sessions: loads the config, and finds model files, meshes and an OpenGL backend for rendering."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from .core.scene.assets import AssetLock, AssetStore, FetchProgress
 
 _SIZES = range(16, 4097)  # px, valid width and height of images
-_NO_GL = "off"  # MUJOCO_GL for no OpenGL. `use_gl` replaces this value, but keeps "disabled", which only users set
+_NO_GL = "off"  # MUJOCO_GL without OpenGL. `use_gl` may replace this value, but not a user's "disabled"
 _OFFLINE = "YAMSIM_OFFLINE"  # environment variable that prevents downloads of meshes, unless empty or 0
 
 
@@ -30,7 +30,7 @@ def _show_no_progress() -> AbstractContextManager[FetchProgress]:
     return nullcontext(lambda label, done, total: None)
 
 
-# Setting -> key path in a record config. The task precedes settings within the task.
+# Setting (flag or keyword) -> key path in a record config. The task comes before the settings within it.
 _PATHS: dict[str, tuple[str, ...]] = {
     "rig": ("rig",),
     "revision": ("rig", "revision"),
@@ -57,13 +57,13 @@ _PATHS: dict[str, tuple[str, ...]] = {
     "randomize": ("randomization",),
 }
 
-# Settings whose key path depends on the task.
+# Settings whose key path in the config depends on the task, and is found by `_within`.
 _WITHIN_TASK = ("object", "target", "threshold")
 
 
 @dataclass(frozen=True)
 class SessionOpener:
-    """Opens sessions, for the command line or for a program.
+    """Opens sessions (a record config with the locations of its files), for the command line or for a program.
 
     Attributes:
         environ: environment variables of the process. MuJoCo reads its OpenGL backend from them at its import.
@@ -90,9 +90,9 @@ class SessionOpener:
 
         Args:
             renders: whether the session renders; otherwise OpenGL and meshes are not needed.
-            parallel: whether several processes render, see `use_gl`.
-            resumes: the dataset that the session resumes. Where it has primitives, the session shows primitives.
-            given: see `config`.
+            parallel: whether several processes render.
+            resumes: the dataset that the session resumes. Mesh sets that it shows as primitives stay primitives.
+            given: values of settings by name, such as `seed=1`.
 
         Raises:
             ConfigError, UsageError: a value is not valid.
@@ -131,7 +131,7 @@ class SessionOpener:
         """Load a record config with settings.
 
         Args:
-            check: an additional check, which runs last and raises a `ConflictError`.
+            check: called last with the config; raises a `ConflictError` if settings contradict each other.
             given: values of settings by name; None for settings that are not given. `randomize` keeps the ranges of the
                 config or of `randomization`.
 
@@ -207,7 +207,7 @@ class SessionOpener:
         return {("task", "timing", key): (self.setting_label("fps"), value) for key, value in changed.items()}
 
     def _own_rig(self, task: str | dict[str, Any], locations: Locations) -> tuple[str, str] | None:
-        """Return the place and the name of the rig in the config of a task; None if the config has no rig."""
+        """Return the file position and the name of the rig in the config of a task; None if the task names no rig."""
         from .core.config.loader import config_model
         from .core.config.program_task import PROGRAM
         from .core.files.documents.yaml_document import Document
@@ -228,7 +228,7 @@ class SessionOpener:
         revision: str | None = None,
         robot: Sequence[str] | None = None,
     ) -> RigConfig:
-        """Load a rig, with another margin, another revision of its robots, or files of dynamics, if given."""
+        """Load a rig. Replace its arm distance `margin` (m), arm `revision` and dynamics files `robot` if given."""
         from .core.config.loader import load_config
         from .core.config.rig import RigConfig
 
@@ -245,7 +245,7 @@ class SessionOpener:
             workers: whether several processes render; Mesa's software renderer then uses one core in each.
 
         Returns:
-            `locations`, with the quality that `auto` means for the backend.
+            `locations`, with the render quality that the setting `auto` stands for on this backend.
         """
         from .gl import bind_backend, find_backend
 
@@ -259,7 +259,7 @@ class SessionOpener:
         return replace(locations, auto_quality="balanced" if backend.software else "high")
 
     def skip_gl(self) -> None:
-        """Prevent MuJoCo from loading OpenGL."""
+        """Set `MUJOCO_GL` so that MuJoCo does not load OpenGL."""
         self.environ.setdefault("MUJOCO_GL", _NO_GL)
 
     def stay_offline(self) -> None:
@@ -267,9 +267,9 @@ class SessionOpener:
         self.environ[_OFFLINE] = "1"
 
     def with_meshes(self, session: Session) -> Session:
-        """Return the session with the folders of all meshes of its scene.
+        """Find or fetch all meshes of a session's scene, and return the session with their folders.
 
-        Asset sets that the config records as primitives stay primitives.
+        Mesh sets that the config records as primitives stay primitives.
         """
         from .core.config.mesh_provenance import PRIMITIVES
         from .core.scene.blueprint import recording_blueprint
@@ -332,7 +332,7 @@ class SessionOpener:
         return found
 
     def _wants_primitives(self, locations: Locations) -> bool:
-        """Whether missing meshes are not fetched: offline, or YAMSIM_ASSETS is an empty folder or a file."""
+        """Return whether missing meshes are not fetched: offline, or YAMSIM_ASSETS is an empty folder or a file."""
         if self.environ.get(_OFFLINE, "0") not in ("", "0"):
             return True
         if not self.environ.get("YAMSIM_ASSETS") or not locations.assets.exists():
@@ -340,7 +340,7 @@ class SessionOpener:
         return not locations.assets.is_dir() or not any(locations.assets.iterdir())
 
     def _reduced(self, lock: AssetLock, store: AssetStore, name: str, folder: Path) -> Path:
-        """Return the folder of the reduced meshes of a set, or `folder` if they cannot be made."""
+        """Return the folder of the simplified meshes of a set. Make them if missing; on failure, return `folder`."""
         from .core.scene.assets import find_reduced, make_reduced
 
         assets = lock.sets[name]

@@ -1,4 +1,4 @@
-"""A simulated station for programs that control real stations, with states, commands and pictures for each frame.
+"""A simulated station for programs that control real stations: states, commands and pictures of each frame.
 
     from yamsim_cli.station import Station, StationSettings
 
@@ -39,7 +39,7 @@ class Station(Closable):
     Only `advance` and `tick` step the simulation. Until the first command, the arms hold their start posture.
 
     Attributes:
-        form: names and shapes of rows and pictures.
+        form: names and shapes of the numbers in states and commands, and of pictures.
 
     Args:
         pictures: whether pictures can be rendered; otherwise OpenGL is not set up.
@@ -81,7 +81,7 @@ class Station(Closable):
 
     @property
     def prompt(self) -> str:
-        """The instruction of the trial."""
+        """The instruction of the trial, in words."""
         return self._task.attempt.phrasing or self.form.prompt
 
     @property
@@ -108,7 +108,7 @@ class Station(Closable):
         """Reset the scene to the start of an episode, as in `yamsim record --seed SEED`. Skip trials that fail.
 
         Returns:
-            The commands of the task's expert (frames, numbers of a command).
+            The commands of the expert planner (frames, numbers), one row per frame, with the names in `form.action`.
 
         Raises:
             SimulationError: the expert succeeds in no trial within a limit.
@@ -122,11 +122,11 @@ class Station(Closable):
         return np.array([self._rows.action(actions.ctrl[k][drives], actions.magnet[k]) for k in first])
 
     def state(self) -> Row:
-        """Return the present state: joints and grippers (numbers of a state,)."""
+        """Return the present joints and grippers, with encoder errors, as one number per name in `form.state`."""
         return self._rows.state(self._task.episode.readings(self._task.attempt.job))
 
     def environment(self) -> Row:
-        """Return the present poses of the objects (numbers of `form.environment`,) in the base of the left or only arm.
+        """Return the object poses in the base of the left or only arm, one number per name in `form.environment`.
 
         Each object has its position (m), the first two axes of its frame, and the joints (m, rad) of its moving parts.
 
@@ -153,7 +153,7 @@ class Station(Closable):
         return row.astype(np.float32)
 
     def command(self, row: NDArray[np.floating] | Sequence[float]) -> None:
-        """Set the command, which acts until the next one.
+        """Set the command, a row with the names in `form.action`, which acts until the next command.
 
         Raises:
             UsageError: the row does not have one finite number for each name in `form.action`.
@@ -174,7 +174,7 @@ class Station(Closable):
         self._task.episode.step(*self._rows.command(self._command))
 
     def judge(self) -> str:
-        """Return why the trial is not successful at present, in words; empty on success."""
+        """Return the reason why the trial is not successful at present; "" on success."""
         return self._task.failure_reason()
 
     def positions(self) -> Array:

@@ -1,4 +1,4 @@
-"""Settings of a station, and the format of its rows and pictures, which follows from configs alone."""
+"""Settings of a simulated station, and the format of its states, commands and pictures."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class StationSettings:
         size: width and height of pictures, px, or a text such as `640x480`.
         cameras: names in order; by default the scene and wrist cameras, or the cameras that the rig defines.
         config: a name from `configs/record/`, or a YAML file.
-        spelling: format of setting names in messages, such as "--env.{}".
+        spelling: format of the names of settings in error messages, such as "--env.{}".
     """
 
     task: str | None = None
@@ -51,7 +51,7 @@ class StationSettings:
 
     @property
     def given(self) -> dict[str, Any]:
-        """Setting of a session -> value, without the name of the config."""
+        """Return the settings as keyword arguments of `SessionOpener.config`, without the name of the config."""
         apart = ("config", "spelling")
         given = {one.name: getattr(self, one.name) for one in dataclasses.fields(self) if one.name not in apart}
         return given | {"camera": given.pop("cameras"), "wrist": True}
@@ -59,16 +59,16 @@ class StationSettings:
 
 @dataclass(frozen=True)
 class StationForm:
-    """Names and shapes of a station's rows and pictures, which are known before the station is built.
+    """Names of the numbers in a station's states and commands, and shapes of pictures. Known before it is built.
 
     Attributes:
         state: names of the numbers of a state.
         action: names of the numbers of a command.
-        environment: names of the numbers of the object poses, see `Station.environment`.
+        environment: names of the numbers of the object poses: position, two axes and joints of each object.
         cameras: camera -> shape of its pictures (height, width, 3).
         fps: frame rate, Hz.
         most_frames: maximum number of frames in a trial.
-        prompt: the instruction; trials of a task with several phrasings may use another one.
+        prompt: the instruction in words; trials of a task with several phrasings may use another one.
     """
 
     state: tuple[str, ...]
@@ -81,7 +81,7 @@ class StationForm:
 
     @classmethod
     def from_settings(cls, settings: StationSettings) -> StationForm:
-        """Return the form of a station with these settings. Only configs are read.
+        """Return the form of a station with these settings. Only configs are read, and no scene is built.
 
         Raises:
             ConfigError, UsageError: a setting is not valid.

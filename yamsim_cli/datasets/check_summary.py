@@ -55,10 +55,10 @@ def combine_checks(
 
 
 def summarize(results: CheckResults, thresholds: Sequence[float]) -> dict[str, Any]:
-    """Return the figures of a dataset, JSON-ready; see docs/checking.md.
+    """Return counts, success rates and distributions of a dataset, JSON-ready; see docs/checking.md.
 
     Args:
-        thresholds: success distances, m; ignored for real recordings and for tasks with a goal.
+        thresholds: success distances from the target, m; ignored for real recordings and for tasks with a goal.
     """
     episodes, problems = results.episodes, list(results.problems)
     outcomes = [episode.outcome for episode in episodes if episode.outcome]
@@ -108,7 +108,7 @@ def is_within_threshold(episode: EpisodeFacts, threshold: float, results: CheckR
 
 
 def workspace_coverage(results: CheckResults, points: Sequence[tuple[float, float]]) -> Coverage | None:
-    """Return how points (x, y) cover the sampling box; None if the box is unknown."""
+    """Return how points (x, y) in `world`, m, cover the box of sampled start positions; None if it is unknown."""
     box = results.context.sampling
     return compute_coverage(points, box.x, box.y, CELL_M) if box else None
 

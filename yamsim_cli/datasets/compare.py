@@ -19,7 +19,7 @@ class Difference:
         time_s: simulated time of the frame, s.
         quantity: name of the value, such as `joints[2]` or `banana_pose[0, 3]`.
         stored, got: stored and reproduced value; numbers in the unit of the quantity, else text.
-        difference: see `EpisodeComparison.largest`; None unless both values are finite numbers of the same shape.
+        difference: absolute up to a stored value of 1, relative above; None unless both are finite and of equal shape.
     """
 
     frame: int | None
@@ -68,7 +68,7 @@ def compare_frames(
 
 
 def compare_values(stored: Mapping[str, Any], made: Mapping[str, Any], tolerance: float) -> EpisodeComparison:
-    """Compare values of whole episodes, such as outcomes. `tolerance`: see `compare_frames`."""
+    """Compare values of whole episodes, such as outcomes. `tolerance` is the largest accepted difference of numbers."""
     result = EpisodeComparison()
     _compare(result, stored, made, tolerance, None, None)
     return result

@@ -28,17 +28,17 @@ from ..core.plots import ObjectPlaces, Point, plot_workspace
 from .check_summary import CheckResults, is_within_threshold, workspace_coverage
 from .checks.episode_facts import EpisodeFacts
 
-_MAX_CAUSES = 12  # failure causes in the plot
+_MAX_CAUSES = 12  # failure causes in the plot, the most frequent ones
 _MAX_EXAMPLES = 5  # examples per problem code; --json lists all
-_MAX_OBJECTS = 4  # objects with workspace plots
-_MIN_MOTION = 0.02  # m; end positions are plotted only for objects that moved farther in some episode
+_MAX_OBJECTS = 4  # objects with a plot of their positions
+_MIN_MOTION = 0.02  # m; end positions are plotted only for objects that moved by more in some episode
 _WILSON = "Wilson's 95\N{NO-BREAK SPACE}% intervals"
 _SPREAD_LABELS = {"median": "median", "p95": "95 %", "max": "largest"}
 
 
 @dataclass(frozen=True)
 class FrameStrip:
-    """JPEG files of the first, middle and last frame of an episode. Unreadable frames are omitted."""
+    """Contents of the JPEG files of the first, middle and last frame of an episode, without unreadable ones."""
 
     episode: str
     caption: str
@@ -46,11 +46,11 @@ class FrameStrip:
 
 
 def dataset_page(results: CheckResults, summary: Mapping[str, Any], strips: Sequence[FrameStrip], made: str) -> str:
-    """Return the report page as HTML.
+    """Return the report page on a checked dataset as HTML.
 
     Args:
         summary: the figures from `check_summary.summarize`.
-        made: see `markup.html_page`.
+        made: text at the foot of the page.
     """
     path = results.path.absolute()
     name = path.name or str(results.path)

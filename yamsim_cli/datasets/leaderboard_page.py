@@ -7,17 +7,17 @@ from typing import Any
 
 from ..core.markup import Markup, html_page, html_table, html_tag, percent, section
 
-# Outcomes of a pair of policies on a trial, in table order.
+# Which policies of a pair succeeded on a trial, in table order.
 _OUTCOMES = ("both", "only_first", "only_second", "neither")
 
 
 def leaderboard_page(reports: Sequence[Mapping[str, Any]], pairs: Sequence[Mapping[str, Any]], made: str) -> str:
-    """Return the leaderboard page as HTML.
+    """Return an HTML page that compares the success rates of policies.
 
     Args:
-        reports: results of `policies.evaluate.evaluation.evaluation_report`; the first is of the evaluated policy.
-        pairs: results of `policies.evaluate.compare.compare_reports`, of the first with each other policy.
-        made: see `markup.html_page`.
+        reports: one result of `policies.evaluate.evaluation.evaluation_report` per policy, the evaluated policy first.
+        pairs: results of `policies.evaluate.compare.compare_reports` for the evaluated policy and each other one.
+        made: text at the foot of the page.
     """
     first = reports[0]
     ranked = sorted(reports, key=lambda report: -report["stats"]["success_rate"])

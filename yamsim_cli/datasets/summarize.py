@@ -27,7 +27,7 @@ from .dataset_page import FrameStrip, dataset_page
 from .leaderboard_page import leaderboard_page
 from .trials_page import start_boxes, trials_page
 
-_MAX_STRIPS = 6  # episodes with images on a page
+_MAX_STRIPS = 6  # episodes of which a report page shows images
 _THUMBNAIL_PX = 240  # px, longer side of these images
 
 
@@ -49,7 +49,7 @@ class EpisodeChecker(Closable):
 
 
 def check_dataset(dataset: Path, locations: Locations, workers: int, progress: Progress) -> CheckResults:
-    """Check a dataset with worker processes. Every file is opened and none is changed.
+    """Check a dataset with `workers` processes. Every file is read, and none is changed.
 
     Raises:
         DatasetError: `dataset` is not a readable dataset.
@@ -88,17 +88,17 @@ def write_report(results: CheckResults, summary: Mapping[str, Any], path: Path) 
 
 
 def write_trials_page(report: Mapping[str, Any], config: RecordConfig, path: Path) -> None:
-    """Write the report page of a batch of trials of `config`; raises as `write_report`."""
+    """Write the report page of a batch of trials of `config`. Raise ResourceError if the file cannot be written."""
     write_page(trials_page(report, start_boxes(config), page_footer()), path)
 
 
 def write_leaderboard(reports: Sequence[Mapping[str, Any]], pairs: Sequence[Mapping[str, Any]], path: Path) -> None:
-    """Write a leaderboard page; raises as `write_report`."""
+    """Write the page that ranks policies. Raise ResourceError if the file cannot be written."""
     write_page(leaderboard_page(reports, pairs, page_footer()), path)
 
 
 def contact_sheet(results: CheckResults) -> list[FrameStrip]:
-    """Return images of up to `_MAX_STRIPS` episodes, starting with those that ended farthest from the target."""
+    """Return images of up to `_MAX_STRIPS` episodes: those whose object ended farthest from its target come first."""
     shown = sorted(
         (episode for episode in results.episodes if any(episode.images.values())), key=_error_rank, reverse=True
     )
@@ -121,7 +121,7 @@ def _strip(dataset: Path, episode: EpisodeFacts) -> FrameStrip:
 
 
 def _picture(path: Path) -> bytes | None:
-    """Return a thumbnail; None if the file has changed since the checks and is no longer an image."""
+    """Return a JPEG thumbnail of an image file; None if the file has changed since the checks and is no image now."""
     try:
         return thumbnail(path.read_bytes(), _THUMBNAIL_PX) if stat.S_ISREG(path.stat().st_mode) else None
     except OSError:

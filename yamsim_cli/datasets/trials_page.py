@@ -29,7 +29,7 @@ Box = tuple[Point, Point]
 
 
 def start_boxes(config: RecordConfig) -> dict[str, Box]:
-    """Return object -> x and y range of its start region in `world`, m. Objects that start on others are omitted."""
+    """Return object -> x and y range of its start region in `world`, m. Only objects on the table."""
     return {
         name: (start.x, start.y)
         for role, start in config.starts.items()
@@ -43,8 +43,8 @@ def trials_page(report: Mapping[str, Any], boxes: Mapping[str, Box], made: str) 
 
     Args:
         report: result of `core.episode.trials.run_batch`.
-        boxes: see `start_boxes`.
-        made: see `markup.html_page`.
+        boxes: object -> x and y range of its start region in `world`, m.
+        made: text at the foot of the page.
     """
     good = [trial for trial in report["trials"] if trial["outcome"]["success"]]
     failed = [trial for trial in report["trials"] if not trial["outcome"]["success"]]

@@ -37,7 +37,7 @@ from ..core.workers.executors import run_all
 from ..core.workers.process_pool import ProcessPool
 from .compare import Difference, EpisodeComparison, compare_frames, compare_values
 
-# Checks, in the order in which their differences are reported.
+# Names of the checks, in the order in which their differences are reported.
 SEED, ACTIONS, IMAGES = "seed", "actions", "images"
 CHECKS = (SEED, ACTIONS, IMAGES)
 
@@ -49,7 +49,7 @@ class Tolerances:
     """Largest accepted differences.
 
     Attributes:
-        values: difference of a number, see `compare.EpisodeComparison.largest`.
+        values: largest difference of a number: absolute in rad and m, relative for values above 1.
         images: mean pixel difference of an image, 0 to 255. At 0, image files must be equal byte for byte. None skips
             images.
     """
@@ -67,7 +67,7 @@ class EpisodeVerdict:
         checks: check -> comparison of the stored and the reproduced episode.
         skipped: check -> reason why the check was not possible.
         problems: file -> fault other than a difference of values; "" for the whole episode.
-        changed: name -> version at recording time and now, if they differ.
+        changed: library or component -> version at recording time and now, if they differ.
     """
 
     episode: int
@@ -86,7 +86,7 @@ class EpisodeVerifier(Closable):
     """Verifies episodes of one dataset. A context manager, because a verifier may own a renderer.
 
     Args:
-        session: session of the dataset's own config. Its meshes affect only images.
+        session: session of the config that the dataset was recorded with. Its meshes affect only images.
     """
 
     def __init__(self, session: Session, tolerances: Tolerances) -> None:
@@ -95,7 +95,7 @@ class EpisodeVerifier(Closable):
         self._tolerances = tolerances
 
     def run(self, job: tuple[int, Path]) -> EpisodeVerdict:
-        """Verify one episode, given by its number and its directory."""
+        """Verify one episode; `job` is its number and its directory."""
         number, directory = job
         problems: dict[str, str] = {}
         checks: dict[str, EpisodeComparison] = {}
@@ -192,7 +192,7 @@ def reproduce_frames(
 
     Args:
         simulator: simulator of the config that the episode was recorded with.
-        tolerance: see `compare_frames`.
+        tolerance: largest accepted difference of numbers: absolute up to a stored value of 1, relative above.
 
     Returns:
         The comparison; None if the episode has no actions that physics can replay.
@@ -220,10 +220,10 @@ def reproduce_frames(
 
 
 def reproduce_episode(episode: StoredEpisode, session: Session) -> EpisodeComparison | None:
-    """Replay an episode's actions in physics, and compare exactly with its frames. Result as in `reproduce_frames`.
+    """Replay an episode's actions in physics, and compare exactly with its frames; None without replayable actions.
 
     Args:
-        session: session of the dataset's own config.
+        session: session of the config that the dataset was recorded with.
 
     Raises:
         DatasetError: a file is damaged, or the episode was recorded in another scene.
@@ -258,7 +258,7 @@ def _arrays(poses: Mapping[str, Sequence[float]]) -> dict[str, Any]:
 
 
 def _merge_comparisons(frames: EpisodeComparison, once: EpisodeComparison) -> EpisodeComparison:
-    """Merge two comparisons. If the frames differ only in number, a difference of `once` comes first."""
+    """Merge the comparison of frames with `once`, that of whole-episode values, which precedes a wrong frame count."""
     first = frames.first_difference or once.first_difference
     if frames.first_difference and frames.first_difference.frame is None:
         first = once.first_difference or frames.first_difference
@@ -306,7 +306,7 @@ def verify(
 
     Args:
         episodes: number and directory of each episode.
-        session: session of the dataset's own config. Its meshes affect only images.
+        session: session of the config that the dataset was recorded with. Its meshes affect only images.
         progress: called with the number of verified episodes and of all episodes.
 
     Returns:

@@ -1,6 +1,6 @@
 """Source dataset of an export, read episode by episode: simulated episodes or real recordings.
 
-An export of a real recording has its recorded frames, or the recorded frames nearest to evenly spaced times.
+A real recording is exported with all recorded frames, or with the recorded frames nearest to evenly spaced times.
 """
 
 from __future__ import annotations
@@ -33,13 +33,13 @@ from ..core.errors import DatasetError
 from ..core.files.resources import Locations
 from ..core.geometry.se3 import Array
 
-# Source of actions: recorded commands, joints measured one frame later, or none.
+# Source of exported actions: recorded commands, joints measured one frame later, or no actions.
 ActionSource = Literal["recorded", "measured", "none"]
-Frames = Sequence[Mapping[str, Any]]  # the frames of an episode, see `dataset.lowdim`
+Frames = Sequence[Mapping[str, Any]]  # low-dimensional data of the frames of an episode
 
-_FPS_TOLERANCE = 0.01  # share by which a frame rate may differ from an integer to be rounded: clocks differ by less
-_MAX_UNEVENNESS = 0.1  # share of the period by which the time between frames may differ from the period
-ROUNDING_S = 1e-9  # s, tolerance for comparing times, so that the last frame counts
+_FPS_TOLERANCE = 0.01  # largest relative difference of a frame rate from an integer to which it is rounded
+_MAX_UNEVENNESS = 0.1  # deviation of the time between frames, as a share of the period, above which times are uneven
+ROUNDING_S = 1e-9  # s, tolerance for comparing times; without it, rounding could drop the last frame
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ class ExportSource(ABC):
 
     @property
     def rig(self) -> RigConfig:
-        """The recorded rig."""
+        """The rig (arms and cameras) that recorded the dataset."""
         return self.config.rig
 
     @property
@@ -97,14 +97,14 @@ class ExportSource(ABC):
 
 @dataclass(frozen=True)
 class SimulatedSource(ExportSource):
-    """Simulated episodes of one dataset, all with the same cameras, frame period, objects and number of arms."""
+    """Selected simulated episodes of a dataset, all with the same cameras, frame period, objects and number of arms."""
 
     first: StoredEpisode
     config: RecordConfig
 
     @property
     def welds(self) -> tuple[str, ...]:
-        """Names of the weld elements of an action."""
+        """Names of the weld states in an action, one per arm; empty if actions are joints."""
         return weld_names(self.config)
 
     def episodes(self) -> Iterator[StoredEpisode]:
@@ -117,28 +117,28 @@ class SimulatedSource(ExportSource):
 
 @dataclass(frozen=True)
 class RealEpisode(RecordedEpisode):
-    """A real recording with a selection of its frames, which may repeat.
+    """A recording of real arms, with the selection of frames to export. A frame may be selected several times.
 
     Attributes:
-        chosen: for each frame, the number of the recorded frame.
+        chosen: for each exported frame, the number of the recorded frame.
     """
 
     record: RealEpisodeRecord
     chosen: tuple[int, ...]
 
     def frames(self) -> list[dict[str, Any]]:
-        """Read the low-dimensional data of the selected frames; raises as `RecordedEpisode.frames`."""
+        """Read the low-dimensional data of the selected frames. Raise DatasetError if a file is missing or damaged."""
         recorded = {k: self.frame(k, self.read_verified(lowdim_name(k))) for k in dict.fromkeys(self.chosen)}
         return [recorded[k] for k in self.chosen]
 
     def image(self, camera: str, number: int) -> bytes:
-        """Return the JPEG bytes of a selected frame; raises as `RecordedEpisode.image`."""
+        """Return the JPEG bytes of exported frame `number`. Raise DatasetError if the file is missing or altered."""
         return self.read_verified(image_name(camera, self.chosen[number]))
 
 
 @dataclass(frozen=True)
 class RealSource(ExportSource):
-    """Real recordings of one dataset, all with the same cameras and arms.
+    """Selected recordings of real arms in one dataset, all with the same cameras and arms.
 
     Attributes:
         period: time from one exported frame to the next, s.
@@ -185,7 +185,7 @@ class RealSource(ExportSource):
         return RealEpisode(episode.directory, record, chosen)
 
     def with_gripper_shares(self, values: ArrayLike) -> Array:
-        """Return joints or commands (n, arms, drives) from rows (n, arms * drives), with gripper shares.
+        """Reshape rows (n, arms * drives) of joints or commands to (n, arms, drives), with grippers as shares.
 
         Joints are in rad. Grippers are recorded as openings of one finger in m. The function converts these to shares,
         0 closed to 1 open, without clipping.
@@ -218,7 +218,7 @@ class RealSource(ExportSource):
         return self.with_gripper_shares([frame["ctrl"] for frame in frames])
 
     def describe_uneven_times(self, episode: RecordedEpisode, frames: Frames) -> str | None:
-        """Return a line on an unevenly recorded episode that is exported at even times; None for any other episode."""
+        """Return a warning if an episode was recorded at uneven times and is exported at even times, else None."""
         pauses = np.diff([frame["timestamp"] for frame in frames])
         if self.is_resampled or len(pauses) == 0 or np.abs(pauses / self.period - 1).max() <= _MAX_UNEVENNESS:
             return None
@@ -271,7 +271,7 @@ def open_real_source(dataset: Path, episodes: str | None, locations: Locations, 
 
     Args:
         episodes: numbers and ranges, such as `0,3,5-9`; None for all.
-        fps: frames per second of the export, at even times; None for all recorded frames at their usual rate.
+        fps: frames per second of the export, at even times; None for all recorded frames, at the median recorded rate.
 
     Raises:
         DatasetError: `dataset` is no dataset, is damaged, or was simulated.

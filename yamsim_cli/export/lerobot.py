@@ -1,4 +1,4 @@
-"""Export to LeRobotDataset v3.0, episode by episode and without torch; see `lerobot_schema`."""
+"""Export to LeRobotDataset v3.0, episode by episode and without torch. `lerobot_schema` defines the format."""
 
 from __future__ import annotations
 
@@ -44,16 +44,16 @@ def export_lerobot(
 ) -> ExportResult:
     """Write a dataset as LeRobotDataset v3.0, with numbers in Parquet and images in H.264.
 
-    The time of frame k is exactly k periods.
+    The time of frame k is exactly k frame periods.
 
     Args:
         pictures: whether to write videos and camera matrices of all cameras.
-        environment_state: whether to write object poses, see `core.dataset.environment_state`.
+        environment_state: whether to write object poses as `observation.environment_state`.
 
     Raises:
         DatasetError: a file is missing, altered or damaged, or the joints of objects differ between episodes.
         ResourceError: pyarrow or PyAV is not installed.
-        UsageError, PartialJobError, InterruptedJobError: see `export_directory`.
+        UsageError, PartialJobError, InterruptedJobError: `out` is in use; a write failed; the user stopped the job.
     """
     return _export(source, out, progress, _SimulatedContent(source, pictures, environment_state), overwrite)
 
@@ -71,13 +71,13 @@ def export_real_lerobot(
 
     Args:
         pictures: whether to write videos of all cameras and the known camera matrices.
-        actions: source of actions, see `RealSource.actions`; "none" omits them.
+        actions: "recorded" for commands, "measured" for joints one frame later, "none" for no actions.
 
     Raises:
         DatasetError: a file is missing, altered or damaged; the requested commands were not recorded; or the features
             of an episode differ from those of the first.
         ResourceError: pyarrow or PyAV is not installed.
-        UsageError, PartialJobError, InterruptedJobError: see `export_directory`.
+        UsageError, PartialJobError, InterruptedJobError: `out` is in use; a write failed; the user stopped the job.
     """
     return _export(source, out, progress, _RealContent(source, pictures, actions), overwrite)
 
@@ -96,11 +96,11 @@ def _export(source: ExportSource, out: Path, progress: Progress, content: _Conte
 
 
 class _Content(ABC):
-    """Features of an export, without images and without the index features of the format.
+    """Supplies the features of an export, except images and the index features that every dataset of the format has.
 
     Attributes:
         pictures: whether the export has videos.
-        about: entries on the dataset in the provenance file, complete after the last episode.
+        about: entries of the provenance file on the whole dataset, complete after the last episode.
         notes: lines for the user, complete after the last episode.
     """
 
@@ -123,7 +123,7 @@ class _Content(ABC):
 
     @abstractmethod
     def origin(self, episode: Any) -> dict[str, Any]:
-        """Return the entry of an episode in the provenance file."""
+        """Return the entry of an episode in the provenance file `meta/yamsim.json`."""
 
 
 class _SimulatedContent(_Content):
@@ -218,14 +218,14 @@ class _RealContent(_Content):
 
 
 def _state_and_action(frame: Mapping[str, Any]) -> tuple[Any, Any]:
-    """Return the keys `state` and `action` of a frame if present, else its joints, and its commands with welds."""
+    """Return state and action of a frame: its keys `state` and `action`, else joints, and commands with weld states."""
     if ACTION in frame:
         return frame[STATE], frame[ACTION]
     return frame["joints"], np.append(frame["ctrl"], np.asarray(frame["magnet"], np.float32))
 
 
 def _matrices(intrinsics: Iterable[str], extrinsics: Iterable[str], frames: Frames) -> Values:
-    """Return the camera matrices as rows, flattened in row-major order."""
+    """Return feature -> camera matrices of all frames, each flattened in row-major order."""
     found = {
         schema.intrinsics_key(camera): np.array([np.ravel(frame["intrinsics"][camera]) for frame in frames])
         for camera in intrinsics

@@ -17,16 +17,16 @@ from numpy.typing import NDArray
 from ..core.closable import Closable
 from ..core.images.video import ENCODER
 
-VERSION = "v3.0"
-CHUNK_FILES = 1000
+VERSION = "v3.0"  # format version in `meta/info.json`
+CHUNK_FILES = 1000  # files per `chunk-NNN` folder
 DATA_FILE_MB = 100  # MB, size at which a new Parquet file begins
-VIDEO_FILE_MB = 200  # MB, size up to which lerobot's tools join videos; this export writes one video per episode
+VIDEO_FILE_MB = 200  # MB, up to which lerobot's tools join videos; this export writes one file per episode
 KEY_FRAME_INTERVAL = 2  # frames, as in lerobot's own encoding: training reads single frames at random
 
 INFO = "meta/info.json"
 STATS = "meta/stats.json"
 TASKS = "meta/tasks.parquet"
-# Not part of the format: the source episode of each exported episode, and its seed for simulating it again.
+# Extra file outside the format: the source episode and seed of each exported episode.
 PROVENANCE = "meta/yamsim.json"
 
 _FILE = "chunk-{chunk_index:03d}/file-{file_index:03d}"
@@ -35,7 +35,7 @@ EPISODES = f"meta/episodes/{_FILE}.parquet"
 VIDEO = "videos/{video_key}/" + _FILE + ".mp4"
 
 STATE = "observation.state"
-# lerobot gives this key to policies instead of images.
+# Object poses. lerobot gives this key to policies that use no images.
 ENVIRONMENT_STATE = "observation.environment_state"
 ACTION = "action"
 # Keys of real recordings: measured joint velocities, rad/s, and recorded frame times, s. Other programs ignore both,
@@ -48,7 +48,7 @@ _BIMANUAL_PREFIX = "bi_"  # prefix of the robot type of two arms, as in lerobot'
 
 @dataclass(frozen=True)
 class SeriesFile:
-    """A file in a series of numbered files."""
+    """Number of a file in a series, which determines its chunk folder and its path."""
 
     number: int
 
@@ -69,7 +69,7 @@ class SeriesFile:
 
 @dataclass(frozen=True)
 class LeRobotFeature:
-    """A column: dtype and shape of the value of one frame, and the names of its elements."""
+    """A column of the dataset: dtype and shape of the value of one frame, and the names of its elements."""
 
     dtype: str
     shape: tuple[int, ...]
@@ -115,7 +115,7 @@ def extrinsics_key(camera: str) -> str:
 
 
 def row_feature(names: Sequence[str]) -> LeRobotFeature:
-    """Return the feature of a row of named numbers."""
+    """Return a float32 feature with one element per name."""
     return LeRobotFeature("float32", (len(names),), tuple(names))
 
 

@@ -13,7 +13,7 @@ from ..core.images.image import Image
 # Source: lerobot 0.4.4 and 0.6.1, `compute_stats.DEFAULT_QUANTILES`.
 _QUANTILES = {"q01": 0.01, "q10": 0.10, "q50": 0.50, "q90": 0.90, "q99": 0.99}
 _LEVELS = 256  # intensity levels of an 8-bit channel
-_STRIDE = 4  # pixels between counted pixels, in both directions: means and quantiles hardly change
+_STRIDE = 4  # pixels: every 4th row and column is counted; means and quantiles hardly change
 
 Stats = dict[str, Array]
 
@@ -55,7 +55,7 @@ class PixelCounts:
         }
 
     def _level(self, part: float) -> Array:
-        """Return the quantile `part` of each channel (3,), in 0..1: the lowest level with enough pixels at or below."""
+        """Return the intensity (3,), 0..1, at or below which the share `part` of the pixels of each channel lies."""
         below = np.cumsum(self._counts, axis=1)
         enough = np.maximum(1, np.ceil(part * below[:, -1:]))
         found: NDArray[np.intp] = (below >= enough).argmax(axis=1)
@@ -63,7 +63,7 @@ class PixelCounts:
 
 
 class RunningStats:
-    """Statistics over many episodes: exact, except that quantiles are means weighted by `count`.
+    """Merges the statistics of many episodes: exactly, except that quantiles are means weighted by `count`.
 
     Source: `aggregate_feature_stats` of lerobot 0.4.4 and 0.6.1, which gives the same numbers.
     """

@@ -32,7 +32,7 @@ class ExportResult:
 
 @contextmanager
 def export_directory(final: Path, *, overwrite: bool) -> Iterator[StagedDirectory]:
-    """Yield a staging directory to fill in the block. If the block succeeds, the directory is renamed to `final`.
+    """Yield a temporary directory for the block to fill. If the block succeeds, the directory is renamed to `final`.
 
     Args:
         overwrite: whether to rename an existing `final` to a backup, once the new directory is complete. If False, an

@@ -1,4 +1,4 @@
-"""Export to raiden's converted layout, for programs that read recordings of the real arms; see `raiden_schema`."""
+"""Export to the converted layout of raiden, a program that records real arms. `raiden_schema` defines the layout."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ from .raiden_episode import ConvertedEpisode, EpisodeConverter, copy_images
 from .raiden_frames import FrameConverter, calibration_json, camera_names, hand_frame
 from .raiden_schema import RaidenOptions
 
-_CONTROL_BY_SOURCE = {"record": "plan"}  # episode source -> control entry in the metadata, if it has another name
-_REAL_CONTROL = "unknown"  # real recordings do not say how the arm was controlled
+_CONTROL_BY_SOURCE = {"record": "plan"}  # `source` of an episode -> `control` entry in metadata.json, where they differ
+_REAL_CONTROL = "unknown"  # `control` entry of real recordings, which do not state how the arm was controlled
 
 Job = tuple[Path, Path]  # episode directory, and directory to export it to
 
@@ -56,8 +56,8 @@ def export_raiden(
     Raises:
         DatasetError: a file is missing, altered or damaged, or physics no longer reproduces the recorded states.
         ResourceError: no renderer is available.
-        UsageError, PartialJobError, InterruptedJobError: see `export_directory`. UsageError also for two arms with
-            `options.single`, or if the layout cannot represent an arm.
+        UsageError: `out` is in use, `options.single` is set for two arms, or the layout cannot represent an arm.
+        PartialJobError, InterruptedJobError: a write failed; the user stopped the job.
     """
     converter = FrameConverter(source.rig, camera_names(source), locations, options.hand_frame, single=options.single)
     config = _as_recorded(source) if options.renders else source.config
@@ -103,7 +103,7 @@ def _as_recorded(source: SimulatedSource) -> RecordConfig:
 def _convert_all(
     factory: Factory[Job, ConvertedEpisode], jobs: Sequence[Job], workers: int
 ) -> Iterator[tuple[Path, ConvertedEpisode]]:
-    """Yield the folder and content of each episode in order of completion. 0 `workers` means this process."""
+    """Convert episodes. Yield output folder and content of each when complete. 0 `workers` means this process."""
     executor: Executor[Job, ConvertedEpisode] = InlineExecutor(factory)
     if workers:
         executor = ProcessPool[Job, ConvertedEpisode](factory, min(workers, len(jobs)))
@@ -133,13 +133,13 @@ def export_real_raiden(
 
     Args:
         source: the selected episodes, opened with the rate of `options`.
-        actions: source of actions, see `RealSource.actions`.
+        actions: "recorded" for commands, or "measured" for joints one frame later.
 
     Raises:
         DatasetError: a file is missing, altered or damaged; the dataset has no images, beside which the layout stores
             times; or the requested commands were not recorded.
         UsageError: the layout cannot represent the arm, or frames without actions.
-        PartialJobError, InterruptedJobError: see `export_directory`.
+        PartialJobError, InterruptedJobError: a write failed; the user stopped the job.
     """
     if actions == "none":
         raise UsageError("--actions none: each frame of raiden's layout has one; take measured, or export as lerobot")

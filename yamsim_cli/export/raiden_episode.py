@@ -1,4 +1,4 @@
-"""Convert frames and images of one episode for raiden's layout, as recorded or at another frame rate."""
+"""Convert frames and images of one episode to raiden's layout, at the recorded or another frame rate."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ from .export_source import depth_cameras
 from .raiden_schema import RaidenOptions
 from .resample import ResampledEpisode, nearest_frames, resample_episode
 
-# 0 to 255, largest mean difference between a newly rendered image and the recorded one. OpenGL of another machine stays
-# below this limit. Missing meshes, or the appearance of another version, exceed it.
+# 0 to 255, largest mean pixel difference between a newly rendered and the recorded image. OpenGL of another machine
+# stays below this limit. Missing meshes, or the appearance of another yamsim version, exceed it.
 _MAX_DIFFERENCE = 3.0
 
 
@@ -41,7 +41,7 @@ class ConvertedEpisode:
     Attributes:
         times: times of the frames, s.
         frames: low-dimensional data, with the keys of recorded frames.
-        pictures: metadata entry on the images.
+        pictures: entry of metadata.json on the source of the images.
     """
 
     times: Sequence[float]

@@ -27,11 +27,11 @@ from . import raiden_schema as schema
 from .export_source import Frames, SimulatedSource
 from .raiden_schema import HandFrameName, RaidenOptions
 
-_SIDES = ("left", "right")
+_SIDES = ("left", "right")  # sides of the arms, in the order of raiden's arrays
 # Wrist cameras in raiden's layout, in the order of `_SIDES`. A single arm is the left one.
 _WRIST_CAMERAS = ("left_wrist_camera", "right_wrist_camera")
 
-_KINEMATICS_FILES = {"i2rt": "raiden_kinematics.xml"}  # hand frame -> MJCF file in the robot model's folder
+_KINEMATICS_FILES = {"i2rt": "raiden_kinematics.xml"}  # hand frame -> MJCF file with its kinematics
 _DESCRIPTIONS = {
     "yamsim": "site grasp_site of the simulated arm: where the pictures show the hand",
     "i2rt": "site grasp_site of i2rt 7b6d501, yam with linear_4310: what raiden's kinematics make of the joints",
@@ -45,12 +45,12 @@ _HALF_TURN = np.diag([-1.0, -1.0, 1.0, 1.0])
 
 
 def hand_frame(name: HandFrameName) -> dict[str, str]:
-    """Return the metadata entry on the hand frame."""
+    """Return the entry of metadata.json that describes the hand frame `name`."""
     return {"name": name, "description": _DESCRIPTIONS[name]}
 
 
 def camera_names(source: SimulatedSource) -> dict[str, str]:
-    """Return camera -> its name in raiden's layout."""
+    """Map each camera to its name in raiden's layout. Wrist cameras get raiden's names; others keep theirs."""
     wrists = _wrist_arms(source)
     return {name: _WRIST_CAMERAS[wrists[name]] if name in wrists else name for name in source.cameras}
 
@@ -146,7 +146,7 @@ class FrameConverter:
         """Convert a frame to raiden's layout, without the pose of the right base.
 
         Args:
-            frame: supplies the texts and the known camera matrices.
+            frame: recorded frame with the texts and the known camera matrices.
             joints, command: for each arm, six joints in rad and the gripper share (7,).
         """
         return {

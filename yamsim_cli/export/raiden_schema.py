@@ -15,16 +15,16 @@ PictureSource = Literal["draw", "nearest"]
 ImageFormat = Literal["png", "jpg"]  # raiden's code reads only PNG
 HandFrameName = Literal["yamsim", "i2rt"]  # kinematics for hand poses, see `raiden_frames.hand_frame`
 
-FPS = 30.0  # frames per second at which `rd replay` plays, and in whose frames `rd shardify` counts windows
+FPS = 30.0  # frames per second that raiden's commands `rd replay` and `rd shardify` assume
 
-JOINTS = 6  # joint values per arm in the layout
-ARM = JOINTS + 1  # values per arm, with the gripper
+JOINTS = 6  # joints per arm in the layout
+ARM = JOINTS + 1  # values per arm: joints and gripper
 
 BETWEEN_ARMS = "T_left_from_right"  # key of the pose of the right base in the left base
 
 TIMESTAMP_DTYPE = "int64"  # dtype of capture times, ns
 DEPTH_DTYPE = "uint16"  # dtype of depth images, mm
-DEPTH_KEY = "depth"
+DEPTH_KEY = "depth"  # array name in a depth `.npz`
 
 # Files of the dataset, of an episode, and of an episode's camera.
 SHARED_METADATA = "metadata_shared.json"
@@ -36,14 +36,14 @@ TIMESTAMPS_FILE = "timestamps.npy"
 
 @dataclass(frozen=True)
 class RaidenOptions:
-    """Options of an export.
+    """Options of an export to raiden's layout.
 
     Attributes:
         fps: frames per second; None for exactly the recorded frames.
         pictures: source of the images; ignored if `fps` is None.
         images: file format of the images.
-        single: whether the arrays of a single arm omit the right arm.
-        hand_frame: kinematics for `action` and `actual_poses`.
+        single: whether arrays hold only the left arm; for recordings of one arm.
+        hand_frame: hand frame of the poses in `action` and `actual_poses`, and its kinematics.
     """
 
     fps: float | None = FPS
@@ -64,10 +64,10 @@ def episode_name(number: int) -> str:
 
 
 def frame_name(frame: int, extension: str) -> str:
-    """Return the file name of a frame."""
+    """Return the file name of a frame's data or image."""
     return f"{frame:010d}.{extension}"
 
 
 def nearest_pictures(frames: Sequence[int], period: float) -> dict[str, Any]:
-    """Return the metadata entry on images taken from the recorded `frames`, which were recorded every `period` s."""
+    """Return the entry of metadata.json on images taken from the recorded `frames`, which are `period` s apart."""
     return {"source": "nearest", "recorded_frames": list(frames), "recorded_period_s": period}

@@ -23,7 +23,7 @@ from ..core.scene.compiled import CompiledScene
 from .export_source import ROUNDING_S
 from .state_sampler import StateSampler
 
-# m or rad, largest deviation of replayed physics from recorded states. Rounding on other machines adds up to this.
+# m or rad, largest accepted deviation of replayed from recorded states. Rounding on other machines can cause as much.
 _MAX_DEVIATION = 1e-4
 
 
@@ -35,7 +35,7 @@ class ResampledEpisode:
         attempt: the attempt of the episode.
         times: times of the frames (n,), s.
         qpos: MuJoCo `qpos` (n, nq) at these times.
-        frames: low-dimensional data at these times, see `core.dataset.lowdim`.
+        frames: low-dimensional data (all values except images) at these times.
     """
 
     attempt: Attempt
@@ -58,12 +58,12 @@ def nearest_frames(times: Array, frames: int, period: float) -> list[int]:
 def resample_episode(simulator: Simulator, episode: StoredEpisode, fps: float) -> ResampledEpisode:
     """Resample an episode to `fps` frames per second. States are simulated, not interpolated.
 
-    `action_joints` is the planned reference one control tick ahead, which was recorded once per frame. Between frames,
-    the reference is the arm position one tick ahead plus the lead of the plan over the arm. The lead and the finger
+    `action_joints`, the planned joints one control tick ahead, was recorded once per frame. Between frames, it is the
+    simulated joints one tick ahead plus the difference between plan and simulation. This difference and the finger
     opening are interpolated between frames.
 
     Args:
-        simulator: simulator of the dataset's own config.
+        simulator: simulator of the config that the dataset was recorded with.
 
     Raises:
         DatasetError: the episode is damaged or of another scene, has no simulation data, or physics no longer

@@ -25,14 +25,14 @@ _AXIS_COLOURS = ((220, 50, 50), (50, 160, 50), (50, 80, 220))
 
 
 def export_rerun(source: ExportSource, out: Path, progress: Progress, *, overwrite: bool = False) -> ExportResult:
-    """Write `ep_NNNNNN.rrd` files into a directory. Poses are in the robot base; with two arms, in the left base.
+    """Write `ep_NNNNNN.rrd` files into a directory. Poses are in the base of the only or left arm.
 
     Real recordings are shown at their recorded times. Data that was not recorded is omitted.
 
     Raises:
         DatasetError: a file is missing, altered or damaged.
         ResourceError: rerun is not installed.
-        UsageError, PartialJobError, InterruptedJobError: see `export_directory`.
+        UsageError, PartialJobError, InterruptedJobError: `out` is in use; a write failed; the user stopped the job.
     """
     try:
         import rerun  # noqa: F401
@@ -80,7 +80,7 @@ def _write(path: Path, source: ExportSource, episode: RecordedEpisode) -> int:
 
 
 def _log_camera(stream: Any, source: ExportSource, camera: str, frame: Mapping[str, Any]) -> str:
-    """Log a camera and return its entity path: below `base` if K and pose are known, else below `cameras`."""
+    """Log a camera, and return its rerun entity path: below `base` if K and pose are known, else below `cameras`."""
     import rerun
 
     if not all(camera in frame.get(key, ()) for key in ("intrinsics", "extrinsics")):

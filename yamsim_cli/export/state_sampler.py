@@ -11,7 +11,7 @@ _ROUNDING_S = 1e-9  # s, tolerance for comparing times, which are sums of steps
 
 
 class StateSampler:
-    """Stores MuJoCo `qpos` at given times while a simulation runs; an `on_step` callback of `core.episode.Episode`.
+    """Stores MuJoCo `qpos` at given times while a simulation runs, as the `on_step` callback of `core.episode.Episode`.
 
     A sample at the time of a step equals the state of that step exactly. Between two steps, positions are interpolated.
 

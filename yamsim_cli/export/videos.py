@@ -18,8 +18,8 @@ from ..core.rendering.view_cameras import draw_labels, resize_area
 from .export_source import ExportSource, RealSource
 from .output_directory import ExportResult, export_directory, require_parent
 
-_SHEET_QUALITY = 90  # JPEG quality of a sheet
-_MAX_SIDE_PX = 16_000  # largest width and height of a sheet: some programs cannot open a larger JPEG
+_SHEET_QUALITY = 90  # JPEG quality (1 to 100) of a contact sheet
+_MAX_SIDE_PX = 16_000  # px, largest width and height of a contact sheet: some programs cannot open a larger JPEG
 
 
 def export_mp4(
@@ -31,17 +31,17 @@ def export_mp4(
     speed: float = 1.0,
     overwrite: bool = False,
 ) -> ExportResult:
-    """Write an H.264 video of each episode into a directory. The time of frame k is exactly k periods.
+    """Write an H.264 video of each episode into a directory. The time of frame k is exactly k frame periods.
 
     Args:
         cameras: cameras to show side by side; empty for all.
         speed: playback speed; 1 is real time.
 
     Raises:
-        UsageError: a camera was not recorded, or the cameras differ in image height; also see `export_directory`.
+        UsageError: a camera was not recorded, the cameras differ in image height, or `out` is in use.
         DatasetError: an image is missing, altered or damaged, or the dataset has no images.
         ResourceError: PyAV is not installed.
-        PartialJobError, InterruptedJobError: see `export_directory`.
+        PartialJobError, InterruptedJobError: a write failed; the user stopped the job.
     """
     chosen = _cameras(source, cameras)
     require_encoder()
@@ -69,7 +69,7 @@ def export_sheet(
     width: int = 160,
     overwrite: bool = False,
 ) -> ExportResult:
-    """Write one JPEG with rows for each episode. A row has images evenly spread from the first frame to the last.
+    """Write a contact sheet: one JPEG in which a row shows images evenly spread over an episode.
 
     Args:
         cameras: cameras to show, in one row per episode each; empty for the first camera.

@@ -1,4 +1,4 @@
-"""A LeRobot camera, `type: yamsim`, with the pictures of `yamsim serve-robot --cameras`.
+"""A LeRobot camera, `type: yamsim`, that reads the simulated pictures of `yamsim serve-robot --cameras`.
 
 The import of this package registers the type with LeRobot.
 """

@@ -19,7 +19,7 @@ _READ_S = 5.0  # s, longest wait of `read` for a picture
 
 
 class YamsimCamera(Camera):
-    """A camera of `yamsim serve-robot --cameras`."""
+    """Reads the pictures of one simulated camera from a running `yamsim serve-robot --cameras`."""
 
     def __init__(self, config: YamsimCameraConfig) -> None:
         super().__init__(config)
@@ -37,7 +37,7 @@ class YamsimCamera(Camera):
 
     @staticmethod
     def find_cameras() -> list[dict[str, Any]]:
-        """Return the cameras that a server offers in the default folder."""
+        """Return one entry per camera of the server in the default folder; empty if no server runs."""
         try:
             found = served_cameras()
         except ResourceError:
@@ -89,11 +89,11 @@ class YamsimCamera(Camera):
         return self._new(_READ_S)
 
     def async_read(self, timeout_ms: float = 200) -> NDArray[Any]:
-        """Wait for a picture (height, width, 3) that was not read yet, and return it. Raises the errors of `read`."""
+        """Wait up to `timeout_ms` for a picture (height, width, 3) that was not read yet, and return it."""
         return self._new(timeout_ms / 1000)
 
     def read_latest(self, max_age_ms: int = 500) -> NDArray[Any]:
-        """Return the newest picture (height, width, 3), read or not. Raises as `read`, also for a picture too old."""
+        """Return the newest picture (height, width, 3), even if read before. Raise TimeoutError if it is too old."""
         picture = self._picture_after(-1, _READ_S)
         age_ms = (time.time_ns() - picture.time_ns) / 1e6
         if age_ms > max_age_ms:

@@ -10,13 +10,13 @@ from lerobot.cameras.configs import CameraConfig, ColorMode
 @CameraConfig.register_subclass("yamsim")
 @dataclass(kw_only=True)
 class YamsimCameraConfig(CameraConfig):
-    """A camera of `yamsim serve-robot --cameras`.
+    """Config of a camera that reads the pictures of `yamsim serve-robot --cameras`.
 
     Attributes:
-        camera: a name that `serve-robot` prints, such as "top".
+        camera: name of the camera, as `serve-robot` prints it, such as "top".
         folder: the value of `serve-robot --folder`, with the same default.
         color_mode: order of the colour channels, RGB or BGR.
-        fps, width, height: expected values, Hz and px; by default the values of the server.
+        fps, width, height: expected rate and size of pictures, Hz and px; by default those of the server.
     """
 
     camera: str

@@ -27,7 +27,7 @@ from .retry_limit import AllStartsFail, RetryLimit
 
 _LOOKAHEAD = 4  # attempts per worker beyond the oldest unwritten attempt; limits the episodes in memory
 _MAX_LOST_IN_A_ROW = 3  # consecutive lost attempts after which the machine is considered at fault
-_STOP_SECONDS = 60.0  # s, longest wait for running attempts after a stop request
+_STOP_SECONDS = 60.0  # s, how long running attempts may continue after a stop request
 _POLL_SECONDS = 0.5  # s, wait for a result before the stop request is checked again
 
 EpisodeExecutor = Executor[AttemptJob, AttemptPayload]
@@ -47,7 +47,7 @@ class RecordCallbacks:
 
 
 class Collector:
-    """Submits attempts to an executor and writes their results until the dataset is complete."""
+    """Submits attempts to an executor, and writes their results until the dataset has all requested episodes."""
 
     def __init__(
         self,
@@ -72,7 +72,7 @@ class Collector:
 
     @property
     def outstanding(self) -> int:
-        """Number of episodes that are still to be recorded."""
+        """Number of episodes that are still to be recorded, including lost episodes of a resumed dataset."""
         return max(0, self._config.episodes - self._sink.episodes) + len(self._lost_attempts)
 
     @property
@@ -82,7 +82,7 @@ class Collector:
 
     @property
     def done(self) -> int:
-        """Number of complete episodes."""
+        """Number of episodes that are completely in the dataset."""
         return self._sink.episodes - len(self._lost_attempts)
 
     def run(self, executor: EpisodeExecutor) -> None:
@@ -92,7 +92,7 @@ class Collector:
             InterruptedJobError: the user stopped the job. Running attempts were given `_STOP_SECONDS` to finish.
             DatasetError: a lost episode cannot be reproduced on this machine.
             PartialJobError: the task fails too often, or workers keep crashing.
-            SimulationError: the task cannot work, see `check_retry_limit`.
+            SimulationError: all attempts fail for a cause in the task itself.
             OSError: a write failed.
         """
         self._report()
@@ -125,7 +125,7 @@ class Collector:
             self._restore(self._finished.pop(attempt))
         while (lost := min(self._sink.lost_lines, default=-1)) in self._finished:
             self._log_again(self._finished.pop(lost))
-        # New episodes get numbers only when all attempts before them are known.
+        # New episodes get numbers only when the outcomes of all earlier attempts are known.
         while not self._sink.lost_lines and self._next_is_finished:
             self._commit(self._finished.pop(len(self._sink.attempts)))
         if len(self._finished) == before:
@@ -139,7 +139,7 @@ class Collector:
         return attempt in self._finished and attempt not in self._uncertain_attempts
 
     def _can_start(self, executor: EpisodeExecutor) -> bool:
-        """Return whether to submit another attempt: no more than are needed if all succeed."""
+        """Return whether to submit another attempt. Limit: the missing episodes, if all running attempts succeed."""
         if self._queue:
             return True
         if self._next >= self._limit.most_attempts and not self._uncertain_attempts:
@@ -181,7 +181,7 @@ class Collector:
         self.check_retry_limit()
 
     def check_retry_limit(self) -> None:
-        """Raise RetryLimitError if the task succeeds too rarely, and SimulationError if it cannot work."""
+        """Raise RetryLimitError if attempts succeed too rarely, and SimulationError if none can succeed."""
         if self._sink.lost_lines:
             # The results of these attempts are still unknown.
             return

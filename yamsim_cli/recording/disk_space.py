@@ -25,8 +25,8 @@ _HASH_BYTES = 85  # bytes in the record of an episode for each of its files; mea
 # 640x480: 0.09 in the scene camera and 0.12 in the wrist camera.
 _MIN_TRUTH_PER_PIXEL, _LIKELY_TRUTH_PER_PIXEL = 0.04, 0.11
 _TRUTH_ARRAY_BYTES = 1000  # bytes of ground truth arrays per frame and camera; measured: 600
-_RESERVED_BYTES = 1_000_000  # kept free for the ledger, the manifest and other programs
-_MIN_SHARE_OF_MEAN = 0.9  # lower bound of an episode's size as a share of the mean size, at equal numbers of frames
+_RESERVED_BYTES = 1_000_000  # bytes kept free for the ledger, the manifest and other programs
+_MIN_SHARE_OF_MEAN = 0.9  # smallest size of an episode as a share of the mean size, at equal numbers of frames
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ class EpisodeSize:
     def estimate(
         cls, frames: tuple[int, int], cameras: int, image: ImageConfig, block: int, *, truth: bool = False
     ) -> EpisodeSize:
-        """Estimate the size from the settings alone.
+        """Estimate the size of an episode from the recording settings, without recorded episodes.
 
         Args:
             frames: lower bound and typical value of the frames per episode.
@@ -77,7 +77,7 @@ class EpisodeSize:
         )
 
     def from_recorded(self, entries: Collection[ManifestEntry], block: int) -> EpisodeSize:
-        """Return the size with bytes estimated from recorded episodes; `self` if `entries` is empty."""
+        """Return a copy with bytes estimated from recorded episodes, `entries`; `self` if there are none."""
         if not entries:
             return self
         # On average, each file wastes half a block.

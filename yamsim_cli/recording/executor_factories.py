@@ -27,7 +27,7 @@ _MODELS = "robot_models"
 
 
 class ExecutorFactory(Protocol):
-    """Opens an executor for a recording."""
+    """Creates the executor that runs the attempts of a recording."""
 
     def open(self, session: Session, workers: int) -> EpisodeExecutor:
         """Start `workers` workers that simulate and render attempts."""
@@ -36,7 +36,7 @@ class ExecutorFactory(Protocol):
 
 @dataclass(frozen=True)
 class ProcessExecutorFactory:
-    """Runs attempts in processes of this machine; see `ProcessPool`."""
+    """Runs attempts in processes of this machine. `job_seconds` is the time limit of an attempt, s."""
 
     job_seconds: float = JOB_SECONDS
 
@@ -47,7 +47,13 @@ class ProcessExecutorFactory:
 
 @dataclass(frozen=True)
 class RayExecutorFactory:
-    """Runs attempts in actors of a Ray cluster; see `RayPool` for the attributes."""
+    """Runs attempts in actors of a Ray cluster.
+
+    Attributes:
+        address: address of a running cluster; None starts one on this machine.
+        environ: environment variables of the actor processes.
+        job_seconds: time limit of an attempt, s.
+    """
 
     address: str | None = None
     environ: Mapping[str, str] = field(default_factory=dict)
@@ -69,7 +75,7 @@ class InlineExecutorFactory:
 
 @dataclass(frozen=True)
 class PackedSession:
-    """A session with the content of its files.
+    """A session with the content of its robot models and meshes, to send to another machine.
 
     Attributes:
         files: path relative to the target directory of `unpack_session` -> content.
@@ -85,7 +91,7 @@ def pack_session(session: Session) -> PackedSession:
     """Pack a session with the content of all its robot models and meshes."""
     locations = session.locations
     files: dict[str, bytes] = {}
-    # The root with the highest priority comes last, so that its files replace those of other roots.
+    # The data folder with the highest priority comes last, so that its files replace those of other folders.
     for root in reversed(locations.data):
         files |= _read(root / _MODELS, _MODELS)
     for name, folder in locations.meshes.items():
@@ -108,7 +114,7 @@ def unpack_session(packed: PackedSession, place: Path) -> Session:
 @contextlib.contextmanager
 def unpacked_runner(packed: PackedSession) -> Iterator[AttemptRunner]:
     """Yield an `AttemptRunner` of a packed session. The unpacked files are removed at the end."""
-    # The files must stay: each role assignment has its own scene, which is composed when first needed.
+    # Keep the files while the runner is in use: scenes are composed from them when first needed.
     with (
         tempfile.TemporaryDirectory(prefix="yamsim-") as place,
         AttemptRunner(unpack_session(packed, Path(place)), render=True) as runner,

@@ -1,7 +1,7 @@
 """Worker pool with actors of a Ray cluster.
 
-Actors run the same code as local processes, under the same rules. If an actor is lost with its process or node, its job
-loses one try, and a new actor starts where the cluster has capacity.
+Actors run the same code as local worker processes, with the same retries and time limits. If an actor is lost with its
+process or node, its job uses up one try. A new actor then starts where the cluster has capacity.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _CONNECT_SECONDS = 5.0  # s, timeout for a connection to the head of a cluster
 
 
 class RayPool(BaseWorkerPool[J, R]):
-    """An `Executor` over the actors of a Ray cluster; see `BaseWorkerPool`.
+    """An `Executor` that runs jobs in the actors of a Ray cluster.
 
     Args:
         factory: makes the runner of each worker, inside the actor.
@@ -67,7 +67,7 @@ class _Actor(Generic[J]):
 
 
 class _Cluster(Generic[J, R]):
-    """The `WorkerBackend` that starts actors."""
+    """Starts Ray actors as workers, and waits for their answers; implements `WorkerBackend`."""
 
     def __init__(self, factory: Factory[J, R], workers: int, address: str | None, environ: dict[str, str]) -> None:
         self._ray = _import_ray()

@@ -41,14 +41,14 @@ def record(
     callbacks: RecordCallbacks,
     stop: StopRequest,
 ) -> RecordReport:
-    """Record until the dataset holds the number of successful episodes that the config requests; see `collect`.
+    """Record until the dataset holds the number of successful episodes that the config requests.
 
     Raises:
-        UsageError, ConfigError, DatasetError, ResourceError: see `open_destination`. ResourceError also if an object
-            has failed its certificate.
+        UsageError, ConfigError, DatasetError, ResourceError: the output cannot be opened. ResourceError also if an
+            object has failed its certification.
         InterruptedJobError: the user stopped the job.
         PartialJobError: a write failed, workers keep crashing, or the task fails too often.
-        SimulationError: the task cannot work.
+        SimulationError: no attempt can succeed, for a cause in the task itself.
     """
     began = time.monotonic()
     _check_certificates(session, callbacks)
@@ -59,7 +59,7 @@ def record(
         collector = Collector(destination.config, destination.sink, callbacks, stop, starts)
         with _report_on_early_end(config, collector, destination):
             if collector.work:
-                # A resumed recording may have reached the retry limit before.
+                # A resumed recording may have reached the retry limit in its earlier run.
                 collector.check_retry_limit()
                 workers = min(config.workers, collector.work)
                 with executor_factory.open(session, workers) as executor:
@@ -70,7 +70,7 @@ def record(
 
 
 def _check_certificates(session: Session, callbacks: RecordCallbacks) -> None:
-    """Raise ResourceError if an object has failed its certificate. Warn if an object has changed since then."""
+    """Raise ResourceError if an object failed its certification. Warn if an object has changed since then."""
     config, locations = session.config, session.locations
     lock = load_lock(locations)
     for item in (*config.task.objects, *config.randomization.extras):

@@ -23,10 +23,10 @@ from ..core.workers.stop_request import StopRequest
 from .collect import RecordCallbacks
 from .disk_space import EpisodeSize, check_space, files_per_episode
 
-_ROUND_TRIPS_PER_FILE = 6  # to create, write, flush and close; measured over sshfs: 60 ms at 10 ms per round trip
-_ROUND_TRIP = 0.01  # s, server round trip assumed in warnings
+_ROUND_TRIPS_PER_FILE = 6  # network round trips to write one file; over sshfs: 60 ms at 10 ms per round trip
+_ROUND_TRIP = 0.01  # s, duration of a network round trip that warnings assume
 _POLL_SECONDS = 0.5  # s, wait before the stop request is checked again
-_MIN_DURATION = 0.5  # shortest successful episode, as a share of the typical duration
+_MIN_DURATION = 0.5  # lower bound of the frames of a successful episode, as a share of the typical number
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class RecordingOutput:
     """Output directory of a recording, and what to do if it is not empty.
 
     Attributes:
-        stage: local staging directory for episodes that wait for a slow or remote `path`; see `StagedWriter`.
+        stage: local directory for episodes that wait to be moved to a slow or remote `path`; None for none.
     """
 
     path: Path
@@ -57,7 +57,7 @@ class OpenRecordingOutput:
 
     @property
     def describe_staged(self) -> str:
-        """Clause for messages on the episodes that are still in the stage; empty without any."""
+        """Clause for messages that says how many episodes are still in the staging directory; empty for none."""
         if self._staged is None or not (waiting := self._staged.pending_episodes):
             return ""
         return f" ({waiting} of them still in {self._staged.folder}: give the same --stage)"
@@ -92,14 +92,14 @@ def open_destination(
     """Open an output for the `with` block. No other recorder can open the output meanwhile.
 
     Raises:
-        UsageError, ConfigError, DatasetError, ResourceError: see `DatasetWriter` and `StagedWriter`.
+        UsageError, ConfigError, DatasetError, ResourceError: the output cannot be opened, see `DatasetWriter`.
         ResourceError: the disk has not enough free space.
     """
     # Warn before any access to the mount, which may not respond.
     mount = _check_mounts(config, output, callbacks)
     resuming = output.mode is OpenMode.RESUME
     if not resuming:
-        # Check before any file is written that would make the next recording fail.
+        # Check the space first: a file written before would make the next recording fail.
         _check_space(config, output.path, {}, config.episodes, callbacks)
     data_config = config.data_config()
     reach = mount is None or mount.locks_reach_others
@@ -121,7 +121,7 @@ def open_destination(
 
 
 def _check_mounts(config: RecordConfig, output: RecordingOutput, callbacks: RecordCallbacks) -> Mount | None:
-    """Return the network mount of the output, or None. Warn about the cost of network mounts."""
+    """Return the network mount of the output, or None. Warn that writing to network mounts is slow."""
     mounts = read_mounts()
     mount = network_mount(output.path, mounts)
     if output.stage is None and mount is not None:

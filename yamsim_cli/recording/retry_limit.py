@@ -1,4 +1,4 @@
-"""Retry limit of a recording: stop if the task cannot work, or succeeds too rarely.
+"""Retry limit of a recording: stop if no attempt of the task can succeed, or too few succeed.
 
 Ten failures with one cause prove little. A task with success rate 1/5 starts with ten failures in one of nine
 recordings. If the cause depends only on geometry, the starts of a hundred more attempts are checked without physics.
@@ -24,10 +24,10 @@ from ..core.episode.simulator import Simulators
 from ..core.errors import PartialJobError, SimulationError, YamsimError
 from ..core.expert.skills.program import build_program
 
-SAME_CAUSE = 10  # number of initial attempts that all fail for one cause before `MORE_STARTS` starts are checked
-MORE_STARTS = 100  # starts to check after `SAME_CAUSE` failures
-MIN_ATTEMPTS = 100  # attempts for every task; a task without a success among them cannot work
-_ATTEMPTS_PER_EPISODE = 20  # attempts per requested episode, after which the task succeeds too rarely
+SAME_CAUSE = 10  # first attempts; if all fail for one cause, the starts of `MORE_STARTS` further attempts are checked
+MORE_STARTS = 100  # attempts whose start layouts are checked without physics after `SAME_CAUSE` failures
+MIN_ATTEMPTS = 100  # attempts; a task without a success among them is considered impossible
+_ATTEMPTS_PER_EPISODE = 20  # attempts per requested episode; a task that needs more succeeds too rarely
 
 HAND_HEIGHT = 0.05  # m above the table, assumed height of grasps
 
@@ -48,14 +48,14 @@ _TASK_PARTS: Mapping[str, str] = {
 
 
 class RetryLimitError(PartialJobError):
-    """The task succeeds too rarely. Recorded episodes are complete, and `--resume` would not help."""
+    """Raised if a task succeeds too rarely. Recorded episodes are complete, and `--resume` would not help."""
 
 
-AllStartsFail = Callable[[FailureCause, int], bool]  # `all_starts_fail` without its session
+AllStartsFail = Callable[[FailureCause, int], bool]  # (cause, first attempt) -> whether all starts fail
 
 
 class RetryLimit:
-    """Decides when to stop a recording, from the attempts in order. The number of workers has no effect."""
+    """Decides from the outcomes so far when to stop a recording. The number of workers has no effect."""
 
     def __init__(self, config: RecordConfig, no_better_start: AllStartsFail) -> None:
         self._name, self._wanted = config.task.name, config.episodes
@@ -64,7 +64,7 @@ class RetryLimit:
 
     @property
     def most_attempts(self) -> int:
-        """The largest number of attempts."""
+        """The number of attempts after which the recording stops in any case."""
         return max(MIN_ATTEMPTS, _ATTEMPTS_PER_EPISODE * self._wanted)
 
     def stop_error(self, attempts: Sequence[AttemptRecord], episodes: int) -> YamsimError | None:

@@ -30,7 +30,7 @@ class Images(Protocol):
 
 
 class EpisodePage(ScenePage):
-    """The page of a player, with the images of the frame and a slider for the frame."""
+    """Browser page that plays an episode, with the images of the shown frame and a slider to choose the frame."""
 
     def __init__(self, player: EpisodePlayer, viewpoint: Viewpoint, address: PageAddress, images: Images) -> None:
         super().__init__(player, viewpoint, address)
@@ -44,12 +44,12 @@ class EpisodePage(ScenePage):
         self.update()
 
     def update(self) -> None:
-        """Send all changes since the last call to all clients."""
+        """Send scene, slider and images of the shown frame to all browsers, as far as they changed."""
         super().update()
         with self._player.lock:
             frame = self._player.frame
             if frame != self._slider_frame:
-                # Move the slider only if the player moved on, so that a move by the user is not undone.
+                # Move the slider only if playback reached another frame, so that a move by the user is not undone.
                 # mypy cannot express that viser's setter takes more types than its getter returns.
                 self.slider.value = self._slider_frame = frame  # type: ignore[misc]
         state = ", paused" if self._player.paused else ""
@@ -64,7 +64,7 @@ class EpisodePage(ScenePage):
             try:
                 image = self._images.read(camera, frame)
             except DatasetError as error:
-                # The player also works without images.
+                # Playback continues without images.
                 self._status.content += f"  \n{error}"
                 continue
             if camera in self.pictures:
@@ -74,7 +74,7 @@ class EpisodePage(ScenePage):
 
     async def _seek(self, event: Any) -> None:
         # viser runs a coroutine immediately, but a thread often only after the player has moved the slider.
-        # An event without a client comes from `update`.
+        # An event without a client was caused by `update`, not by a user.
         if event.client is not None:
             with self._player.lock:
                 self._slider_frame = self.slider.value

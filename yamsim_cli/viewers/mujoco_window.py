@@ -14,16 +14,16 @@ from .viewed_scene import ViewedScene
 from .viewpoint import Viewpoint
 
 _KEY_SPACE = 32  # key code in GLFW
-_CLOSE_SECONDS = 5.0  # s, longest wait for the window's thread, which renders at most one more image
+_CLOSE_SECONDS = 5.0  # s, longest wait at the end for the window's thread, which renders at most one more image
 
 
 def run_window(
     shown: ViewedScene, viewpoint: Viewpoint, period: float, ready: Callable[[], None], stopped: Callable[[], bool]
 ) -> None:
-    """Show a scene until the window is closed, or `stopped` returns True.
+    """Show a scene in MuJoCo's window until the window is closed, or `stopped` returns True.
 
-    The Control sliders of the window command the drives of a live rig. Space pauses. Backspace or the window's reset
-    button resets the scene.
+    The Control sliders of the window command the drives of a simulated rig. Space pauses. Backspace or the window's
+    reset button resets the scene.
 
     Args:
         period: time between two images, s.

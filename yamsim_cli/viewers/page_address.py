@@ -13,7 +13,7 @@ class PageAddress:
     """The network address of a browser page.
 
     Attributes:
-        port: the port to listen on; 0 takes a free one.
+        port: TCP port to listen on; 0 chooses an unused one.
         host: an address or name of this machine; `0.0.0.0` for all addresses.
     """
 

@@ -1,4 +1,4 @@
-"""A browser page that shows a live rig, moves its joints, and shows the images of its cameras."""
+"""A browser page that shows a simulated rig, moves its joints, and shows the images of its cameras."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ from .viewpoint import Viewpoint
 
 _STATUS_PERIOD = 1.0  # s, between two updates of the status
 _STEP = 0.001  # rad or m, step of the sliders
-_MARGINS = (0.2, 1.2)  # m, range of the slider for the distance between two arms; at less, their bases would touch
+_MARGINS = (0.2, 1.2)  # m, range of the slider for the distance between two arm bases, which touch below 0.2
 
 
 class CameraPictures(Protocol):
-    """Renders camera images. Only one thread calls it."""
+    """Renders images of the rig's cameras. All calls come from one thread."""
 
     def render(self, camera: str) -> NDArray[np.uint8]:
         """Return an RGB image (height, width, 3), uint8.
@@ -37,7 +37,7 @@ class CameraPictures(Protocol):
 
 
 class RigPage(ScenePage):
-    """The page of a live rig, with a slider for every drive, check boxes for visibility, and a camera panel.
+    """Browser page of a simulated rig, with a slider for every drive, check boxes for visibility, and a camera panel.
 
     Args:
         boards: whether boards and mounts are visible at first, if the rig has them.
@@ -65,7 +65,7 @@ class RigPage(ScenePage):
         self.update()
 
     def update(self) -> None:
-        """Send all changes since the last call to all clients."""
+        """Send scene, status and requested camera images to all browsers, as far as they changed."""
         super().update()
         self._cameras.update()
         self._show_status()
@@ -137,7 +137,7 @@ class RigPage(ScenePage):
 
 
 class CamerasPanel:
-    """A folder of the page with buttons that take images and move the view to a camera. Absent without cameras."""
+    """Group of buttons that render camera images and move the view to a camera. The group is absent without cameras."""
 
     def __init__(self, server: viser.ViserServer, live: LiveRig, pictures: CameraPictures | None) -> None:
         self._gui = server.gui
@@ -165,7 +165,7 @@ class CamerasPanel:
             try:
                 image = self._pictures.render(camera)
             except ResourceError as error:
-                # Disable the button, since rendering would fail again.
+                # Disable the button, since every further rendering would fail too.
                 self._pictures, self._button.disabled = None, True
                 with self._folder:
                     self._gui.add_markdown(f"No pictures: {error}")

@@ -12,8 +12,8 @@ import viser
 
 from ..core.geometry.se3 import Array
 
-_FIRST_HIDDEN_GROUP = 3  # first geom group that MuJoCo's viewer hides; has the collision primitives behind meshes
-_DEFAULT_RGBA = (0.5, 0.5, 0.5, 1.0)  # MuJoCo's default for geoms; any other value overrides the material
+_FIRST_HIDDEN_GROUP = 3  # first geom group that MuJoCo's viewer hides; holds the collision primitives
+_DEFAULT_RGBA = (0.5, 0.5, 0.5, 1.0)  # MuJoCo's default colour of geoms; any other value overrides the material
 _IMAGE_IN_PLANE = (0.0, 1.0, 0.0, 0.0)  # quaternion wxyz; y points down in viser's images, and up in MuJoCo's planes
 
 # Collision primitives are transparent, so that the meshes inside them stay visible.
@@ -24,7 +24,7 @@ Paint = dict[str, Any]
 
 @dataclass(frozen=True)
 class BodyNodes:
-    """The viser nodes of a scene's bodies.
+    """The nodes that represent a scene's bodies in viser, the library of the browser page.
 
     Attributes:
         frames: body -> frame in `world`, for bodies with geoms. Frames start at the origin.
@@ -178,7 +178,7 @@ def _texture(model: mujoco.MjModel, texture: int) -> Array:
 
 
 class ClothNodes:
-    """The cloths on a page, each in the mean colour of its texture. All points start at the origin."""
+    """Shows cloths on a page, each in the mean colour of its texture. All points start at the origin."""
 
     def __init__(self, scene: viser.SceneApi, model: mujoco.MjModel) -> None:
         self._points = [

@@ -1,4 +1,4 @@
-"""The base class of all browser pages: a viser server, moving bodies, and a pause button."""
+"""The base class of all browser pages: a server of the library viser, moving bodies, and a pause button."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ from .scene_nodes import ClothNodes, add_bodies
 from .viewed_scene import ViewedScene
 from .viewpoint import FOV_DEG, Viewpoint
 
-_DECIMALS = 5  # of positions (m) and quaternions; an arm at rest trembles by less, so no changes are sent
+_DECIMALS = 5  # decimals of sent positions (m) and quaternions; an arm at rest moves by less, so nothing is sent
 _HEARTBEAT_PERIOD = 1.0  # s, between two heartbeats to a page
 _HEARTBEAT_TIMEOUT = 5.0  # s without a heartbeat, after which a page shows that it is disconnected
 
-# Held while a server starts, see `_refusing_other_sites`.
+# Held while a server starts, since `_refusing_other_sites` then replaces a function of `websockets`.
 _START_LOCK = threading.Lock()
 
 
@@ -55,7 +55,7 @@ class ScenePage:
         self._pause_button.on_click(self._toggle_pause)
 
     def update(self) -> None:
-        """Send all changes since the last call to all clients."""
+        """Send all changes of the scene since the last call to all browsers."""
         if self._model is not self._shown.model:
             for node in self._bodies.frames.values():
                 node.remove()
@@ -78,7 +78,7 @@ class ScenePage:
             self._heartbeat.content = _disconnected(self._beat)
 
     def close(self) -> None:
-        """Stop serving."""
+        """Stop the server, and free its port."""
         self._server.stop()
 
     def _show_bodies(self) -> None:
@@ -109,15 +109,15 @@ def _disconnected(beat: int) -> str:
 
 
 class _LocalServer(viser.ViserServer):
-    """A viser server without the tunnel to a public address, which any client could request."""
+    """A viser server that refuses to open a tunnel to a public address, which any browser could request."""
 
     def request_share_url(self, verbose: bool = True) -> None:
-        """Do nothing."""
+        """Do nothing, instead of opening a tunnel to a public address."""
         return
 
 
 def serve_page(address: PageAddress, title: str) -> viser.ViserServer:
-    """Serve an empty page that refuses requests of other sites. Raises the errors of `require_free_address`."""
+    """Serve an empty page that refuses requests of other sites. Raise an error if the address cannot be used."""
     require_free_address(address)
     with _refusing_other_sites(address.host):
         server = _LocalServer(host=address.host, port=address.port, label=title, verbose=False)

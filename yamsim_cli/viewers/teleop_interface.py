@@ -1,4 +1,4 @@
-"""The interface between a browser page and a teleoperated arm."""
+"""Abstract interface with which a browser page controls a teleoperated arm."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ class TeleopStatus:
         arm: the teleoperated arm, "left" or "right"; empty for a rig with one arm.
         recording: whether an attempt is being recorded.
         seconds: length of the recording so far, s.
-        episodes, failures, waiting: numbers of episodes in the dataset, failed attempts, and attempts without a result.
-        target_distance: distance from the target to the nearest reachable pose, m; 0 for a reachable target.
+        episodes, failures, waiting: numbers of episodes in the dataset, failed attempts, and attempts not yet judged.
+        target_distance: distance from the target pose of the hand to the nearest reachable pose, m; 0 if reachable.
         at_limit: names of the joints at a joint limit.
         obstacle: name of the obstacle that blocks the arm; empty without one.
         gripper_open, magnet: commands of the gripper and the weld; `magnet` is None if grasps hold by friction alone.
@@ -46,12 +46,12 @@ class TeleopStatus:
 
     @property
     def can_follow(self) -> bool:
-        """Whether the hand can follow its target."""
+        """Whether the hand can reach its target: no distance remains, and no joint limit or obstacle blocks the arm."""
         return not (self.target_distance or self.at_limit or self.obstacle)
 
 
 class TeleopInterface(ViewedScene):
-    """A teleoperated arm that follows a target, alone or as one of two. All methods are thread-safe."""
+    """A scene with one or two arms, one of which a user teleoperates by a target pose. All methods are thread-safe."""
 
     @property
     @abc.abstractmethod
@@ -61,7 +61,7 @@ class TeleopInterface(ViewedScene):
     @property
     @abc.abstractmethod
     def status(self) -> TeleopStatus:
-        """The state of the session."""
+        """The state of the session, for display."""
 
     @abc.abstractmethod
     def switch_arm(self) -> None:
@@ -81,15 +81,15 @@ class TeleopInterface(ViewedScene):
 
     @abc.abstractmethod
     def start(self) -> None:
-        """Restart the attempt, and record it."""
+        """Reset the scene to the start of the attempt, and start a recording."""
 
     @abc.abstractmethod
     def stop(self) -> None:
-        """End the recording. The attempt is then judged."""
+        """End the recording. Afterwards the attempt is judged as success or failure."""
 
     @abc.abstractmethod
     def pause_unattended(self) -> None:
-        """Pause a recording because the last page was closed, until a user resumes it."""
+        """Pause a recording because the last browser page was closed. A user can resume the recording."""
 
     @abc.abstractmethod
     def discard(self) -> None:

@@ -18,10 +18,10 @@ from .scene_page import ScenePage
 from .teleop_interface import TeleopInterface, TeleopStatus
 from .viewpoint import Viewpoint
 
-_GREEN, _RED = (46, 139, 87), (200, 40, 40)
+_GREEN, _RED = (46, 139, 87), (200, 40, 40)  # RGB, 0 to 255
 _STEP = 0.01  # m, translation of the target by one key press
 _TURN = np.radians(5.0)  # rad, rotation of the target about the vertical by one key press
-_TYPING_PAUSE = 1.0  # s without a key press, after which typed numbers act; typing 0.15 must not move the target to 0
+_TYPING_PAUSE = 1.0  # s from the last key press until typed numbers act; typing 0.15 must not move the target to 0
 
 # Key, description, translation of the target in `world` (m), and rotation about the vertical (rad).
 _MOVES = (
@@ -42,7 +42,7 @@ _KEYS = (
 
 
 class TeleopPage(ScenePage):
-    """The page of a teleoperated arm: a gizmo for the target, recording buttons, and notices of obstacles."""
+    """Browser page to teleoperate an arm: a 3D handle for the target, recording buttons, and notices of obstacles."""
 
     def __init__(self, arm: TeleopInterface, viewpoint: Viewpoint, address: PageAddress) -> None:
         super().__init__(arm, viewpoint, address)
@@ -65,7 +65,7 @@ class TeleopPage(ScenePage):
         self.update()
 
     def update(self) -> None:
-        """Send all changes since the last call to all clients."""
+        """Send scene, target and status to all browsers, as far as they changed."""
         super().update()
         with self._acting:
             if self._fields.ready:
@@ -193,7 +193,7 @@ def _notice(status: TeleopStatus) -> str:
 
 
 class TargetFields:
-    """Input fields with the target of the hand.
+    """Input fields for the position and heading of the hand's target.
 
     The fields follow the target until a user types. They then keep the typed numbers until `take`. The class is not
     thread-safe; only `_type` runs in the server's thread.
@@ -221,7 +221,7 @@ class TargetFields:
         return typed_at is not None and time.monotonic() - typed_at >= _TYPING_PAUSE
 
     def take(self, target: Array) -> Array:
-        """Return `target` (4, 4) in `world` with the typed numbers applied."""
+        """Return the pose `target` (4, 4) in `world` with position and heading replaced by the typed numbers."""
         self._typed_at = None
         (x, y, z), heading = self._place.value, self._heading.value
         (shown_place, shown_heading), T = self._shown, target.copy()
@@ -246,7 +246,7 @@ class TargetFields:
         self._place.value, self._heading.value = numbers  # type: ignore[misc]
 
     async def _type(self, event: Any) -> None:
-        # An event without a client comes from `show`.
+        # An event without a client was caused by `show`, not by a user.
         if event.client is not None:
             self._typed_at = time.monotonic()
 

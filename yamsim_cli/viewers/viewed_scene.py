@@ -12,11 +12,11 @@ from ..core.config.rig import ArmConfig, RigConfig
 from ..core.geometry.se3 import Array, quat_from_rotation
 from ..core.scene.fiducials import BOARD_BODY, MOUNT_BODY
 
-_MAX_CATCH_UP = 0.1  # s, longest missed time that physics makes up for after a stall, such as a sleep of the machine
+_MAX_CATCH_UP = 0.1  # s, longest delay that the simulation catches up with; after a longer stall, the rest is skipped
 
 
 class ViewedScene(abc.ABC):
-    """A scene that viewers show while its state changes. All methods are thread-safe.
+    """Base class of scenes that viewers show while their state changes. All methods are thread-safe.
 
     Attributes:
         title: title of the browser tab.
@@ -41,11 +41,11 @@ class ViewedScene(abc.ABC):
 
     @abc.abstractmethod
     def advance(self, now: float) -> None:
-        """Advance the scene to `now`, s on a monotonic clock."""
+        """Advance the state of the scene to the time `now`, s on a monotonic clock."""
 
     @abc.abstractmethod
     def reset(self) -> None:
-        """Reset the scene to its beginning."""
+        """Reset the scene to its initial state."""
 
     def body_poses(self) -> tuple[Array, Array]:
         """Return the positions (nbody, 3), m, and quaternions (nbody, 4), wxyz, of all bodies in `world`."""
@@ -122,7 +122,7 @@ class LiveRig(ViewedScene):
             self.data.ctrl[drive.actuator] = min(max(value, drive.low), drive.high)
 
     def set_margin(self, margin: float) -> None:
-        """Set the distance (m) between the arms. Boards and mounts move with the arms."""
+        """Set the distance (m) between the bases of the arms. Boards and mounts move with the arms."""
         with self.lock:
             self.rig = self.rig.model_copy(update={"margin": margin})
             for k, arm in enumerate(self.rig.arms):
@@ -143,7 +143,7 @@ class LiveRig(ViewedScene):
                     self.data.mocap_pos[mocap], self.data.mocap_quat[mocap] = base.pos, base.quat
 
     def advance(self, now: float) -> None:
-        """Step physics up to `now`, s on a monotonic clock, unless paused."""
+        """Simulate up to the time `now`, s on a monotonic clock, unless paused."""
         with self.lock:
             elapsed = self._elapsed(now)
             if self.paused:
@@ -194,7 +194,7 @@ class EpisodePlayer(ViewedScene):
 
     @property
     def frame(self) -> int:
-        """Number of the present frame."""
+        """Number of the shown frame, from 0."""
         return min(int(self._time / self.frame_period), self.frames - 1)
 
     @property
@@ -214,7 +214,7 @@ class EpisodePlayer(ViewedScene):
             self._show()
 
     def advance(self, now: float) -> None:
-        """Advance the playback to `now`, s on a monotonic clock, unless paused."""
+        """Advance the playback to the time `now`, s on a monotonic clock, unless paused."""
         with self.lock:
             elapsed = self._elapsed(now)
             if not self.paused:

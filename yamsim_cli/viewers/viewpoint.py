@@ -13,9 +13,9 @@ from ..core.geometry.se3 import Array
 FOV_DEG = 45.0  # deg, vertical field of view
 _AZIMUTH_DEG, _ELEVATION_DEG = 150.0, -32.0  # deg, a view from the front, to one side and above
 
-# A ball around an arm at rest and its board, which the view must contain.
+# Sphere around an arm in its rest posture and its calibration board; the view must contain the sphere.
 _BALL_CENTRE = (0.12, 0.0, 0.17)  # m, in the arm's base frame
-_BALL_RADIUS = 0.34  # m
+_BALL_RADIUS = 0.34  # m, radius of the sphere
 _TABLE_MARGIN = 0.12  # m, added to the radius for the table of a task
 
 
@@ -44,7 +44,7 @@ class Viewpoint:
 
 
 def workspace_viewpoint(x: float, y: float, z: float, span: float = 0.0) -> Viewpoint:
-    """Return a view of a table and its arms.
+    """Return a viewpoint that shows a table and its arms.
 
     Args:
         x, y, z: the point in `world` to look at, m.
@@ -54,7 +54,7 @@ def workspace_viewpoint(x: float, y: float, z: float, span: float = 0.0) -> View
 
 
 def rig_viewpoint(rig: RigConfig) -> Viewpoint:
-    """Return a view of all arms and boards of a rig."""
+    """Return a viewpoint that shows all arms and calibration boards of a rig."""
     bases = [rig.T_base_in_world(arm) for arm in range(len(rig.arms))]
     centres = np.array([(T @ (*_BALL_CENTRE, 1.0))[:3] for T in bases])
     look_at: Array = centres.mean(axis=0)
@@ -62,5 +62,5 @@ def rig_viewpoint(rig: RigConfig) -> Viewpoint:
 
 
 def _framing(look_at: Array, radius: float) -> Viewpoint:
-    """Return a view that contains a ball of this radius, m."""
+    """Return a viewpoint that shows a whole sphere around `look_at` with this radius, m."""
     return Viewpoint(look_at, radius / math.sin(math.radians(FOV_DEG / 2)), _AZIMUTH_DEG, _ELEVATION_DEG)

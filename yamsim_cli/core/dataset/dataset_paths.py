@@ -22,19 +22,19 @@ ATTEMPTS = "attempts.jsonl"
 MANIFEST = "manifest.json"
 EPISODE = "episode.json"
 TRUTH_LABELS = "truth/labels.json"
-TRUTH_FOLDERS = ("depth/", "segmentation/", "truth/")
+TRUTH_FOLDERS = ("depth/", "segmentation/", "truth/")  # folders of an episode with ground truth
 STAGING = ".staging"
 RECORDINGS = ".recordings"  # folder of teleoperation recordings in progress, or left by a killed session
 LOCK = ".lock"
 DAMAGED = ".damaged"
 
-EPISODE_FORMAT = "yamsim-episode"
-DATASET_FORMAT = "yamsim-dataset"
-FORMAT_VERSION = 1  # recordings of engine 1, with an object and a target
-PROGRAM_FORMAT_VERSION = 2  # tasks with any number of objects
-REAL_FORMAT_VERSION = 3  # imported recordings
+EPISODE_FORMAT = "yamsim-episode"  # value of `format` in episode.json
+DATASET_FORMAT = "yamsim-dataset"  # value of `format` in manifest.json
+FORMAT_VERSION = 1  # simulated tasks with one carried object and one target
+PROGRAM_FORMAT_VERSION = 2  # simulated tasks with any number of objects
+REAL_FORMAT_VERSION = 3  # imported recordings of real arms
 
-# Temporary files that a crash may leave beside the final files; see `files.writing.write_file`.
+# Names of the temporary files that `files.writing.write_file` renames to the final files. A crash may leave them.
 _PART_NAME = re.compile(rf"^\.({re.escape(CONFIG)}|{re.escape(ATTEMPTS)}|{re.escape(MANIFEST)})\.[0-9a-f]{{32}}\.part$")
 _EPISODE_NAME = re.compile(r"^ep_(\d{6,})$")
 

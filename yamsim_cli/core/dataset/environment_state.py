@@ -19,7 +19,7 @@ _POSE_NAMES = tuple(f"{part}{axis}" for part in ("", "x_axis_", "y_axis_") for a
 
 
 def object_pose_keys(config: RecordConfig) -> dict[str, str]:
-    """Return object -> key of its pose in an observation, for all objects of a task, in row order."""
+    """Return object -> key of its pose in an observation, for all objects of a task, in the order of `state_row`."""
     cast = config.task.typical_roles
     names = {
         thing: role if len(things) == 1 else thing for role, things in cast.objects_by_role.items() for thing in things
@@ -33,7 +33,7 @@ def joints_key(thing: str) -> str:
 
 
 def state_names(things: Sequence[str], joints: Mapping[str, Sequence[str]]) -> tuple[str, ...]:
-    """Return the name of each element of a row.
+    """Return the name of each element of a `state_row`, such as `cube_x` or `cube_x_axis_y`.
 
     Args:
         joints: articulated object -> names of its joints.
@@ -43,7 +43,7 @@ def state_names(things: Sequence[str], joints: Mapping[str, Sequence[str]]) -> t
 
 
 def state_row(things: Sequence[tuple[Array, ArrayLike]]) -> Array:
-    """Return the state row: 9 numbers per object, plus one for each of its joints.
+    """Return object poses as one row: 9 numbers per object, plus one for each of its joints.
 
     Args:
         things: for each object, its pose (4, 4) in the robot base and its joint positions (n,), m or rad.

@@ -21,11 +21,11 @@ from ..errors import DatasetError
 from .records import Record
 
 DEPTH_TOLERANCE = 0.002  # m, largest difference between the depth image and the depth of a visible point
-# m, largest depth by which an arm's own links may cover the centre of a visible joint. The centre lies inside the arm:
-# the motor housings are 66 mm wide and up to 100 mm long.
+# m. A joint counts as visible if its centre lies at most this far behind the visible surface of its arm. The centre is
+# inside a motor housing, which is 66 mm wide and up to 100 mm long.
 JOINT_COVER = 0.07
 
-BACKGROUND = 0
+BACKGROUND = 0  # segmentation value of pixels that show no labelled body
 
 
 class Visibility(IntEnum):
@@ -45,12 +45,12 @@ class LabelRecord(Record):
 
 
 class KeypointRecord(Record):
-    """A keypoint.
+    """A keypoint of a link, a calibration board or a cloth.
 
     Attributes:
-        body: the link, board or cloth that has the keypoint.
+        body: name of the link, board or cloth that has the keypoint.
         kind: "joint" is the centre of a joint, inside the arm. "axis" is the point where a joint axis leaves the
-            surface. "corner" is a corner of a board's print. "cloth" is a corner of a cloth.
+            surface. "corner" is a corner of the print on a board. "cloth" is a corner of a cloth.
     """
 
     name: str
@@ -67,8 +67,8 @@ class TruthLabels(Record):
         links, objects: names of the links and objects that have poses.
         keypoints: the keypoints, in array order.
         cloths: cloth -> number of points along its x axis and its y axis; omitted if empty.
-        depth_tolerance_m: see `DEPTH_TOLERANCE`.
-        joint_cover_m: see `JOINT_COVER`.
+        depth_tolerance_m: `DEPTH_TOLERANCE` at recording time, m.
+        joint_cover_m: `JOINT_COVER` at recording time, m.
     """
 
     labels: list[LabelRecord]
@@ -83,7 +83,8 @@ class TruthLabels(Record):
     joint_cover_m: float = JOINT_COVER
 
 
-# Key -> dtype and shape. A name in a shape stands for the number of frames or the length of that list in the labels.
+# Array key -> dtype and shape. "frames" in a shape is the number of frames. Any other name is the length of the list
+# with that name in `TruthLabels`.
 _ARRAYS: Mapping[str, tuple[type[np.generic], tuple[int | str, ...]]] = {
     "intrinsics": (np.float64, (3, 3)),
     "T_cam_in_base": (np.float32, ("frames", 4, 4)),
@@ -101,12 +102,12 @@ _MAX_DEPTH_BYTES = 2**27  # largest size of a depth image that is read
 
 
 def visible_name(cloth: str) -> str:
-    """Return the array key of a cloth's point visibility."""
+    """Return the key of the boolean array (frames, points) that states which points of a cloth are visible."""
     return f"{cloth}_visible"
 
 
 def array_specs(labels: TruthLabels, frames: int) -> dict[str, tuple[np.dtype[Any], tuple[int, ...]]]:
-    """Return key -> dtype and shape of the arrays of one camera."""
+    """Return key -> required dtype and shape, for the arrays of one camera in an episode with `frames` frames."""
     lists = ("links", "objects", "keypoints", "instances")
     lengths = {"frames": frames} | {name: len(getattr(labels, name)) for name in lists}
     forms = {
@@ -120,7 +121,7 @@ def array_specs(labels: TruthLabels, frames: int) -> dict[str, tuple[np.dtype[An
 
 
 def array_faults(arrays: Mapping[str, NDArray[Any]], labels: TruthLabels, frames: int) -> list[str]:
-    """Return the faults of one camera's arrays, one text each."""
+    """Compare the arrays of one camera with `array_specs`, and return one text per missing or invalid array."""
     faults = []
     for key, (dtype, shape) in array_specs(labels, frames).items():
         array = arrays.get(key)
@@ -134,12 +135,12 @@ def array_faults(arrays: Mapping[str, NDArray[Any]], labels: TruthLabels, frames
 
 
 def dump_depth(depth_mm: NDArray[np.uint16]) -> bytes:
-    """Return a depth image (height, width) in mm as an `.npz`, in the format of raiden's recordings."""
+    """Encode a depth image (height, width) in mm as `.npz` bytes, as in recordings of the program raiden."""
     return dump_arrays({"depth": depth_mm})
 
 
 def load_depth(data: bytes) -> NDArray[np.uint16]:
-    """Read a depth image (height, width) in mm from an `.npz`. Raise DatasetError if it is damaged, or not uint16."""
+    """Read a depth image (height, width) in mm from an `.npz`. Raise DatasetError for damaged data or another dtype."""
     depth = load_arrays(data, _MAX_DEPTH_BYTES).get("depth")
     if depth is None:
         raise DatasetError("it has no array `depth`")
@@ -149,7 +150,7 @@ def load_depth(data: bytes) -> NDArray[np.uint16]:
 
 
 def load_truth(data: bytes) -> dict[str, NDArray[Any]]:
-    """Read the arrays of one camera, with the keys of `array_specs`; raises as `load_arrays`."""
+    """Decode the arrays of one camera from an `.npz`. Raise DatasetError if it is damaged, too large or not numeric."""
     return load_arrays(data, _MAX_ARRAY_BYTES)
 
 
@@ -163,7 +164,7 @@ Arrays = Mapping[str, NDArray[Any]]
 
 
 def dump_arrays(arrays: Arrays) -> bytes:
-    """Return an `.npz` that `numpy.load` can read. Equal arrays in equal order give equal bytes."""
+    """Encode arrays as `.npz` bytes that `numpy.load` can read. Equal arrays in equal order give equal bytes."""
     stream = io.BytesIO()
     with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED, compresslevel=_ZIP_LEVEL) as archive:
         for name, array in arrays.items():
@@ -176,7 +177,7 @@ def dump_arrays(arrays: Arrays) -> bytes:
 
 
 def load_arrays(data: bytes, maximum: int) -> dict[str, NDArray[Any]]:
-    """Return name -> array of an `.npz` that holds only numbers. No content of the file is trusted.
+    """Decode an `.npz` from an untrusted source, and return name -> array. Only arrays of numbers are accepted.
 
     Args:
         maximum: largest total size of the arrays, bytes. An archive that declares a larger size is not read.

@@ -15,11 +15,11 @@ from ..files.resources import Locations
 from .dataset_paths import CONFIG, EPISODE, EPISODE_FORMAT, REAL_FORMAT_VERSION
 from .records import CameraSizes, FilePath, Record
 
-REAL = "real"
+REAL = "real"  # value of `source` in the config and records of imported recordings
 
 
 class ImportedFrom(Record):
-    """Source of an imported recording: its format, as `yamsim import` names it, and its file or folder."""
+    """Source of an imported recording: name of its file format, and name of its file or folder."""
 
     format: str
     name: str

@@ -1,4 +1,4 @@
-"""Low-dimensional data of one frame: its content, and how to write it and read it safely."""
+"""Low-dimensional data of one frame (all values except images): content, writing and safe reading."""
 
 from __future__ import annotations
 
@@ -19,19 +19,19 @@ from .safe_unpickle import read_pickle
 
 _PICKLE_PROTOCOL = 4  # fixed, so that bytes do not change with Python's default
 
-BETWEEN_BASES = "T_right_base_in_left_base"  # key of two-arm frames only
-STATE, ACTION = "state", "action"  # keys of frames whose actions are joints
-GRASP, CLOTH_GRASP = "grasp", "cloth_constraint"  # key and value of frames with cloth, see `sim.cloth`
+BETWEEN_BASES = "T_right_base_in_left_base"  # frame key; with two arms only
+STATE, ACTION = "state", "action"  # frame keys; only in datasets whose actions are joint targets
+GRASP, CLOTH_GRASP = "grasp", "cloth_constraint"  # frame key and its value; only in tasks with cloth
 
-# Key -> dtype and number of dimensions of the keys of simulated frames. A frame has all of these keys or none.
-# Each entry of `sim_magnet` has the shape of `magnet`.
+# Key -> dtype and number of dimensions of the data that replays a frame in physics. A frame has all of these keys or
+# none. `sim_magnet` has one entry for each control tick; each entry has the shape of `magnet`.
 SIMULATION: Mapping[str, tuple[type[np.generic], int]] = {
     "sim_qpos": (np.float64, 1),
     "sim_ctrl": (np.float64, 2),
     "sim_magnet": (np.bool_, 1),
 }
 
-_MAX_SIM_VALUE = 1e3  # m or rad, largest position or command: a simulation diverges from larger start values
+_MAX_SIM_VALUE = 1e3  # m or rad, largest valid position or command: a simulation diverges from larger start values
 
 
 def frame_array_shapes(arms: int, drives: int, *, joint_actions: bool = False) -> dict[str, tuple[int, ...]]:
@@ -53,7 +53,7 @@ class SimulationData:
     """MuJoCo state and commands of a frame, in float64: a replay from float32 would drift.
 
     Attributes:
-        qpos: positions (nq,) at the frame; objects are in `world`.
+        qpos: positions (nq,) at the frame; object poses are in `world`.
         ctrl: drive commands of each control tick until the next frame, (ticks, nu), rad and m, in MuJoCo order. With
             two arms, MuJoCo order may differ from the order of `joints`.
         magnet: whether the weld of each arm is on during each of those ticks (ticks, arms).
@@ -176,7 +176,7 @@ def dump_frame(data: Mapping[str, Any]) -> bytes:
 
 
 def load_frame(data: bytes) -> dict[str, Any]:
-    """Read a frame from a pickle; raises as `read_pickle`, and DatasetError if the pickle is not a dictionary."""
+    """Decode a frame from a pickle. Raise DatasetError if the pickle is damaged, forbidden, or not a dictionary."""
     frame = read_pickle(data)
     if not isinstance(frame, dict):
         raise DatasetError(f"a frame must be a dictionary, not {type(frame).__name__}")
@@ -205,7 +205,7 @@ def _update_digest(digest: Any, value: Any) -> None:
 
 
 def flatten_frame(frame: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the entries of a frame with flat keys, such as `intrinsics[camera]` for nested dictionaries."""
+    """Return flat key -> value of a frame. A value in a nested dictionary gets a key such as `intrinsics[camera]`."""
     entries: dict[str, Any] = {}
     for key, value in frame.items():
         if isinstance(value, Mapping):
@@ -278,6 +278,6 @@ def recorded_actions(frames: Sequence[Mapping[str, Any]], nq: int, nu: int) -> t
 
 
 def planned_joints(frame: Mapping[str, Any], arms: int) -> Array:
-    """Return the planned joints in rad and opening of one finger in m of each arm (arms, drives)."""
+    """Return the planned joints of a frame in rad and opening of one finger in m of each arm (arms, drives)."""
     joints: Array = np.asarray(frame["action_joints"], dtype=float).reshape(arms, -1)
     return joints

@@ -84,7 +84,7 @@ class StoredEpisode(RecordedEpisode):
     record: EpisodeRecord
 
     def frame(self, number: int, data: bytes) -> dict[str, Any]:
-        """See `RecordedEpisode.frame`. Also raise DatasetError if keys, shapes or types do not match the record."""
+        """Decode the low-dimensional data of one frame. Raise DatasetError if it does not fit the record."""
         frame = super().frame(number, data)
         faults = frame_faults(frame, recorded_specs(self.record))
         if faults:
@@ -93,7 +93,7 @@ class StoredEpisode(RecordedEpisode):
 
 
 def open_episode(directory: Path) -> StoredEpisode:
-    """Open a simulated episode. Raises as `open_recorded`, and DatasetError if the episode is a real recording."""
+    """Open a simulated episode. Raise DatasetError if it is missing, damaged, or a recording of real arms."""
     episode = open_recorded(directory)
     if not isinstance(episode, StoredEpisode):
         raise DatasetError(f"{directory} is an imported recording of real arms; give a simulated episode")
@@ -119,7 +119,7 @@ def recorded_episodes(dataset: Path) -> list[RecordedEpisode]:
     """Open all episodes of a dataset that yamsim recorded or imported.
 
     Raises:
-        DatasetError: `dataset` is not such a dataset, or one of its records is damaged.
+        DatasetError: yamsim wrote no dataset there, or a record is damaged.
     """
     found, recorded = find_episodes(dataset)
     if not recorded and not is_real(dataset):
@@ -218,7 +218,7 @@ def dataset_config(dataset: Path, locations: Locations) -> RecordConfig:
 
 
 def recorded_rig(dataset: Path, locations: Locations) -> RigConfig:
-    """Return the rig of a simulated or real dataset. Raise DatasetError if the config is missing or invalid."""
+    """Return the rig (arms and cameras) of a dataset. Raise DatasetError if the config is missing or invalid."""
     return real_config(dataset, locations).rig if is_real(dataset) else dataset_config(dataset, locations).rig
 
 
@@ -266,7 +266,7 @@ def _selected(text: str, dataset: Path, there: Sequence[int]) -> list[int]:
 
 
 class RecordedImages:
-    """The images of an episode. `cameras` holds the names of the cameras that have images."""
+    """Reads the images of an episode. `cameras` holds the names of the cameras that have images."""
 
     def __init__(self, episode: RecordedEpisode) -> None:
         self._episode = episode
@@ -285,7 +285,7 @@ class RecordedImages:
 
 
 def recorded_images(episode: RecordedEpisode, cameras: Sequence[str]) -> Iterator[Image]:
-    """Yield the images of each frame, with all cameras side by side; raises as `RecordedImages.read`."""
+    """Yield the images of each frame, with `cameras` side by side. Raise DatasetError for a missing or altered file."""
     images = RecordedImages(episode)
     for k in range(episode.record.frames):
         yield np.concatenate([images.read(camera, k) for camera in cameras], axis=1)

@@ -33,17 +33,17 @@ DEFAULT_DRIVES = 7  # drives per arm if a record states none: six joints and a g
 
 
 def _without_arms(variation: Variation, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
-    """Serialize a variation. Omit `arm_dynamics` if arms do not vary, as in earlier records."""
+    """Serialize a variation. Omit `arm_dynamics` if arms do not vary, as in older records."""
     data: dict[str, Any] = write(variation)
     return data if variation.arm_dynamics else {key: value for key, value in data.items() if key != "arm_dynamics"}
 
 
-# Omitted from records if nothing varies.
+# Domain randomization of an attempt; omitted from the JSON if nothing varies.
 VariationField = Annotated[
     Variation, Field(exclude_if=lambda variation: variation == Variation()), WrapSerializer(_without_arms)
 ]
 
-_UNLESS_EMPTY = Field(exclude_if=lambda value: not value)
+_UNLESS_EMPTY = Field(exclude_if=lambda value: not value)  # omits an empty value from the JSON
 
 
 class Record(BaseModel):
@@ -53,7 +53,7 @@ class Record(BaseModel):
 
 
 class MarginsRecord(Record):
-    """Margins between a motion and the limits of the arm; see `attempt_data.MotionMargins`."""
+    """Largest speed and torque as shares of their limits, smallest joint margin, largest slip and tilt in the hand."""
 
     velocity_share: float
     torque_share: float
@@ -74,7 +74,7 @@ class MarginsRecord(Record):
 
 
 class MeasureRecord(Record):
-    """Margin by which one predicate of a goal holds; see `goals.measure.GoalMeasure`."""
+    """Predicate of a goal, and the margin (in `unit`) by which it holds; negative if it fails."""
 
     what: str
     margin: float
@@ -83,12 +83,12 @@ class MeasureRecord(Record):
 
     @property
     def is_distance(self) -> bool:
-        """Whether the margin is a distance from the centre of a surface; see `goals.predicates.On`."""
+        """Whether the margin belongs to `on(object, surface)` and measures the distance from the surface's centre."""
         return self.unit == "m" and self.what.startswith("on(")
 
 
 class RecoveryRecord(Record):
-    """A skill that failed and was tried again; see `attempt_data.Recovery`."""
+    """A skill that failed and was tried again: its number and name, the reason, and the first frame of the new try."""
 
     step: int
     skill: str
@@ -108,7 +108,7 @@ class OutcomeRecord(Record):
     plan_error_m: float | None
     tilt_rad: float | None
     margins: MarginsRecord | None = None
-    # Omitted for tasks without goals and programs, as in format version 1.
+    # Margins of the goal's predicates; omitted if empty, as in format version 1.
     measures: Annotated[tuple[MeasureRecord, ...], _UNLESS_EMPTY] = ()
     recoveries: Annotated[tuple[RecoveryRecord, ...], _UNLESS_EMPTY] = ()
 
@@ -157,7 +157,7 @@ class RoleAssignmentRecord(Record):
 
 
 class AttemptRecord(Record):
-    """One line of `attempts.jsonl`. `layout` is object -> initial pose in `world`; see `StartPlace`."""
+    """One line of `attempts.jsonl`. `layout` is object -> initial pose in `world`, m and rad."""
 
     attempt: int
     seed: int
@@ -186,7 +186,7 @@ class EpisodeRecord(Record):
     frame_period_s: float
     cameras: CameraSizes
     truth: bool = False
-    # Omitted for one arm, so that earlier records keep their bytes.
+    # Number of arms; omitted for one arm, so that older records keep their bytes.
     arms: Annotated[int, Field(ge=1, le=2, exclude_if=lambda arms: arms == 1)] = 1
     # Number of drives per arm.
     drives: Annotated[int, Field(ge=1, le=64, exclude_if=lambda drives: drives == DEFAULT_DRIVES)] = DEFAULT_DRIVES
@@ -194,11 +194,11 @@ class EpisodeRecord(Record):
     joint_actions: Annotated[bool, _UNLESS_EMPTY] = False
     objects: list[Name]
     outcome: OutcomeRecord
-    # None for tasks whose success is decided by a goal.
+    # m, largest height of the object above its target on success; None if a goal decides success.
     max_height_m: float | None
     layout: dict[Name, StartPlace]
     randomized: VariationField = Variation()
-    # Since format version 2.
+    # Role assignment; None in format version 1.
     cast: Annotated[RoleAssignmentRecord | None, _UNLESS_EMPTY] = None
     phrasing: Annotated[str, _UNLESS_EMPTY] = ""
     # Articulated object -> names of its joints, in the order of `<object>_joints`.
@@ -207,7 +207,7 @@ class EpisodeRecord(Record):
     cloths: Annotated[dict[Name, tuple[int, int]], _UNLESS_EMPTY] = Field(default_factory=dict)
     versions: dict[str, str]
     renderer: str
-    # Asset set -> description of the rendered meshes, see `core.scene.build.describe_meshes`; None in earlier records.
+    # Asset set -> description of the rendered meshes, see `core.scene.build.describe_meshes`; None in older records.
     meshes: Annotated[dict[str, str] | None, Field(exclude_if=lambda meshes: meshes is None)] = None
     content_sha256: str
     files: dict[FilePath, str]
@@ -275,7 +275,7 @@ def attempt_record(payload: AttemptPayload, episode: int | None) -> AttemptRecor
 
 
 def recorded_attempt(record: EpisodeRecord, start: Array | None = None) -> Attempt:
-    """Return the attempt of a recorded episode. `start` is the MuJoCo `qpos` (nq,) of the first frame."""
+    """Rebuild the attempt of an episode from its record. `start` is the MuJoCo `qpos` (nq,) of the first frame."""
     cast = None if record.cast is None else RoleAssignment(record.cast.things, record.cast.kinds, record.cast.sizes)
     job, layout = AttemptJob(record.seed, record.attempt), Layout.from_places(record.layout)
     return Attempt(job, layout, record.randomized, start, cast, record.phrasing)

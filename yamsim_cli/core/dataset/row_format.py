@@ -22,7 +22,7 @@ def arm_prefixes(rig: RigConfig) -> tuple[str, ...]:
 
 
 def drive_names(rig: RigConfig) -> tuple[str, ...]:
-    """Return the names of all drives, in recording order. They name the elements of `joints`."""
+    """Return the names of all drives, in recording order. They name the elements of `joints` in frames."""
     return tuple(
         prefix + name
         for prefix, k in zip(arm_prefixes(rig), rig.recording_order, strict=True)
@@ -31,17 +31,17 @@ def drive_names(rig: RigConfig) -> tuple[str, ...]:
 
 
 def weld_names(config: RecordConfig) -> tuple[str, ...]:
-    """Return the names of the weld elements of an action, one per arm; empty if actions are joints."""
+    """Return the names of the weld states in an action row, one per arm; empty if actions are joints."""
     return () if config.action == "joints" else tuple(f"{prefix}magnet" for prefix in arm_prefixes(config.rig))
 
 
 @dataclass(frozen=True)
 class RowFormat:
-    """Format of states and actions as rows. A state has joints and grippers; an action has drive commands, then welds.
+    """Format of states and actions as rows. A state has joints and grippers, an action drive commands and weld states.
 
     Attributes:
         drives: names of the elements of a state, and of the commands in an action.
-        welds: names of the weld elements of an action.
+        welds: names of the weld states in an action: whether the weld of each arm holds an object.
         full: largest opening of one finger of each arm (arms,), m. If given, gripper values are shares of this
             opening, 0 closed to 1 open. If None, gripper values are openings of one finger, m.
     """
@@ -62,20 +62,20 @@ class RowFormat:
 
     @property
     def actions(self) -> tuple[str, ...]:
-        """Names of the elements of an action."""
+        """Names of the elements of an action row: drive commands, then weld states."""
         return self.drives + self.welds
 
     def state(self, joints: Array) -> Row:
-        """Return the state row of joints in rad and finger openings in m, given as (arms, drives)."""
+        """Convert joints in rad and finger openings in m, given as (arms, drives), to a state row."""
         return self._with_shares(joints).ravel().astype(np.float32)
 
     def action(self, ctrl: Array, holds: WeldStates) -> Row:
-        """Return the action row of the commands (arms, drives), rad and m, and the weld states (arms,)."""
+        """Convert commands (arms, drives), rad and m, and weld states (arms,) to an action row."""
         row = self._with_shares(ctrl).ravel()
         return (np.append(row, holds) if self.welds else row).astype(np.float32)
 
     def command(self, row: NDArray[np.floating]) -> tuple[Array, WeldStates]:
-        """Return the commands (arms, drives), rad and m, and the weld states (arms,) of an action row."""
+        """Convert an action row to commands (arms, drives), rad and m, and weld states (arms,)."""
         count = len(self.drives)
         ctrl = np.array(row[:count], dtype=np.float64).reshape(self.arms, -1)
         if self.full is not None:

@@ -7,8 +7,8 @@ A pickle is a program. Four restrictions make it harmless:
 - Only opcodes that data needs are allowed, and the pure Python unpickler runs them. The C unpickler allocates a table
   as large as the largest memo index: gigabytes for a file of ten bytes.
 - Dictionary keys are text or numbers. Hashing nested tuples with shared elements could take exponential time.
-- The result is copied within a budget. Otherwise, lists that are shared many times would multiply when printed or
-  hashed.
+- The result is copied with a limit on its size. Otherwise, lists that are shared many times would multiply when
+  printed or hashed.
 """
 
 from __future__ import annotations
@@ -28,10 +28,10 @@ from ..errors import DatasetError
 
 # A recorded frame has 2 kB and 150 values. An opcode takes at least one byte and allocates at most 64 bytes, so these
 # limits bound the memory too.
-MAX_BYTES: Final = 2**20
-_MAX_VALUES: Final = 20_000
-_MAX_DEPTH: Final = 16
-_MAX_INT_BITS: Final = 1024
+MAX_BYTES: Final = 2**20  # bytes of a pickle, and of its decoded arrays and text
+_MAX_VALUES: Final = 20_000  # decoded values
+_MAX_DEPTH: Final = 16  # levels of nested containers
+_MAX_INT_BITS: Final = 1024  # bits of an integer
 
 # Booleans, numbers, text of fixed width, and objects ("O8"). Object arrays are accepted only if all elements are text.
 _DTYPE = re.compile(r"[biufc]\d{1,2}|[SU]\d{1,5}|O8")
@@ -49,7 +49,7 @@ _OPCODE_NAMES: Final = {ord(code.code): code.name for code in pickletools.opcode
 
 
 class ForbiddenPickleError(DatasetError):
-    """The pickle names a function or class, or is larger than any frame."""
+    """Raised for a pickle that names a function or class, or exceeds the size limits of a frame."""
 
 
 class _DType:
@@ -127,7 +127,7 @@ class _AllowedName:
         raise ForbiddenPickleError("the pickle changes a function; it was not run")
 
 
-_NDARRAY = _AllowedName(None)  # a pickle can only pass this on to `_reconstruct`
+_NDARRAY = _AllowedName(None)  # stands for `numpy.ndarray`; a pickle can only pass it to `_reconstruct`
 
 
 def _reconstruct(kind: Any, shape: Any, _: Any) -> _Array:
@@ -228,7 +228,7 @@ def read_pickle(data: bytes) -> Any:
 
 
 class _BudgetedCopy:
-    """Copies the content of a pickle within a budget, and replaces array descriptions by arrays."""
+    """Copies the content of a pickle up to a size limit, and replaces array descriptions by arrays."""
 
     def __init__(self) -> None:
         self._values = _MAX_VALUES

@@ -17,9 +17,9 @@ from yamsim_cli.core.errors import DatasetError
 
 from .episode_facts import EpisodeFacts
 
-_LAYOUT_DIGITS = 6  # decimals to which layouts are compared; layouts that close are no coincidence
-_MAX_MANIFEST_BYTES = 2**30  # largest manifest that is read
-_PART = re.compile(r"\..+\.part")
+_LAYOUT_DIGITS = 6  # decimals to which layouts (m, rad) are compared; independent samples never agree so closely
+_MAX_MANIFEST_BYTES = 2**30  # bytes, largest manifest that is read
+_PART = re.compile(r"\..+\.part")  # name of a temporary file that a crash left
 
 
 def check_dataset(
@@ -29,7 +29,10 @@ def check_dataset(
     attempts: Sequence[AttemptRecord],
     problems: ProblemCollector,
 ) -> list[DatasetProblem]:
-    """Return faults that follow from comparing episodes. Faults of the dataset are added to `problems`."""
+    """Compare episodes with each other, the ledger and the manifest, and return faults of episodes.
+
+    Faults of the dataset as a whole are added to `problems`.
+    """
     found: list[DatasetProblem] = []
     if not episodes:
         problems.add("dataset.empty")
@@ -69,7 +72,7 @@ def _missing(present: set[int], listed: set[int]) -> list[DatasetProblem]:
 
 
 def _note_missing_numbers(names: Sequence[str], problems: ProblemCollector) -> None:
-    """Report missing numbers if all names consist of the same word and a number."""
+    """Report gaps in numbering, if all directory names consist of the same word and a number."""
     matches = [re.fullmatch(r"(.*?)([0-9]{1,18})", name) for name in names]
     parts = [(match[1], int(match[2])) for match in matches if match]
     if len(parts) < len(names) or len({word for word, _ in parts}) != 1:

@@ -42,14 +42,14 @@ from .episode_facts import (
 from .episode_files import check_missing_files, list_files, read_file
 from .images import CameraChecks, ImageReader, TruthChecks, check_frozen_images
 
-# m, largest difference between the recorded outcome and the last frame. The outcome is measured shortly after that
-# frame, and a resting object moves by less than 0.1 mm until then.
+# m, largest difference between the object-target distance in the recorded outcome and in the last frame. The outcome
+# is measured shortly after that frame, and a resting object moves by less than 0.1 mm until then.
 _OUTCOME_TOLERANCE = 0.005
-_SHOWN_HASH_DIGITS = 12  # digits of a hash in messages
+_SHOWN_HASH_DIGITS = 12  # leading hex digits of a SHA-256 in messages
 
 
 def check_episode(episode: EpisodeDirectory, context: CheckContext, reader: ImageReader) -> EpisodeFacts:
-    """Check an episode. Every file is opened. A fault in one file does not stop the checks of others."""
+    """Check every file of an episode, and return facts and faults. A fault in one file does not stop other checks."""
     return _EpisodeCheck(episode, context, reader).run()
 
 

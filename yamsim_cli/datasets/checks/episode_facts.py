@@ -14,10 +14,10 @@ from yamsim_cli.core.dataset.lowdim import BETWEEN_BASES
 from yamsim_cli.core.dataset.records import EpisodeRecord, OutcomeRecord
 from yamsim_cli.core.geometry.se3 import Array, yaw
 
-# Frame number -> flat key -> value, for values that passed `lowdim.LowdimChecks`.
+# Frame number -> flat key, such as `intrinsics[camera]` -> value, for values that passed `lowdim.LowdimChecks`.
 Values = Mapping[int, Mapping[str, Any]]
 
-POSE = "_pose"
+POSE = "_pose"  # end of the keys of object poses and of `ee_pose`
 _HAND = "ee_pose"
 
 
@@ -40,7 +40,7 @@ class EpisodeFacts:
         outcome: recorded outcome, or else derived from the last frame; None without either.
         content: hash of the lowdim values; "" if a frame is unreadable.
         problems: the episode's faults.
-        noted: faults that the import of a real recording found.
+        noted: faults that the import found, one sentence each; only for real recordings.
     """
 
     name: str

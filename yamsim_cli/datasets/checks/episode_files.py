@@ -1,4 +1,4 @@
-"""List the files of an episode, check that none is missing, and read them without trusting their size or kind."""
+"""List the files of an episode, check that none is missing, and read them. Files may be huge or irregular."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from yamsim_cli.core.dataset.checks.problem import ProblemCollector
 from yamsim_cli.core.dataset.dataset_paths import EPISODE, depth_name, image_name, lowdim_name, segmentation_name
 from yamsim_cli.core.dataset.records import EpisodeRecord
 
-_MAX_DEPTH = 4  # folder levels that are searched: the format has no deeper folders, and a link may lead back up
+_MAX_DEPTH = 4  # folder levels that are searched: the format has no deeper folders, and a link may form a loop
 # File extension -> largest file that is read, bytes.
 _MAX_BYTES = {".pkl": 2**20, ".jpg": 2**26, ".jpeg": 2**26, ".json": 2**26, ".png": 2**26, ".npz": 2**27}
-_MAX_OTHER_BYTES = 2**28  # largest file with any other extension that is read
+_MAX_OTHER_BYTES = 2**28  # bytes, largest file with any other extension that is read
 
 _IMAGE = re.compile(r"rgb/([^/]+)/([0-9]{1,12})\.jpe?g")
 _LOWDIM = re.compile(r"lowdim/([0-9]{1,12})\.pkl")
@@ -113,7 +113,7 @@ def read_file(directory: Path, name: str, files: EpisodeFiles, problems: Problem
 
 
 def check_missing_files(files: EpisodeFiles, record: EpisodeRecord | None, problems: ProblemCollector) -> int:
-    """Report missing frames and unexpected files, and return the expected number of frames."""
+    """Report missing frames and unexpected files, and return the expected number of frames of the episode."""
     if record:
         _drop_unrecorded_truth(files, record)
         for name in files.others:

@@ -16,9 +16,9 @@ from yamsim_cli.core.errors import DatasetError
 from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.core.images.image import ImageHeader, ImageStats
 
-_MAX_PIXELS = 2**26  # largest image that is decoded: a header can declare gigabytes
+_MAX_PIXELS = 2**26  # pixels, largest image that is decoded: a header can declare gigabytes
 
-# Contrast and brightness are measured on a smaller copy of the image, so that noise and a few bad pixels do not count.
+# Contrast and brightness are measured on a downscaled image, which suppresses noise and single bad pixels.
 _UNIFORM_CONTRAST = 2.0  # 0 to 255, contrast below which an image is uniform
 _BLACK_BRIGHTNESS = 16.0  # 0 to 255, brightness below which a uniform image is black
 
@@ -43,7 +43,7 @@ class ImageReader(Protocol):
         ...
 
     def labels(self, data: bytes) -> NDArray[np.uint8] | None:
-        """Return a decoded segmentation image (height, width); None if `data` is not a complete one."""
+        """Return a decoded segmentation image (height, width); None if `data` is damaged."""
         ...
 
 
@@ -138,7 +138,7 @@ class TruthChecks:
     """Checks the ground truth of one episode against its `record`.
 
     Args:
-        hash_fits: called for each image that decodes.
+        hash_fits: called with each image that decodes; reports a wrong hash.
     """
 
     def __init__(
@@ -165,13 +165,13 @@ class TruthChecks:
         return labels
 
     def check_missing(self, present: Mapping[str, int]) -> None:
-        """Report files that are neither present nor recorded. Missing recorded files are reported elsewhere."""
+        """Report ground truth files that are neither on disk nor in the record. `present` is path -> size, bytes."""
         for name in (TRUTH_LABELS, *map(truth_name, self._record.cameras)):
             if name not in present and name not in self._record.files:
                 self._problems.add("truth.missing", name)
 
     def check_arrays(self, camera: str) -> None:
-        """Check the arrays of one camera: poses, keypoints and boxes."""
+        """Check keys, dtypes and shapes of the arrays of one camera: poses, keypoints and boxes."""
         name = truth_name(camera)
         data = self._read(name)
         if data is None:
@@ -186,7 +186,7 @@ class TruthChecks:
                 self._problems.add("truth.shape", name, fault)
 
     def check_depth(self, camera: str, name: str) -> None:
-        """Check one depth image."""
+        """Check that a depth image decodes and has the size and the hash in the record."""
         data = self._read(name)
         if data is None:
             return
@@ -199,7 +199,7 @@ class TruthChecks:
         self._hash_fits(name, data)
 
     def check_segmentation(self, camera: str, name: str) -> None:
-        """Check one segmentation image."""
+        """Check that a segmentation image decodes, has the recorded size and hash, and has only values with a label."""
         data = self._read(name)
         if data is None:
             return

@@ -25,7 +25,7 @@ from yamsim_cli.viewers.show.scene_files import Reader, scene_files, zip_bytes
 
 @dataclass(frozen=True)
 class ComposeReport:
-    """A written scene: path, files, the sizes and bodies of the compiled model, and the backup of an older output."""
+    """A written scene: path, files, `nq`, `nu` and bodies of the MuJoCo model, and the backup of an older output."""
 
     path: Path
     files: tuple[str, ...]
@@ -37,12 +37,12 @@ class ComposeReport:
 
 @dataclass(frozen=True)
 class HomeState:
-    """The state of a composed scene in its keyframe `home`.
+    """The initial state of a composed scene, for its MuJoCo keyframe `home`.
 
     Attributes:
         T_in_world: object -> pose (4, 4) in `world`.
         joints: joints of each arm, rad; None for the home posture.
-        parts: joint of an articulated object -> joint position, m or rad; other joints are closed.
+        parts: joint of an articulated object -> joint position, m or rad; other joints are at their closed position.
     """
 
     T_in_world: Mapping[str, Array] = field(default_factory=dict)

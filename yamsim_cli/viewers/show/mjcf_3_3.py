@@ -12,8 +12,8 @@ _SOLVER = "solref solimp"
 _JOINT_SOLVER = "solreflimit solimplimit solreffriction solimpfriction"
 
 # Section and element -> the attributes that all versions from 3.3.0 to 4.0.0 read. Bodies may contain bodies, and
-# classes may contain classes. In a class, an element has the same attributes. `gap` is left out, since its meaning
-# changed in 3.9.
+# `default` classes may contain classes. In a class, an element has the same attributes. `gap` is left out, since its
+# meaning changed in 3.9.
 ATTRIBUTES: Mapping[str, frozenset[str]] = {
     element: frozenset(names.split())
     for element, names in {
@@ -81,7 +81,7 @@ ATTRIBUTES: Mapping[str, frozenset[str]] = {
     }.items()
 }
 
-# Element in a class -> the key of its attributes in `ATTRIBUTES`.
+# Element inside a `default` class -> the key of its attributes in `ATTRIBUTES`.
 CLASS_ELEMENTS: Mapping[str, str] = {
     **{name: f"worldbody/{name}" for name in ("joint", "geom", "site", "camera", "light")},
     **{name: f"asset/{name}" for name in ("mesh", "material")},

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class WrittenVideo:
-    """A written video: length in s, size in px, and the backup of an older file with the same name."""
+    """A written video: path, frames, length in s, size in px, cameras, and the backup of an older file of that name."""
 
     path: Path
     frames: int
@@ -59,7 +59,7 @@ def film_recorded(
     Raises:
         UsageError: the episode has no such camera, or the file exists.
         DatasetError: an image is missing, altered or damaged. No video is written then.
-        ResourceError: see `VideoWriter`.
+        ResourceError: the video cannot be written, see `VideoWriter`.
     """
     if not episode.record.cameras:
         raise DatasetError(f"{episode.directory} has no pictures; without --video its arms are shown")
@@ -83,7 +83,8 @@ def film_rendered(
 
     Raises:
         DatasetError: the episode was not simulated, or was simulated in another scene.
-        UsageError, ResourceError: see `film_recorded`.
+        UsageError: the episode has no such camera, or the file exists.
+        ResourceError: the video cannot be written, or nothing can be rendered.
     """
     with _simulator_of(episode, session) as simulator:
         chosen = _choose(cameras, simulator.scene.cameras)
@@ -155,7 +156,7 @@ def play_simulated(
     ready: Callable[[str | None], None],
     stopped: Callable[[], bool],
 ) -> None:
-    """Play a simulated episode in a loop, see `viewer.show_scene`.
+    """Play a simulated episode in a loop, on a browser page or in MuJoCo's window; see `viewer.show_scene`.
 
     Args:
         session: a session of the dataset's config.
@@ -163,7 +164,7 @@ def play_simulated(
 
     Raises:
         DatasetError: the episode was not simulated, or is damaged.
-        UsageError, ResourceError: see `viewer.show_scene`.
+        UsageError, ResourceError: the page cannot be served, or no window can be opened.
     """
     record, config = episode.record, session.config
     with _simulator_of(episode, session_with_wrist_camera(session)) as simulator:
@@ -183,13 +184,13 @@ def play_real(
     ready: Callable[[str | None], None],
     stopped: Callable[[], bool],
 ) -> None:
-    """Play the measured motion of a real recording in a loop, see `viewer.show_scene`.
+    """Play the measured motion of a real recording in a loop; further arguments as in `viewer.show_scene`.
 
     Args:
         motion: motion of the arms, in the recording order of the rig.
 
     Raises:
-        UsageError, ResourceError: see `viewer.show_scene`.
+        UsageError, ResourceError: the page cannot be served, or no window can be opened.
     """
     _, model = compose_at_home(blueprint, locations)
     period = episode.record.frame_period_s
@@ -215,7 +216,7 @@ def _show(
 
 
 def _measured_positions(motion: RecordedMotion, blueprint: Blueprint, model: mujoco.MjModel, period: float) -> Array:
-    """Return `qpos` (n, nq) at multiples of `period`, each from the latest measurement."""
+    """Return `qpos` (n, nq) at multiples of `period` (s), each from the latest measurement before that time."""
     rig = blueprint.rig
     even = np.arange(0.0, motion.duration + period / 2, period)
     rows = np.clip(np.searchsorted(motion.times, even + period / 1000, side="right") - 1, 0, None)

@@ -30,10 +30,10 @@ MONTAGE = "views.png"
 
 @dataclass(frozen=True)
 class ViewScene:
-    """A rig at rest, ready to be rendered from each view.
+    """A rig in its home posture, with a camera for each view.
 
     Attributes:
-        size: width and height of a view, px.
+        size: width and height of the image of a view, px.
         fine: width and height of the rendered image before it is averaged to `size`, px.
     """
 
@@ -74,7 +74,7 @@ def _at_home(model: mujoco.MjModel) -> mujoco.MjData:
 
 
 def picture_names() -> list[str]:
-    """Return the file names of the images of `render_views`."""
+    """Return the file names of the images that `render_views` makes."""
     return [*(f"{view.name}.png" for view in VIEWS), MONTAGE]
 
 

@@ -1,8 +1,8 @@
 """Converts a composed scene to files: `scene.xml` and all files that the XML names.
 
 MuJoCo writes MJCF of its own version. This module translates it for MuJoCo 3.3, all later versions and dm_control.
-The poses of children absorb frames, and values whose defaults differ between versions become explicit. A scene that 3.3
-cannot express is an error.
+The poses of `frame` elements are merged into their children, and values whose defaults differ between versions become
+explicit. A scene that 3.3 cannot express is an error.
 """
 
 from __future__ import annotations
@@ -79,7 +79,7 @@ def classic_xml(spec: mujoco.MjSpec, model: mujoco.MjModel) -> str:
 
 
 def _as_authored(spec: mujoco.MjSpec) -> str:
-    """Return the MJCF that MuJoCo writes, in full precision. From a compiled spec, MuJoCo writes six digits."""
+    """Return the MJCF that MuJoCo writes for a spec, in full precision. A compiled spec would give six digits only."""
     compiler = spec.compiler
     before = compiler.savecompiled, compiler.savecanonical
     try:
@@ -121,7 +121,7 @@ def _write_light_type(light: Element) -> None:
 
 
 def _unroll(parent: Element) -> None:
-    """Replace every frame in place by its children, with the pose and class of the frame applied."""
+    """Replace every `frame` element in place by its children, with its pose and class applied to them."""
     for child in parent:
         _unroll(child)
     parent[:] = [item for child in parent for item in (_children_in_frame(child) if child.tag == "frame" else [child])]
@@ -147,7 +147,7 @@ def _children_in_frame(frame: Element) -> Iterator[Element]:
 
 
 def _reduce(root: Element, scene: str) -> None:
-    """Remove optional attributes. Raise UsageError for other elements, attributes and values that 3.3 does not know."""
+    """Remove attributes in `OPTIONAL`. Raise UsageError for anything else that MuJoCo 3.3 does not know."""
     for where, element in _walk(root):
         if where not in ATTRIBUTES:
             raise UsageError(_unknown(scene, f"<{element.tag}>"))

@@ -1,4 +1,4 @@
-"""Shows a scene, or a live rig with movable joints, on a browser page or in MuJoCo's window."""
+"""Shows a scene, or a simulated rig with movable joints, on a browser page or in MuJoCo's window."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def make_live_rig(blueprint: Blueprint, locations: Locations, quality: RenderCon
 
 
 def make_live_task(session: Session, *, boards: bool = True, quality: RenderConfig | None = None) -> LiveRig:
-    """Compose the scene of a task, with the layout of the first attempt of the seed, see `make_live_rig`.
+    """Compose the scene of a task, with the layout of the first attempt of the seed, ready to simulate.
 
     Raises:
         SimulationError: no layout has room for the objects, or the scene cannot be compiled.
@@ -52,7 +52,7 @@ def make_live_task(session: Session, *, boards: bool = True, quality: RenderConf
 
 
 def _with_cameras(blueprint: Blueprint, quality: RenderConfig | None) -> Blueprint:
-    """Return the same scene with its wrist cameras and station cameras."""
+    """Return a copy of the blueprint with wrist and station cameras, and picture settings if `quality` is given."""
     pictures = PictureSettings(quality, _PICTURE) if quality is not None else None
     rig = blueprint.rig
     cameras = (
@@ -103,7 +103,7 @@ def view_rig(
     boards: bool = True,
     pictures: bool = False,
 ) -> None:
-    """Simulate a rig and show it, see `show_scene`.
+    """Simulate a rig, and show it as `show_scene` does, on a browser page or in MuJoCo's window.
 
     Args:
         viewpoint: the initial view; by default the whole rig.

@@ -25,14 +25,14 @@ from yamsim_cli.core.workers.process_pool import ProcessPool
 
 SOURCE = "teleop"
 
-_POLL_SECONDS = 0.1  # s, between two checks whether the writer was closed while it waits
+_POLL_SECONDS = 0.1  # s, between two checks for a closed writer during a wait
 
 
 class TeleopAttemptRenderer(Closable):
-    """Renders successful teleoperated attempts. Their outcomes are known before.
+    """Renders teleoperated attempts that were successful. The outcomes were determined before.
 
     Args:
-        render: whether successful attempts get files.
+        render: whether images and files of successful attempts are made; otherwise only outcomes are returned.
     """
 
     def __init__(self, session: Session, *, render: bool = True) -> None:
@@ -44,7 +44,7 @@ class TeleopAttemptRenderer(Closable):
         self._simulators.get(AttemptJob(session.config.seed, 0))
 
     def run(self, driven: SimulatedAttempt) -> AttemptPayload:
-        """Return the payload of an attempt."""
+        """Return the payload of an attempt: its record and, on success, its rendered files."""
         simulator, done = self._simulators.get(driven.attempt.job), driven
         if done.outcome.success:
             done = replace(done, attempt=with_distractors(simulator, done.attempt, done.states))
@@ -64,7 +64,7 @@ def open_worker(session: Session) -> ProcessPool[SimulatedAttempt, AttemptPayloa
 
 
 class AttemptReceiver(Protocol):
-    """Receives teleoperated attempts."""
+    """Interface of an object to which a scene submits its teleoperated attempts."""
 
     @property
     def next_attempt(self) -> int:
@@ -72,12 +72,12 @@ class AttemptReceiver(Protocol):
         ...
 
     def submit(self, driven: SimulatedAttempt) -> None:
-        """Receive an attempt."""
+        """Accept a finished attempt for further processing."""
         ...
 
 
 class AttemptWriter(Closable):
-    """Sends teleoperated attempts to the executor, and writes the results in order, in a thread of its own.
+    """Sends teleoperated attempts to the executor, and writes the results in order, in a separate thread.
 
     Writing an episode can take longer than a control tick. Use the writer as a context manager; its exit drops
     attempts that are not written yet. Until then, no other code may use the sink or the executor.
@@ -113,12 +113,12 @@ class AttemptWriter(Closable):
         return self._first + self._submitted
 
     def submit(self, driven: SimulatedAttempt) -> None:
-        """Queue an attempt for the thread."""
+        """Queue an attempt for rendering and writing."""
         self._submitted += 1
         self._futures.append(self._thread.submit(self._process, driven))
 
     def next_written(self, timeout: float = 0.0) -> AttemptRecord | None:
-        """Wait up to `timeout` seconds for the next written attempt, and return its record, or None.
+        """Wait up to `timeout` seconds for the next written attempt. Return its record, or None if none was written.
 
         Raises:
             OSError: a write to the disk failed.
@@ -170,5 +170,5 @@ class AttemptWriter(Closable):
     def close(self) -> None:
         """Stop the thread. Attempts that are not written yet are lost."""
         self._ended.set()
-        # An episode that is being written is completed.
+        # Wait until an episode that is being written is complete.
         self._thread.shutdown(wait=True, cancel_futures=True)

@@ -21,8 +21,8 @@ from .teleop_scene import TeleopScene
 
 Row = tuple[FiniteFloat, FiniteFloat, FiniteFloat, Place]
 
-_LIMIT_TOLERANCE = math.radians(30)  # rad, how far a leader arm may exceed joint limits; commands are clipped to them
-_OPENING = QuantityBounds("m", -0.02, 0.1)  # drives report values slightly beyond both ends of the range
+_LIMIT_TOLERANCE = math.radians(30)  # rad, by which a leader arm may exceed the joint limits of the follower
+_OPENING = QuantityBounds("m", -0.02, 0.1)  # valid finger openings; drives report values slightly outside the range
 
 
 class PoseTarget(Config):
@@ -38,13 +38,13 @@ class PoseTarget(Config):
 
 
 class TeleopCommand(Config):
-    """One line of a stream. Values that the line leaves out do not change.
+    """One line of a command stream. Values that the line omits keep their previous commands.
 
     Attributes:
         t: time since the beginning of the stream, s.
         arm: the arm for this and the following commands; at first, the arm that acts first in the task.
-        joints: joints of the arm, rad; or joints and openings of both arms, the left arm first, as in frames.
-        ee: pose of `grasp_site` in the base of the left or only arm, as `ee_pose` in frames.
+        joints: joints of the arm, rad; or joints (rad) and finger openings (m) of both arms, the left arm first.
+        ee: pose of the end effector (`grasp_site`) in the base of the left or only arm.
         gripper: opening of one finger, m.
         magnet: whether the weld is commanded to hold.
         event: start, stop or discard a recording.
@@ -60,7 +60,7 @@ class TeleopCommand(Config):
 
     @property
     def T_grasp_in_base(self) -> Array | None:
-        """Target pose (4, 4) of `grasp_site`; None if the line has no pose."""
+        """Target pose (4, 4) of `grasp_site` in the base of the left or only arm; None if the line has no pose."""
         if self.ee is None:
             return None
         return self.ee.T if isinstance(self.ee, PoseTarget) else np.array(self.ee)
@@ -109,7 +109,7 @@ def _read(line: str, where: str) -> TeleopCommand:
     try:
         return TeleopCommand.model_validate_json(line)
     except ValidationError as error:
-        # `ee` has two forms. The most deeply nested error belongs to the form that the user intended.
+        # `ee` may be a matrix or position and quaternion. The most deeply nested error belongs to the intended variant.
         first = max(error.errors(include_url=False), key=lambda detail: len(detail["loc"]))
         key = ".".join(part for part in map(str, first["loc"]) if "[" not in part and part != PoseTarget.__name__)
         message = first["msg"].removeprefix("Value error, ")
@@ -117,7 +117,7 @@ def _read(line: str, where: str) -> TeleopCommand:
 
 
 class _Arms:
-    """Checks consecutive commands against the arms of a recording."""
+    """Checks that each command of a stream is valid for the arms of a recording config."""
 
     def __init__(self, config: RecordConfig) -> None:
         rig = config.rig

@@ -20,12 +20,12 @@ _STOP = "stop"
 
 @dataclass(frozen=True)
 class CommandTick:
-    """The commands of a control tick.
+    """The commands to all arms in one control tick.
 
     Attributes:
         ctrl: commands to the drives (arms, drives), rad and m.
         magnet: for each arm, whether the weld was commanded to hold.
-        reference: reference joints and openings (arms, drives), rad and m, see `TeleopArm.reference`.
+        reference: joints and openings (arms, drives), rad and m, that the commands aim at.
     """
 
     ctrl: Array
@@ -40,9 +40,9 @@ class UnfinishedRecording:
     Attributes:
         path: the file of the recording.
         job: seed and number of the attempt.
-        start: `qpos` (nq,) at the beginning.
+        start: MuJoCo `qpos` (nq,) at the beginning.
         ticks: the commands of all simulated ticks.
-        stopped: number of ticks before the stop; None without a stop.
+        stopped: number of ticks before the user stopped the recording; None if the session was killed before.
     """
 
     path: Path
@@ -92,7 +92,7 @@ class RecordingJournal:
             self._write({"ctrl": ctrl, "magnet": list(tick.magnet), "asked": reference})
 
     def stop(self) -> None:
-        """Write that the recording was stopped. In the ticks that follow, the scene comes to rest."""
+        """Mark in the file that the user stopped the recording. In the ticks that follow, the scene comes to rest."""
         self._write({"event": _STOP})
 
     def end(self) -> None:

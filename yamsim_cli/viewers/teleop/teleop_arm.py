@@ -17,18 +17,18 @@ from yamsim_cli.core.sim.placement import ArmCollisionCheck
 _IK_ITERATIONS = 12  # iterations of inverse kinematics in a control tick
 _REACH_TOLERANCE = 0.003  # m, position error of inverse kinematics up to which a target counts as reachable
 _LIMIT_DISTANCE = 0.005  # rad, distance to a joint limit below which a joint counts as at the limit
-_CLEARANCE = 0.012  # m, least height of a target of the pinch frame above the table; keeps the finger tips out of it
+_CLEARANCE = 0.012  # m, smallest height of the target of the finger tips above the table
 
 
 class TeleopArm:
-    """Follows a target with bounded speed, and stops before a collision with the table, the other arm or itself.
+    """Moves an arm to a target with bounded speed. Stops it before a collision with the table, the other arm or itself.
 
     Attributes:
         side: "left" or "right".
         opening: commanded opening of each finger, m.
         widest: largest opening of each finger, m.
         magnet: whether the weld is commanded to hold.
-        target_distance: distance from the target to the nearest reachable pose, m; 0 for a reachable target.
+        target_distance: distance from the target pose to the nearest reachable pose, m; 0 if reachable.
         obstacle: name of the obstacle that stops the arm; empty for none.
 
     Args:
@@ -51,7 +51,7 @@ class TeleopArm:
         )
 
     def reset(self, stand: ArmPosture) -> None:
-        """Set the reference to a posture, at rest."""
+        """Set the reference (the joints that the commands aim at) to a posture, at rest."""
         self._tracker.reset(stand.joints)
         self._joint_target: Array | None = None
         self._target = self._ik.pose_of(stand.joints)
@@ -67,12 +67,12 @@ class TeleopArm:
 
     @property
     def is_open(self) -> bool:
-        """Whether the commanded opening is larger than the closed one."""
+        """Whether the commanded opening exceeds that of the closed gripper."""
         return self.opening > self._closed
 
     @property
     def reference(self) -> Array:
-        """The present reference (drives,): joints, rad, and, if the arm has fingers, the commanded opening, m."""
+        """The present reference (drives,) of the commands: joints, rad, and, if the arm has fingers, opening, m."""
         return self._with_opening(self._tracker.joints)
 
     @property
@@ -106,7 +106,7 @@ class TeleopArm:
         self.set_gripper(self._closed if self.is_open else self.widest)
 
     def set_magnet(self, on: bool) -> None:
-        """Switch the weld, which holds an object within its reach."""
+        """Switch the weld, which holds an object near the hand, on or off."""
         self._was_commanded, self.magnet = True, on
 
     def release(self) -> None:
@@ -117,18 +117,18 @@ class TeleopArm:
         self.halt()
 
     def halt(self) -> None:
-        """Hold the joints without a change of the gripper and the weld."""
+        """Stop the arm at its present joints. Gripper and weld keep their commands."""
         self._joint_target = self._tracker.joints.copy()
 
     def step(self, qpos: Array) -> Array:
-        """Advance the reference by a tick, and return the commands (drives,) to the drives, rad and m.
+        """Advance the reference by a control tick, and return the commands (drives,) to the drives, rad and m.
 
         Args:
             qpos: the present positions (nq,) of the scene.
         """
         before = self._tracker.joints
         velocity = self._step_reference(qpos)
-        # As `core.episode.commands.drive_commands`, without inertia compensation, since the next target is unknown.
+        # Same formula as `core.episode.commands.drive_commands`, without the inertia term, which needs the next target.
         command = (before + self._tracker.joints) / 2 + self._arm.kv * velocity / self._arm.kp
         return self._with_opening(command)
 
@@ -180,7 +180,7 @@ def _opening_around_object(config: RecordConfig) -> float:
 
 
 def _fixed_pose(model: mujoco.MjModel, site: str, reference: str) -> Array:
-    """Return the pose (4, 4) of a site in the frame of another site on the same body."""
+    """Return the pose (4, 4) of a site in the frame of the site `reference` on the same body."""
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     T, T_reference = (pose(data.site(name).xpos, data.site(name).xmat.reshape(3, 3)) for name in (site, reference))

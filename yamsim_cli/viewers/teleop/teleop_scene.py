@@ -29,7 +29,7 @@ TIME_LIMIT = 600.0  # s, default time limit of a recording
 
 
 class TeleopAttemptScene:
-    """The compiled scene and the arms of the present attempt. Each role assignment has a scene of its own.
+    """The compiled scene and the arms of the present attempt. Each role assignment has a separate scene.
 
     Attributes:
         scene: the compiled scene.
@@ -72,7 +72,7 @@ class TeleopAttemptScene:
         return attempt if start is None else replace(attempt, start=start)
 
     def set_up(self, attempt: Attempt, rules: EpisodeRules) -> Episode:
-        """Reset the arms, and open the episode of the present attempt."""
+        """Reset the arms, and return the episode that simulates the present attempt."""
         assert self._simulator is not None, "begin comes first"
         for arm, posture in zip(self.arms, self.postures, strict=True):
             arm.reset(posture)
@@ -97,11 +97,12 @@ class TeleopScene(TeleopInterface):
     Attributes:
         sides: sides of the arms, in the order of recordings.
         driven: index of the teleoperated arm in that order.
-        episodes, failures, waiting, discarded: counts of attempts, see `TeleopStatus`.
+        episodes, failures, waiting, discarded: numbers of successful, failed, not yet judged and discarded attempts.
         message: the result of the last command.
 
     Args:
-        receiver: receives the attempts.
+        receiver: object to which finished attempts are submitted.
+        journal: saves the present recording to the disk; None saves nothing.
         time_limit: time limit of a recording, s.
         end: the rule that ends a recording.
 
@@ -163,7 +164,7 @@ class TeleopScene(TeleopInterface):
 
     @property
     def status(self) -> TeleopStatus:
-        """The state of the session."""
+        """The state of the session, for display."""
         with self.lock:
             arm = self._arm
             return TeleopStatus(
@@ -199,7 +200,7 @@ class TeleopScene(TeleopInterface):
         self._command(lambda arm: arm.set_target_pose(T_pinch_in_world))
 
     def set_grasp_target(self, T_grasp_in_base: Array) -> None:
-        """Set the target pose (4, 4) of `grasp_site` in the base of the left or only arm, as `ee_pose` in frames."""
+        """Set the target pose (4, 4) of `grasp_site` in the base of the left or only arm."""
         self._command(lambda arm: arm.set_grasp_target(self._stage.scene.T_base_in_world @ T_grasp_in_base))
 
     def set_joint_target(self, joints: Array) -> None:
@@ -220,11 +221,11 @@ class TeleopScene(TeleopInterface):
         self._command(lambda arm: arm.set_gripper(opening))
 
     def toggle_gripper(self) -> None:
-        """Open the gripper fully, or close it, see `TeleopArm.toggle_gripper`."""
+        """Open the gripper fully, or close it. With welds, it closes to the opening around the object."""
         self._command(lambda arm: arm.toggle_gripper())
 
     def set_magnet(self, on: bool) -> None:
-        """Switch the weld, which holds an object within its reach."""
+        """Switch the weld, which holds an object near the hand, on or off."""
         self._command(lambda arm: arm.set_magnet(on))
 
     def _command(self, command: Callable[[TeleopArm], None]) -> None:
@@ -312,7 +313,7 @@ class TeleopScene(TeleopInterface):
         self._begin()
 
     def discard(self) -> None:
-        """Discard the recording. The next attempt has the same layout."""
+        """End and delete the recording. The next attempt has the same layout."""
         with self.lock:
             if not self._recording:
                 self.message = "nothing was being recorded"
@@ -338,11 +339,11 @@ class TeleopScene(TeleopInterface):
                 self._tick()
 
     def advance(self, now: float) -> None:
-        """Simulate a control tick, unless paused. The caller keeps the time."""
+        """Simulate a control tick, unless paused. `now` is ignored: the caller paces the ticks."""
         self.tick()
 
     def _begin(self, *, recording: bool = False) -> None:
-        """Set the scene to the start of the next attempt. Only recordings end by the rules."""
+        """Reset the scene to the start of the next attempt. End rule and time limit apply to recordings only."""
         attempt = self._stage.begin(AttemptJob(self._config.seed, self._receiver.next_attempt))
         self._put(attempt, self._rules if recording else EpisodeRules())
         self._recording = recording

@@ -28,7 +28,7 @@ from .command_stream import StreamPlayer, TeleopCommand
 from .recording_journal import RecordingJournal
 from .teleop_scene import TIME_LIMIT, TeleopScene
 
-_MAX_CATCH_UP = 0.25  # s, largest delay that the loop makes up for; a larger delay is skipped
+_MAX_CATCH_UP = 0.25  # s, largest delay that the loop catches up with; the rest of a larger delay is skipped
 _POLL_SECONDS = 0.5  # s, longest single wait for an attempt at the end of a session
 
 
@@ -54,7 +54,7 @@ class Jitter:
 
 
 class TickClock:
-    """Paces a loop with the monotonic clock, and measures the jitter."""
+    """Paces a loop at a fixed period with the monotonic clock, and measures the jitter."""
 
     def __init__(self, period: float) -> None:
         self._period = period
@@ -77,7 +77,7 @@ class TickClock:
 
     @property
     def jitter(self) -> Jitter | None:
-        """The jitter so far; None before the second tick."""
+        """The jitter of the ticks so far; None before the second tick."""
         if len(self._began) < 2:
             return None
         off = 1000 * np.abs(np.diff(self._began) - self._period)
@@ -88,11 +88,11 @@ class TickClock:
 
 @dataclass(frozen=True)
 class TeleopReport:
-    """The result of a session.
+    """The result of a teleoperation session.
 
     Attributes:
         path: directory of the dataset.
-        episodes, attempts: numbers in the dataset.
+        episodes, attempts: numbers of successful attempts and of all attempts in the dataset.
         discarded: number of recordings that the user discarded.
         trials: records of the attempts of this session, in order.
         jitter: jitter of the control ticks; None if ticks did not follow the clock.
@@ -108,14 +108,14 @@ class TeleopReport:
 
 @dataclass(frozen=True)
 class TeleopSession:
-    """The scene, the writer of its attempts, and the dataset."""
+    """An open teleoperation session: the scene, the writer of its attempts, and the dataset."""
 
     scene: TeleopScene
     attempts: AttemptWriter
     dataset: DatasetWriter
 
     def update(self, timeout: float = 0.0) -> None:
-        """Update the numbers and the message of the scene. Raises the errors of `AttemptWriter.next_written`."""
+        """Update the counts and the message of the scene from the next written attempt, if any. `timeout` is in s."""
         scene, attempts = self.scene, self.attempts
         attempt = attempts.next_written(timeout)
         scene.episodes, scene.waiting = attempts.episodes, attempts.waiting
@@ -162,7 +162,7 @@ def open_teleop(
         time_limit: time limit of a recording, s. At the limit, the recording is stopped and judged.
 
     Raises:
-        UsageError, ConfigError, DatasetError, ResourceError: see `DatasetWriter`.
+        UsageError, ConfigError, DatasetError, ResourceError: the dataset cannot be opened, see `DatasetWriter`.
         PartialJobError: a write to the disk failed.
     """
     session = state_meshes(session)
@@ -248,7 +248,7 @@ def _end_recording(scene: TeleopScene) -> None:
 def run_page(
     session: TeleopSession, config: RecordConfig, address: PageAddress, ready: Callable[[str], None], stop: StopRequest
 ) -> TeleopReport:
-    """Serve a page until the user ends the session, and discard an unfinished recording.
+    """Serve a browser page until the user ends the session, then discard an unfinished recording.
 
     Args:
         ready: called with the URL once the page is served.

@@ -20,7 +20,7 @@ from ..imported_records import is_real, real_config
 from .motion import ArmLimits
 from .problem import ProblemCollector
 
-_PLAIN_CONFIG = "default"  # `record` config whose arm is assumed for plain recordings
+_PLAIN_CONFIG = "default"  # `record` config with the assumed arm of plain recordings, which have only rgb/ and lowdim/
 # Objects and success limits (m) for judging a plain recording. Source: the lab's pick-and-place.
 _OBJECT, _TARGET = "banana", "plate"
 _THRESHOLD = 0.05
@@ -45,16 +45,16 @@ class StartRegion:
 
 @dataclass(frozen=True)
 class CheckContext:
-    """Properties that all episodes of a dataset share.
+    """Properties that all episodes of a dataset share, and that their checks need.
 
     Attributes:
         recorded: whether yamsim recorded the dataset. A plain recording has only rgb/ and lowdim/.
         real: whether yamsim imported the dataset. Its episodes have records, but no attempts and no outcomes.
-        arms: limits of each arm, in data order; one assumed arm for a plain recording.
+        arms: limits of each arm, in the order of frame data; one assumed arm for a plain recording.
         T_base_in_world: pose (4, 4) of the base of the only arm, or of the left arm.
-        object, target: names of the carried object and its target.
+        object, target: names of the carried object and its target; "" if a goal decides success.
         sampling: region of initial positions; None if unknown.
-        threshold, max_height: success limits of the task, m.
+        threshold, max_height: on success, largest distance of the object from its target, and height above it, m.
         wrist_cameras: wrist camera -> index of its arm in `arms`, if known.
         judged_by_goal: whether a goal decides success instead of a distance.
     """
@@ -102,7 +102,7 @@ def find_episodes(dataset: Path) -> tuple[list[EpisodeDirectory], bool]:
 
 
 def _numbered(dataset: Path) -> list[EpisodeDirectory]:
-    """Return numbered episodes. Spellings such as ep_0000001 are excluded, so that no two share a number."""
+    """Return the episodes in `ep_NNNNNN`. Spellings such as ep_0000001 are excluded, so that numbers are unique."""
     return [
         EpisodeDirectory(path, number)
         for number, path in episode_directories(dataset)
@@ -124,7 +124,7 @@ def _natural_sort_key(path: Path) -> list[tuple[int, str]]:
 
 
 def read_context(dataset: Path, recorded: bool, locations: Locations, problems: ProblemCollector) -> CheckContext:
-    """Return the context from the dataset's config. Without a config, use limits that hold for every arm."""
+    """Build the check context from the dataset's config. Without a config, use limits that hold for every arm."""
     parsed: RecordConfig | None = None
     if recorded and not (dataset / CONFIG).is_file():
         problems.add("config.missing")

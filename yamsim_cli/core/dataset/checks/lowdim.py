@@ -14,13 +14,13 @@ from ..records import EpisodeRecord
 from ..safe_unpickle import ForbiddenPickleError
 from .problem import ProblemCollector
 
-# Optional key -> example value with the expected spec.
+# Optional frame key -> example value with the required dtype and shape.
 _OPTIONAL = {"K_wrist": np.zeros((3, 3), np.float32)}
 
 
 @dataclass(frozen=True)
 class ValueSpec:
-    """Spec of a value: dtype and shape of an array, or the name of a plain type and ()."""
+    """Dtype and shape of an array, or the name of another Python type and ()."""
 
     kind: str
     shape: tuple[int, ...] = ()
@@ -46,11 +46,12 @@ def expected_specs(
     joint_actions: bool = False,
     cloths: Mapping[str, tuple[int, int]] | None = None,
 ) -> dict[str, ValueSpec]:
-    """Return flat key -> spec of a frame that yamsim records.
+    """Return flat key, such as `intrinsics[camera]`, -> required spec in a frame that yamsim records.
 
     Args:
         joints: articulated object -> names of its joints.
-        arms, drives, joint_actions: see `lowdim.frame_array_shapes`.
+        arms, drives: number of arms, and of drives per arm.
+        joint_actions: whether frames have the keys `state` and `action`.
         cloths: cloth -> number of points along its x axis and its y axis.
     """
     float32 = str(np.dtype(np.float32))
@@ -85,7 +86,7 @@ def recorded_specs(record: EpisodeRecord) -> dict[str, ValueSpec]:
 
 
 def frame_faults(frame: Mapping[str, Any], forms: Mapping[str, ValueSpec]) -> list[str]:
-    """Return the faults of a decoded frame that must have the specs `forms`, one text each."""
+    """Compare a decoded frame with `forms` (flat key -> required spec), and return one text per fault."""
     problems = ProblemCollector()
     LowdimChecks(forms, problems).take(0, "", frame)
     return [problem.text for problem in problems.list()]
@@ -123,7 +124,7 @@ class LowdimChecks:
         return True
 
     def take(self, number: int, name: str, frame: Mapping[str, Any]) -> None:
-        """Check a decoded frame."""
+        """Check a decoded frame, and store its valid values in `values`."""
         # `SIMULATION` keys are checked separately: their shapes differ in the last frame, and a frame may lack them.
         for fault in simulation_faults(frame):
             self._problems.add("lowdim.simulation", name, fault, about=fault.split()[0])

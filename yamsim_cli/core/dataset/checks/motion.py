@@ -15,13 +15,13 @@ from ...robots.models import JointLimits
 from .problem import ProblemCollector
 
 TIMESTAMPS = "timestamps.npy"  # file of capture times in `rgb/<camera>/` of converted real recordings
-# npy version 1.0, as numpy writes a one-dimensional array of 64-bit integers. Source: numpy.lib.format.
+# Start of an `.npy` file, version 1.0, with a one-dimensional array of 64-bit integers. Source: numpy.lib.format.
 _NPY_MAGIC = b"\x93NUMPY\x01\x00"
 _NPY_HEADER = re.compile(rb"\{'descr': '([<>])i8', 'fortran_order': (?:True|False), 'shape': \((\d{1,9}),\), \} *\n")
 
 # Largest deviation of the time between frames, as a share of the period.
-_MAX_JITTER_RECORDED = 0.01  # simulations keep the period exactly
-_MAX_JITTER_PLAIN = 0.5  # real cameras jitter by milliseconds
+_MAX_JITTER_RECORDED = 0.01  # with a recorded period: simulations keep it exactly
+_MAX_JITTER_PLAIN = 0.5  # without a recorded period, as for real cameras, which jitter by milliseconds
 
 # Tolerance beyond a joint limit: contacts in the simulation are soft, and encoders have an offset.
 _LIMIT_SLACK_RAD = 0.05
@@ -95,7 +95,7 @@ class ArmData:
 
 
 def each_arm(joints: Mapping[int, Array], arms: Sequence[ArmLimits], *, repeated: bool) -> list[ArmData]:
-    """Split the frames' `joints` by arm; empty if the length does not match the arms.
+    """Split the frames' `joints` by arm, and return the motion of each arm; empty if the length does not match.
 
     Args:
         joints: frame number -> joints and openings of all arms, one arm after the other.
@@ -148,7 +148,7 @@ def check_limits(
 def check_fingers(
     openings: Mapping[int, float], stops: tuple[float, float], name: Named, problems: ProblemCollector
 ) -> None:
-    """Report finger openings (m) beyond their limits `stops`."""
+    """Report finger openings (m), by frame number, beyond their lower and upper limit `stops` (m)."""
     low, high = stops
     for k, value in sorted(openings.items()):
         if not low - _LIMIT_SLACK_M <= value <= high + _LIMIT_SLACK_M:
@@ -252,9 +252,9 @@ def check_view(
     size: tuple[int, int] | None,
     problems: ProblemCollector,
 ) -> None:
-    """Report a camera that sees none of the poses `points`, key -> frame number -> pose (4, 4), in any frame.
+    """Report a camera whose images contain none of the positions of `points`: key -> frame number -> pose (4, 4).
 
-    Such extrinsics are inverted or relative to another frame. All poses must have passed the other checks.
+    The extrinsics of such a camera are inverted or relative to a wrong frame. All poses must have passed `check_pose`.
     """
     if size is None or not points:
         return

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import Any
 
-_MAX_TEXT = 200  # characters, longest value that a message shows
+_MAX_TEXT = 200  # characters of a value in a message; the rest is cut off
 
 
 class Severity(StrEnum):
@@ -191,7 +191,7 @@ class ProblemCollector:
         self._found: dict[Hashable, DatasetProblem] = {}
 
     def add(self, code: str, file: str = "", value: object = "", valid: object = "", *, about: Hashable = None) -> None:
-        """Add a fault. Faults with the same `code` and the same `about`, unless None, become one `DatasetProblem`."""
+        """Add a fault. Faults with equal `code` and equal `about` (not None) are counted in one `DatasetProblem`."""
         assert code in CODES, code
         key = (code, len(self._found)) if about is None else (code, "about", about)
         if earlier := self._found.get(key):

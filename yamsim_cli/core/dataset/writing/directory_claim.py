@@ -2,7 +2,7 @@
 
 The lock is an advisory kernel lock (flock) on a file in the directory. The lock ends with its process, so the file of a
 killed process blocks no other recorder. On Linux the lock works between machines over NFS. Some filesystems have no
-locks, or only locks within one machine. There, the process that the file names counts as the holder.
+locks, or only locks within one machine. On these, the process that the file names counts as the holder.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ class ClaimedDirectory:
 
 
 def claim_directory(path: Path, mode: OpenMode, *, locks_reach_others: bool) -> ClaimedDirectory:
-    """Lock a directory for writing. The directory is created if missing.
+    """Lock a directory, and create it if missing. `locks_reach_others`: whether locks work between machines.
 
     Raises:
         UsageError: `path` is not empty, or not a directory, and `mode` does not allow that.
@@ -195,7 +195,7 @@ class DirectoryLock:
             os.close(descriptor)
 
     def note_rename(self, directory: Path) -> None:
-        """Note that the directory was renamed to `directory`."""
+        """Store the new path `directory` of the locked directory, after a rename."""
         self._directory = directory
 
     def release(self) -> None:
@@ -254,7 +254,7 @@ def require_same_config(dataset: Path, recorded: Mapping[str, Any], wanted: Mapp
 
 
 def describe_unstated_meshes(dataset: Path, wanted: Mapping[str, Any]) -> str:
-    """Return a notice that a dataset does not state which meshes it shows, and how to find out."""
+    """Return a message: the dataset does not state which meshes its images show, and how to find out."""
     texts = ", ".join(f"{name}: {describe(text)}" for name, text in _stated_meshes(wanted).items())
     return (
         f"{dataset / CONFIG} does not say which meshes the episodes show, as an earlier yamsim recorded them. New ones "
@@ -263,7 +263,7 @@ def describe_unstated_meshes(dataset: Path, wanted: Mapping[str, Any]) -> str:
 
 
 def recorded_meshes(dataset: Path) -> ShownMeshes:
-    """Return the meshes that the config of a dataset states; empty without a readable config."""
+    """Return asset set -> description of the meshes in a dataset's images, from its config; empty if unreadable."""
     try:
         return _stated_meshes(load_yaml(dataset / CONFIG).data)
     except ConfigError:

@@ -11,7 +11,7 @@ from ...files.writing import sha256_bytes
 from ..dataset_paths import DAMAGED, EPISODE, episode_directories
 from ..records import EpisodeRecord, from_json
 
-_READER_THREADS = 32  # each waits for the disk or the network, and hashing releases the GIL
+_READER_THREADS = 32  # many, since each waits for the disk or network, and hashing releases the GIL
 
 
 @dataclass(frozen=True)

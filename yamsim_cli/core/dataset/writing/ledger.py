@@ -31,7 +31,7 @@ class Ledger:
     """The content of a dataset's `attempts.jsonl`.
 
     Attributes:
-        known: attempt -> its record, from intact lines, in order.
+        known: attempt number -> record, from intact lines, in order.
         fault: the first fault of the file, or None. A truncated last line is not a fault.
     """
 
@@ -70,7 +70,7 @@ class Ledger:
 
     @property
     def missing(self) -> set[int]:
-        """Attempts before the last known attempt whose lines are lost."""
+        """Numbers of the attempts before the last known attempt whose lines are lost."""
         return set(range(max(self.known, default=-1))) - self.known.keys()
 
     def restore_lost_lines(self, episodes: Sequence[EpisodeRecord]) -> None:
@@ -124,7 +124,7 @@ class Ledger:
         self._write()
 
     def repair(self) -> Path | None:
-        """Rewrite the file if it differs from `known`. After an OSError the file is unchanged.
+        """Rewrite the ledger file if it differs from `known`. After an OSError the file is unchanged.
 
         Returns:
             Path of a copy of the damaged file; None if the file was not damaged.
@@ -159,5 +159,5 @@ def missing_episode(attempts: Sequence[AttemptRecord], attempt: int) -> int | No
 
 
 def placeholder_record(attempt: int, seed: int) -> AttemptRecord:
-    """Return the record of an attempt whose line is lost."""
+    """Return a record that marks an attempt as failed because its ledger line is lost."""
     return AttemptRecord(attempt=attempt, seed=seed, episode=None, outcome=LINE_LOST, layout={})

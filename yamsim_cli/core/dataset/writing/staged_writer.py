@@ -65,7 +65,7 @@ class StagedWriter(AttemptLog):
         self.attempts = list(target.attempts)
         self.episodes = target.episodes
         self.missing = target.missing
-        # Copied because another thread changes the set of the target.
+        # Copied because the move thread changes the set of `target`.
         self.lost_lines = set(target.lost_lines)
         self._target = target
         self._error: BaseException | None = None
@@ -95,7 +95,7 @@ class StagedWriter(AttemptLog):
         return len(episode_directories(self.folder)) if self.folder.is_dir() else 0
 
     def publish(self, record: EpisodeRecord, files: Mapping[str, bytes]) -> None:
-        """Write one episode to the stage; see `DatasetWriter.publish`."""
+        """Write one episode atomically to the stage, from which the move thread moves it to the dataset."""
         self._raise_error()
         publish_directory(
             self.folder / episode_name(record.episode), {**files, EPISODE: to_json(record)}, self.folder / STAGING
@@ -105,7 +105,7 @@ class StagedWriter(AttemptLog):
             self._put(_StagedItem(record.episode, None))
 
     def log(self, attempt: AttemptRecord) -> None:
-        """Log one attempt; see `DatasetWriter.log`. Blocks while `MAX_WAITING` attempts wait to be moved."""
+        """Log an attempt, and queue it for the dataset. Blocks while `MAX_WAITING` attempts wait to be moved."""
         self._raise_error()
         if attempt.attempt in self.lost_lines:
             # `publish` has already queued the episode, if any. If the stage is lost, the episode is recorded again.

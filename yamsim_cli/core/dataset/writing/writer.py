@@ -26,8 +26,8 @@ class AttemptLog:
     Attributes:
         path: the dataset directory.
         attempts: all attempts so far, in order.
-        episodes: number of attempts that are episodes.
-        lost_lines: attempts whose ledger lines are lost. They count as failures until they are logged again.
+        episodes: number of successful attempts, which are stored as episodes.
+        lost_lines: numbers of attempts whose ledger lines are lost. They count as failures until they are logged again.
         repairs: one sentence for each damaged or missing part that was found, with its repair.
     """
 
@@ -64,7 +64,7 @@ class DatasetWriter(AttemptLog, Closable):
 
         Args:
             config: all settings that determine the data, JSON-ready.
-            locks_reach_others: see `DirectoryLock.acquire`.
+            locks_reach_others: whether the filesystem's locks work between machines.
 
         Raises:
             UsageError: `path` is not empty, or not a directory, and `mode` does not allow that.
@@ -188,7 +188,7 @@ class DatasetWriter(AttemptLog, Closable):
 
 
 def config_for_new_episodes(config: RecordConfig, writer: DatasetWriter) -> RecordConfig:
-    """Return the config for new episodes. If the dataset does not state its meshes, the config has no meshes either."""
+    """Return the config for new episodes: `meshes` is None if the config of the dataset does not state them."""
     return config if "meshes" in writer.config else config.model_copy(update={"meshes": None})
 
 
