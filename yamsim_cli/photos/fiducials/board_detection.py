@@ -100,7 +100,7 @@ class BoardDetection:
 
     @property
     def own_position_sigma(self) -> float | None:
-        """As `position_sigma`, m, but without the errors of lens and print scale that all boards of a photo share."""
+        """The standard deviation of the centre's position, all axes, m, without errors that all boards share (lens)."""
         if self.covariance is None or self.shared_errors is None:
             return None
         return math.sqrt(

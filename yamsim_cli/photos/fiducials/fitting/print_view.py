@@ -103,7 +103,7 @@ def view_print(photo: Grey, camera: CameraModel, piece: PrintPiece, plane: Array
         plane: (3, 3) from (x, y, 1) on the board, m, to points in the camera frame, up to a positive factor.
 
     Returns:
-        The region; None if the board is not in front of the camera or smaller than 8 px.
+        The region; None if the board is not in front of the camera, or a side of the region is below 8 px.
     """
     board = piece.board
     half = np.array([board.width / 2, board.height / 2])

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 _MAX_STEPS = 30  # least-squares steps of a pose fit
 _MIN_GAIN = 1e-3  # gain of chi squared, relative to 1 + chi squared, below which the steps end
 _GRID_POINTS = 5  # points along each edge of a board at which distortion is evaluated
-_MIN_AREA = 1e-6  # squares of the photo's longer side, area of a board in the photo; less is edge-on
+_MIN_AREA = 1e-6  # area of a board's picture (unit: longer side squared), below which the view is edge-on
 _MAX_BEND = 3.0  # photo's longer sides, shift by distortion with k1 = 1, above which rounding errors dominate
 _MAX_ROTATION = 0.5  # rad, largest rotation in one step
 

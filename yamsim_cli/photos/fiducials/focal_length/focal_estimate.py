@@ -27,7 +27,7 @@ from .board_poses import BoardPoses, FocalPoses, fit_board_poses, select_rows
 
 Grey = NDArray[np.uint8]
 
-# Focal lengths to search, longer sides of the image: from a 100 degree field of view to lenses too long for robots.
+# Searched focal lengths, longer sides of the image: from 100 degrees field of view to lenses too long to film robots.
 _FOCAL_RANGE = (0.42, 16.0)
 _NODES, _REFINED_NODES = 57, 33  # evaluated focal lengths: over the whole range, and over one valley
 _MAX_VALLEYS = 3  # valleys (local minima of chi squared) in which more focal lengths are evaluated

@@ -33,7 +33,7 @@ from .marker_bits import marker_bits
 Grey = NDArray[np.uint8]
 
 _WHOLE_PRINT_SCALES = ((1, 3), (2, 3), (2, 7))  # reduction factors, and width of light lines to close, reduced px
-_MARKER_SCALES = ((1, 0),)  # the same factor and width for single markers: no change
+_MARKER_SCALES = ((1, 0),)  # reduction factor and width of lines to close, for single markers: no change
 _MAX_PHOTO_SIDE = 960  # px, longer side to which larger photos are reduced
 _THRESHOLDS = np.linspace(0.12, 0.84, 9)  # share of the photo's grey range, below which a pixel is dark
 _RANGE_PERCENTILES = (0.5, 99.5)  # percentiles of the grey levels that define a photo's range
