@@ -29,7 +29,7 @@ ReportFile = Annotated[Path | None, typer.Option(help="Also write the JSON to th
 
 
 def open_mode(*, resume: bool, overwrite: bool) -> OpenMode:
-    """Return how to treat an existing output dataset. Raises `UsageError` for both flags."""
+    """Return whether to create, resume or replace the output dataset. Raises `UsageError` if both flags are set."""
     from yamsim_cli.core.dataset.writing.directory_claim import OpenMode
 
     if resume and overwrite:
@@ -62,7 +62,7 @@ def require_unused(flag: str, files: Path | Iterable[Path], *, overwrite: bool) 
 
 
 def require_unused_reports(out: Path | None, html: Path | None, *, overwrite: bool) -> None:
-    """Check the files of --out and --html, if given, as `require_unused` does."""
+    """Raise an error if the file of --out or --html exists or cannot be written; None is an option not given."""
     for flag, file in (("--out", out), ("--html", html)):
         if file is not None:
             require_unused(flag, file, overwrite=overwrite)

@@ -1,4 +1,4 @@
-"""Flags for rigs, tasks and sessions that several commands share, and the opener of their sessions."""
+"""Flags for rigs, tasks and simulation sessions that several commands share, and the object that opens sessions."""
 
 from __future__ import annotations
 
@@ -97,11 +97,11 @@ def _flag_name(setting: str) -> str:
     return f"--{setting.replace('_', '-')}"
 
 
-# The session opener of all commands. Its error messages name flags, and its notes go to stderr.
+# Opens the simulation sessions of all commands. Its error messages name flags, and its notes go to stderr.
 opener = SessionOpener(os.environ, print_note, _flag_name, import_if_file, resolve_scene_task, fetch_bar, note_at_end)
 
 
-# Session settings that a command may have as parameters, see `SessionOpener.config`.
+# Names of the session settings that a command may have as parameters. `SessionOpener.config` explains them.
 _SETTINGS = (
     "rig", "revision", "robot", "task", "target", "n", "workers", "seed", "grasp", "arm", "wrist", "camera", "boards",
     "truth", "size", "jpeg_quality", "action", "fps", "quality", "threshold", "randomize", "randomization",
@@ -109,7 +109,7 @@ _SETTINGS = (
 
 
 def session_settings(parameters: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the settings for `opener.open` from a command's parameters, with the parameter `item` as `object`."""
+    """Return the session settings among a command's parameters, for `opener.open`; `item` becomes `object`."""
     return {"object": parameters["item"]} | {name: parameters[name] for name in _SETTINGS if name in parameters}
 
 

@@ -16,7 +16,7 @@ from .session_options import opener
 if TYPE_CHECKING:
     from yamsim_cli.viewers.page_address import PageAddress
 
-_DEFAULT_PORT = 8090  # of browser pages
+_DEFAULT_PORT = 8090  # TCP port of the browser page
 
 Web = Annotated[
     bool | None, typer.Option("--web/--native", help="A browser page, or MuJoCo's own window on this display.")
@@ -66,7 +66,7 @@ def choose_viewer(web: bool | None, port: int | None, host: str | None) -> PageA
 
 
 def prepare_viewer(page: PageAddress | None) -> None:
-    """Set MuJoCo's OpenGL backend for the viewer, before MuJoCo is imported."""
+    """Select GLFW for MuJoCo's window if `page` is None, else no OpenGL. Call this before MuJoCo is imported."""
     if page is None:
         os.environ["MUJOCO_GL"] = "glfw"
         return
@@ -75,7 +75,7 @@ def prepare_viewer(page: PageAddress | None) -> None:
 
 
 def quiet_page() -> None:
-    """Silence rich's global console, on which viser announces its server on stdout."""
+    """Silence rich's global console, so that the web server viser does not announce itself on stdout."""
     import rich
 
     rich.get_console().quiet = True

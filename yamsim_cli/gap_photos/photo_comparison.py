@@ -1,4 +1,4 @@
-"""Compare simulated arms with photos of the real arms: outlines with the photos' edges, and masks with masks."""
+"""Compare simulated arms with photos of real arms: outlines with edges, and masks with masks of the measured joints."""
 
 from __future__ import annotations
 
@@ -37,12 +37,12 @@ from ..real.gap.gap_page import CaptionedJpeg
 
 @dataclass(frozen=True)
 class RecordedPhoto:
-    """A photo from a recording.
+    """A photo from a recording of a real arm.
 
     Attributes:
-        gap: the sim-to-real gap of the recording.
-        frame: number of the measured sample, from 0.
-        sample: row of that sample in the motion.
+        gap: the recording's measured and simulated motion, and their differences.
+        frame: number of the photo in the recording, from 0; only samples with measured joints count.
+        sample: index of the same time in `gap.motion`, where all samples count.
     """
 
     gap: MotionGap
@@ -52,13 +52,13 @@ class RecordedPhoto:
 
 
 def photos_in_parts(gaps: Sequence[MotionGap], camera: str | None) -> tuple[str, list[RecordedPhoto]]:
-    """Return the name of one camera, and its photos in the compared parts of recordings.
+    """Return a camera's name, and its photos at those times of the recordings that are compared with simulation.
 
     Args:
-        camera: name of the camera, see `chosen_camera`.
+        camera: name of the camera; None for the first that is no wrist camera.
 
     Raises:
-        UsageError: no recording has photos from that camera in its compared part.
+        UsageError: no recording has photos from that camera at the compared times.
     """
     folders = {gap.name: Path(gap.name) for gap in gaps if (Path(gap.name) / "rgb").is_dir()}
     cameras = sorted({path.name for folder in folders.values() for path in (folder / "rgb").iterdir() if path.is_dir()})
@@ -83,7 +83,7 @@ def photos_in_parts(gaps: Sequence[MotionGap], camera: str | None) -> tuple[str,
 
 
 def select_photos(taken: Sequence[RecordedPhoto], maximum: int) -> list[RecordedPhoto]:
-    """Return at most `maximum` evenly spaced photos, including the photo with the largest joint error."""
+    """Return at most `maximum` evenly spaced photos, including that with the largest simulated joint error."""
     if len(taken) <= maximum:
         return list(taken)
     worst = max(range(len(taken)), key=lambda k: _error(taken[k]))
@@ -97,19 +97,19 @@ def _error(photo: RecordedPhoto) -> float:
 
 
 def postures_at(motion: RecordedMotion, sample: int, rig: RigConfig) -> ArmPostures:
-    """Return the postures of a rig's arms at a sample of a motion, in the rig's order."""
+    """Return the joints and the gripper opening of each arm of a rig at a sample (index) of a recorded motion."""
     postures = {}
     for arm, number in zip(motion.arms, rig.recording_order, strict=True):
         config, opening = rig.arms[number], 0.0 if arm.openings is None else float(np.nan_to_num(arm.openings[sample]))
         dynamics, names = config.dynamics, config.robot.joint_names
-        # Recorded joints include the offsets of the encoders.
+        # Recorded joints include the encoder offsets, and the model's joints do not.
         off = [0.0 if dynamics is None else dynamics.joint(name).offset_rad for name in names]
         postures[number] = ArmPosture(arm.joints[sample] - off, opening)
     return tuple(postures[number] for number in range(len(rig.arms)))
 
 
 def make_photo(recorded: RecordedPhoto, camera: str, rig: RigConfig, image: Image) -> Photo:
-    """Return a photo with the simulated postures, and with the camera and its pose if they were recorded.
+    """Return a recorded photo with the simulated postures, and with camera and camera pose if the frame holds them.
 
     Raises:
         DatasetError: the frame cannot be read, or is damaged.
@@ -137,9 +137,9 @@ def make_photo(recorded: RecordedPhoto, camera: str, rig: RigConfig, image: Imag
     )
 
 
-_SHOWN_PHOTOS = 2  # pictures on a page
-_OPACITY = 0.4  # of the simulated arms in a picture
-_JPEG_QUALITY = 85
+_SHOWN_PHOTOS = 2  # photos with the largest errors, which are returned as pictures
+_OPACITY = 0.4  # of the simulated arms over a photo, 0..1
+_JPEG_QUALITY = 85  # 0..100
 
 
 @dataclass(frozen=True)
@@ -148,7 +148,7 @@ class PhotoRequest:
 
     Attributes:
         most: maximum number of photos.
-        camera: the camera of all photos; None for the recorded camera, or else an estimate from the boards.
+        camera: calibration of all photos; None for the recorded intrinsics, or else an estimate from ArUco boards.
         name: the camera's name in the recordings; None for the first that is no wrist camera.
     """
 
@@ -163,9 +163,9 @@ class PhotoGap:
 
     Attributes:
         outline: median distance of the simulated outline to the photo's edges, px; None if no arm is visible.
-        measured_outline: `outline` for the arms at their measured joints, which is the distance without a gap.
-        iou: overlap of the simulated and the measured arms, 0..1.
-        picture: the simulated arms over the photo.
+        measured_outline: the same for arms rendered at the measured joints: the distance if simulation were exact.
+        iou: intersection over union of the arms' masks at simulated and at measured joints, 0..1.
+        picture: the simulated arms, drawn over the photo.
     """
 
     recorded: RecordedPhoto
@@ -184,10 +184,10 @@ def compare_photos(
     locations: Locations,
     progress: Progress,
 ) -> tuple[dict[str, Any], list[CaptionedJpeg]]:
-    """Return the comparison with photos of recordings as plain data, and the worst photos as pictures.
+    """Compare simulated arms with photos of recordings. Return JSON-ready figures, and the worst photos as pictures.
 
     Raises:
-        UsageError: no recording has photos from that camera in its compared part.
+        UsageError: no recording has photos from that camera at the compared times.
         DatasetError: a frame is damaged.
         ConfigError: the camera is calibrated for another image size.
         ResourceError: no photo gives the camera's pose, or no OpenGL context is available.

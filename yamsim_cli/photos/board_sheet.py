@@ -24,7 +24,7 @@ from ..core.images.png import encode_png
 
 @dataclass(frozen=True)
 class Paper:
-    """A size of paper in portrait orientation, mm."""
+    """A paper format: width and height in portrait orientation, mm."""
 
     name: str
     width: float
@@ -81,7 +81,7 @@ class PageText:
 
 Mark = PrintedMarker | PageBar | PageLine | PageText
 
-LINE_WIDTH = 0.15
+LINE_WIDTH = 0.15  # mm
 
 
 @dataclass(frozen=True)
@@ -93,15 +93,15 @@ class PrintedPage:
     marks: tuple[Mark, ...]
 
 
-_MARGIN = 12.0  # of the page, where most printers cannot print
-_TITLE_SIZE = 6.0
-_LINE_STEP = 5.2
-_HEADER = 12.0 + 4 * _LINE_STEP
-_RULER_LENGTH = 100.0
-_RULER_COLUMN = 14.0
-_FOOTER = 40.0
-_QUIET = 5.0  # minimum width of the white zone around the board
-_CROP_MARK = 6.0  # length
+_PAGE_MARGIN = 12.0  # mm, width at the page's edges, where most printers cannot print
+_TITLE_SIZE = 6.0  # mm, font size
+_LINE_STEP = 5.2  # mm, from one line of text to the next
+_HEADER_HEIGHT = 12.0 + 4 * _LINE_STEP  # mm, height above the board for the title and four lines
+_RULER_LENGTH = 100.0  # mm
+_RULER_COLUMN = 14.0  # mm, width of the column with the upright ruler
+_FOOTER_HEIGHT = 40.0  # mm, height below the board for the level ruler, the axes and text
+_MIN_QUIET_ZONE = 5.0  # mm, minimum width of the white zone around the board
+_CROP_MARK = 6.0  # mm, length of the marks that show where to cut
 
 
 def board_sheet(board: Board, owner: str, paper: Paper) -> PrintedPage:
@@ -120,11 +120,11 @@ def board_sheet(board: Board, owner: str, paper: Paper) -> PrintedPage:
     cells = marker_cells(board) == 0
     width, height = board.width * 1000, board.height * 1000
     cell = board.marker_length * 1000 / cells.shape[1]
-    quiet = max(_QUIET, cell)
+    quiet = max(_MIN_QUIET_ZONE, cell)
     frame = quiet + _CROP_MARK
 
-    least_width = 2 * (_MARGIN + frame) + _RULER_COLUMN + width
-    least_height = 2 * (_MARGIN + frame) + _HEADER + max(height, _RULER_LENGTH) + _FOOTER
+    least_width = 2 * (_PAGE_MARGIN + frame) + _RULER_COLUMN + width
+    least_height = 2 * (_PAGE_MARGIN + frame) + _HEADER_HEIGHT + max(height, _RULER_LENGTH) + _FOOTER_HEIGHT
     if least_width > paper.width or least_height > paper.height:
         raise ConfigError(
             f"board {board.name!r} is {width:.1f} x {height:.1f} mm and with its white border, marks and rulers needs "
@@ -132,8 +132,8 @@ def board_sheet(board: Board, owner: str, paper: Paper) -> PrintedPage:
             "choose fewer or smaller markers"
         )
 
-    left = (_MARGIN + _RULER_COLUMN + paper.width - _MARGIN - width) / 2
-    top = _MARGIN + _HEADER + frame
+    left = (_PAGE_MARGIN + _RULER_COLUMN + paper.width - _PAGE_MARGIN - width) / 2
+    top = _PAGE_MARGIN + _HEADER_HEIGHT + frame
     foot = top + max(height, _RULER_LENGTH) + frame
     return PrintedPage(
         paper,
@@ -142,15 +142,15 @@ def board_sheet(board: Board, owner: str, paper: Paper) -> PrintedPage:
             *_header(board, owner, paper),
             *_markers(board, cells, left, top),
             *_crop_marks(left, top, width, height, quiet),
-            *_upright_ruler(_MARGIN + _RULER_COLUMN - 4, top),
-            *_axes(_MARGIN + 6, foot + 24),
-            *_level_ruler(paper.width - _MARGIN - _RULER_LENGTH - 4, foot + 8),
+            *_upright_ruler(_PAGE_MARGIN + _RULER_COLUMN - 4, top),
+            *_axes(_PAGE_MARGIN + 6, foot + 24),
+            *_level_ruler(paper.width - _PAGE_MARGIN - _RULER_LENGTH - 4, foot + 8),
         ),
     )
 
 
 def _header(board: Board, owner: str, paper: Paper) -> Iterator[Mark]:
-    yield PageText(_MARGIN, _MARGIN + _TITLE_SIZE, f"{owner}: {board.name}", _TITLE_SIZE, bold=True)
+    yield PageText(_PAGE_MARGIN, _PAGE_MARGIN + _TITLE_SIZE, f"{owner}: {board.name}", _TITLE_SIZE, bold=True)
     lines = (
         f"Markers {board.ids[0]} to {board.ids[-1]}, row by row from the top left ({board.columns} x {board.rows}), of "
         f"{board.dictionary}.",
@@ -160,7 +160,7 @@ def _header(board: Board, owner: str, paper: Paper) -> Iterator[Mark]:
         "Cut between the corner marks, and leave the white border on: detectors need it.",
     )
     for k, line in enumerate(lines, start=1):
-        yield PageText(_MARGIN, _MARGIN + 8 + k * _LINE_STEP, line)
+        yield PageText(_PAGE_MARGIN, _PAGE_MARGIN + 8 + k * _LINE_STEP, line)
 
 
 def _markers(board: Board, cells: NDArray[np.bool_], left: float, top: float) -> Iterator[Mark]:
@@ -223,7 +223,7 @@ def _axes(x: float, y: float) -> Iterator[Mark]:
 
 
 _POINTS_PER_MM = 72 / 25.4
-_PX_PER_MM = 600 / 25.4
+_PX_PER_MM = 600 / 25.4  # 600 dpi
 
 
 def pdf_bytes(sheets: Sequence[PrintedPage]) -> bytes:
@@ -248,7 +248,7 @@ def pdf_bytes(sheets: Sequence[PrintedPage]) -> bytes:
     for sheet in sheets:
         height = sheet.paper.height
         canvas.setPageSize((sheet.paper.width * _POINTS_PER_MM, height * _POINTS_PER_MM))
-        canvas.scale(_POINTS_PER_MM, _POINTS_PER_MM)  # in mm below, with y up
+        canvas.scale(_POINTS_PER_MM, _POINTS_PER_MM)  # all coordinates below are in mm, with y up
         canvas.setLineWidth(LINE_WIDTH)
         for mark in sheet.marks:
             match mark:
@@ -334,13 +334,13 @@ def _cell_px(sheet: PrintedPage) -> int:
     return min(choices, key=miss)
 
 
-# Height of capital letters. Source: both fonts.
+# Height of capital letters in the two fonts, from the fonts themselves.
 _HERSHEY_UNITS = 21  # units of OpenCV's Hershey fonts
-_CAPITALS = 0.718  # share of the font size in Helvetica
+_CAPITAL_HEIGHT = 0.718  # share of the font size in Helvetica
 
 
 def _write(image: Image, text: PageText, scale: float) -> None:
-    font, size = cv2.FONT_HERSHEY_SIMPLEX, _CAPITALS * text.size * scale / _HERSHEY_UNITS
+    font, size = cv2.FONT_HERSHEY_SIMPLEX, _CAPITAL_HEIGHT * text.size * scale / _HERSHEY_UNITS
     thickness = max(1, round(text.size * scale / (9 if text.bold else 22)))
     (width, _), _ = cv2.getTextSize(text.text, font, size, thickness)
     left = text.x * scale - {"left": 0.0, "right": 1.0, "centre": 0.5}[text.align] * width

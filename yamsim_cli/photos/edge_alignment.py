@@ -14,7 +14,7 @@ from ..core.geometry.se3 import Array, pose, rotation_from_vector
 Grey = NDArray[np.uint8]
 Mask = NDArray[np.bool_]
 
-# Lengths are in grains. A grain is one pixel, or several pixels in a large photo, whose details are larger.
+# The unit of length is the grain: one pixel or, in a large photo with its larger details, several pixels.
 _GRAINS_ACROSS = 1000  # approximate grains along the longer side of a large photo
 REACH = 12.0  # grains, distance from the outline within which an edge of the photo is searched
 _SAMPLES_PER_GRAIN = 2  # sample points per grain on the line along which an edge is searched
@@ -24,8 +24,8 @@ _MIN_SLOPE_SHARE = 0.4  # minimum gradient at an edge, as a share of the largest
 _TUKEY_CUTOFF = 4.685  # standard deviations, above which a residual has no weight (Tukey's biweight, 95 % efficiency)
 _INDEPENDENT_POINTS = 60.0  # maximum number of outline points that count as independent
 _BORDER = 3  # grains from the picture's border, within which outlines are ignored
-_ROUNDS = 6  # of a refinement
-_REACH_RATIO = 0.62  # of consecutive rounds, so that in the end only the arm's own edges are within reach
+_ROUNDS = 6  # rounds of a pose refinement
+_REACH_RATIO = 0.62  # ratio of the search distances of consecutive rounds; the last excludes edges of other objects
 
 
 @dataclass(frozen=True)
@@ -152,7 +152,7 @@ class PoseCorrection:
 
     @property
     def size(self) -> float:
-        """The approximate displacement of an object of 0.3 m by this step, m."""
+        """The step's approximate displacement of points 0.3 m from `centre`, m."""
         return float(np.linalg.norm(self.step[3:]) + 0.3 * np.linalg.norm(self.step[:3]))
 
 
@@ -167,7 +167,7 @@ class EdgeEquations:
 def edge_equations(
     line: MaskOutline, depth: Array, offsets: Array, K: Array, centre: Array, edge_sigma: float = 1.0
 ) -> EdgeEquations:
-    """Return the normal equations of the step that moves an outline onto the photo's edges.
+    """Return the normal equations of the pose change that moves an outline onto the photo's edges.
 
     Args:
         line: outline in an ideal pinhole picture with camera matrix `K` (3, 3).
@@ -195,13 +195,13 @@ def edge_equations(
 def solve_correction(
     equations: Sequence[EdgeEquations], centre: Array, information: Array, so_far: Array
 ) -> PoseCorrection:
-    """Return the step that moves a pose's outlines onto the photo's edges, with the pose from the boards as prior.
+    """Return the pose change that moves outlines onto the photo's edges, with the pose from ArUco boards as prior.
 
     Args:
         equations: normal equations of all outlines that move with the pose.
         centre: the point (3,) in the camera frame about which the pose rotates, m.
-        information: inverse covariance (6, 6) of the boards' pose: rotation about `centre` (rad) and shift (m).
-        so_far: sum (6,) of the steps since the boards' pose.
+        information: inverse covariance (6, 6) of the pose from boards: rotation about `centre` (rad) and shift (m).
+        so_far: sum (6,) of the pose changes of earlier rounds, which started at the pose from boards.
     """
     normal = information + sum(part.normal for part in equations)
     gradient = sum(part.gradient for part in equations) - information @ so_far
@@ -209,5 +209,5 @@ def solve_correction(
 
 
 def search_radii() -> list[float]:
-    """Return the search distance of each round of a refinement, grains, in decreasing order."""
+    """Return the distance from the outline within which each refinement round searches edges, grains, decreasing."""
     return [REACH * _REACH_RATIO**k for k in range(_ROUNDS)]

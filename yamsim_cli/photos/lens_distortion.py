@@ -54,7 +54,7 @@ def viewing_ray_grid(camera: CameraModel, x: ArrayLike, y: ArrayLike) -> NDArray
         across, down = np.meshgrid(columns, rows)
         field = viewing_rays(camera, np.stack([across, down], axis=-1).reshape(-1, 2))
         return field.reshape(len(rows), len(columns), 2).astype(np.float32)
-    # Knots extend beyond the field, since cubic interpolation needs two on each side.
+    # Exact rays (knots) extend beyond the grid, since cubic interpolation needs two on each side.
     knots_x, knots_y = (
         np.arange(line[0] - 2 * _RAY_SPACING, line[-1] + 3 * _RAY_SPACING, _RAY_SPACING) for line in (columns, rows)
     )
@@ -69,7 +69,7 @@ def viewing_ray_grid(camera: CameraModel, x: ArrayLike, y: ArrayLike) -> NDArray
 
 
 def _cubic_weights(at: Array, knots: Array) -> Array:
-    """Return Catmull-Rom weights (n, m) of evenly spaced knots (m,) at positions (n,)."""
+    """Return Catmull-Rom weights (n, m) to interpolate between evenly spaced knots (m,) at positions (n,)."""
     place = (at - knots[0]) / (knots[1] - knots[0])
     first = np.floor(place).astype(int)
     t = place - first

@@ -21,7 +21,7 @@ ARM_COLOURS = ((255, 176, 0), (0, 170, 255))
 _AXIS_COLOURS = ((230, 40, 40), (40, 180, 60), (50, 90, 240))
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
 _MIN_SCALE = 0.2  # font scale below which text is unreadable
-_FRACTION_BITS = 4  # fractional bits of OpenCV's coordinates
+_FRACTION_BITS = 4  # fractional bits of the fixed-point pixel coordinates for OpenCV's drawing
 
 
 def blend_arms(photo: Image, rendered: Image, labels: Labels, opacity: float) -> Image:
@@ -43,7 +43,7 @@ def blend_arms(photo: Image, rendered: Image, labels: Labels, opacity: float) ->
 
 
 def draw_board(image: Image, camera: CameraModel, board: Board, T_board_in_cam: Array) -> None:
-    """Draw a board's edge and axes (x red, y green, z blue, half an edge long) into an image, in place."""
+    """Draw a board's edge and axes (x red, y green, z blue, half the board's width long) into an image, in place."""
     half_x, half_y = board.width / 2, board.height / 2
     edge = np.array([[-half_x, half_y, 0], [half_x, half_y, 0], [half_x, -half_y, 0], [-half_x, -half_y, 0]])
     axes = np.array([[0, 0, 0], [half_x, 0, 0], [0, half_x, 0], [0, 0, half_x]])

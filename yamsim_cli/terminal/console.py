@@ -17,9 +17,9 @@ if TYPE_CHECKING:
 
 console = Console(stderr=True)
 
-_LOG_SECONDS = 30.0  # s before and between lines of progress in a log, so that a short job writes none
+_LOG_SECONDS = 30.0  # s before and between progress lines without a terminal; a shorter job writes none
 
-_end_notes = list[str]()
+_end_notes = list[str]()  # lines for stderr at the end of the command
 
 
 class ProgressCallback(Protocol):
@@ -30,14 +30,14 @@ class ProgressCallback(Protocol):
 
 
 def print_json(data: Mapping[str, Any]) -> None:
-    """Write one JSON object to stdout."""
+    """Write a mapping to stdout as a JSON object."""
     from yamsim_cli.core.files.documents.json_text import json_text
 
     sys.stdout.write(json_text(data))
 
 
 def print_report(report: Mapping[str, Any], table: Callable[[], RenderableType], json: bool) -> None:
-    """Write a result to stdout, as JSON or as a table."""
+    """Write a result to stdout: `report` as JSON if `json` is true, else the table that `table()` returns."""
     if json:
         print_json(report)
     else:
@@ -45,7 +45,7 @@ def print_report(report: Mapping[str, Any], table: Callable[[], RenderableType],
 
 
 def print_result_now(data: Mapping[str, Any], line: str, json: bool) -> None:
-    """Write a result to stdout while the command continues, as JSON or as a line of text."""
+    """Write a result to stdout before the command ends: `data` as JSON if `json` is true, else the text `line`."""
     if json:
         print_json(data)
     else:
@@ -72,7 +72,7 @@ def print_line(text: str) -> None:
 
 
 def print_text(marked: str, text: str, style: str) -> None:
-    """Write a result to stdout: `marked` in a rich style, and the wrapped `text` to its right."""
+    """Write two columns to stdout: `marked` in the rich style `style`, and to its right `text`, wrapped."""
     from rich.table import Table
     from rich.text import Text
 
@@ -89,19 +89,19 @@ def print_note(text: str) -> None:
 
 
 def note_moved(path: Path, moved: Path | None) -> None:
-    """Write to stderr where the backup of an older output is, if there is one."""
+    """Write to stderr that an older output at `path` was renamed to `moved`, unless `moved` is None."""
     if moved:
         print_note(f"What was at {path} is now at {moved}.")
 
 
 def note_at_end(text: str) -> None:
-    """Queue a line for stderr at the end of the command, see `write_end_notes`. Duplicates are ignored."""
+    """Queue a line that `write_end_notes` writes to stderr at the end of the command. Duplicates are ignored."""
     if text not in _end_notes:
         _end_notes.append(text)
 
 
 def write_end_notes() -> None:
-    """Write and clear the lines of `note_at_end`."""
+    """Write the lines that `note_at_end` queued to stderr, and empty the queue."""
     for text in _end_notes:
         print_note(text)
     _end_notes.clear()
@@ -109,12 +109,12 @@ def write_end_notes() -> None:
 
 @contextmanager
 def progress_bar(label: str, unit: str, log_seconds: float | None = None) -> Iterator[ProgressCallback]:
-    """Yield a function that reports progress on stderr with rate and time left, as a bar or, without a terminal, lines.
+    """Yield a function that shows progress, rate and time left on stderr: a bar in a terminal, else lines of text.
 
     Args:
         label: name of the job.
         unit: name of the counted items, in the plural.
-        log_seconds: s before the first line and between lines; None for 30.
+        log_seconds: s before the first line of text and between lines; None for 30 s.
     """
     if console.is_terminal:
         with _bar(label, unit) as advance:
@@ -155,12 +155,12 @@ def _bar(label: str, unit: str) -> Iterator[ProgressCallback]:
 
 
 class _ProgressLog:
-    """Writes a line of progress if enough time has passed since the last line."""
+    """Writes a line of progress to stderr if `seconds` have passed since the start or since the last line."""
 
     def __init__(self, label: str, unit: str, seconds: float) -> None:
         self._label, self._unit, self._seconds = label, unit, seconds
         self._written = time.monotonic()
-        # Time and count of the first call. The rate of a resumed job excludes this count.
+        # Time (s) and finished items at the first call. The rate excludes these items: a resumed job has many.
         self._first: tuple[float, int] | None = None
 
     def __call__(self, done: int, total: int, remark: str = "") -> None:

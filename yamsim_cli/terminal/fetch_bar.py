@@ -1,4 +1,4 @@
-"""A progress bar for the download and reduction of meshes."""
+"""A progress bar for the download of meshes and their reduction to smaller ones."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from yamsim_cli.core.errors import file_size
 
 
 class FetchBar(Protocol):
-    """Shows the progress of a download or a reduction."""
+    """Shows the progress of a download, or of a reduction of meshes."""
 
     def __call__(self, label: str, done: int, total: int, /, shown: str = "") -> None:
         """Show `done` of `total` bytes, or the text `shown` instead."""

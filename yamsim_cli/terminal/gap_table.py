@@ -13,12 +13,12 @@ from yamsim_cli.real.gap.report import display_name
 
 from .tables import FactTable, ItemTable
 
-_WIDTH = 80  # columns
-_MAX_RECORDINGS = 10  # rows of the table; --json has all recordings
+_WIDTH = 80  # terminal columns, maximum width of the tables
+_MAX_RECORDINGS = 10  # recordings in the table, those with the largest errors; --json has all
 
 
 def gap_tables(report: Mapping[str, Any]) -> RenderableType:
-    """Return the tables of a gap report: total, by joint, by phase, and by recording if the report has several."""
+    """Return tables of measured minus simulated motion: total, by joint, by phase of motion, and by recording."""
     parts: list[RenderableType] = [_whole(report), _joints(report), _phases(report)]
     if len(report["recordings"]) > 1:
         parts.append(_recordings(report))

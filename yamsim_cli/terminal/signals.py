@@ -1,4 +1,4 @@
-"""Handle Ctrl-C and SIGTERM: record them in protected blocks, and raise KeyboardInterrupt elsewhere."""
+"""Handle Ctrl-C (SIGINT) and SIGTERM: note them inside protected blocks, and raise KeyboardInterrupt elsewhere."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ if TYPE_CHECKING:
     from yamsim_cli.core.workers.stop_request import StopRequest
 
 _STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM)
-_STDERR = 2  # file descriptor
-_RETRY_SECONDS = 0.02  # s after which a signal during an import is retried
+_STDERR = 2  # file descriptor of stderr
+_RETRY_SECONDS = 0.02  # s by which a signal that arrives during an import is postponed
 
 
 @contextmanager
@@ -36,7 +36,7 @@ def defer_signals() -> Iterator[Callable[[], bool]]:
 
 @contextmanager
 def stop_on_signal(message: str) -> Iterator[StopRequest]:
-    """Yield a stop request that the first signal or a closed terminal sets. A second signal ends the block at once.
+    """Yield a stop request that the first signal or a closed terminal sets. A second signal raises KeyboardInterrupt.
 
     Args:
         message: line for stderr on the first signal.
@@ -53,7 +53,7 @@ def stop_on_signal(message: str) -> Iterator[StopRequest]:
         with suppress(OSError):
             os.write(_STDERR, f"{message}\n".encode())
 
-    # Under nohup, SIGHUP stays ignored.
+    # Signals that are ignored already, such as SIGHUP under nohup, stay ignored.
     wanted = [number for number in (*_STOP_SIGNALS, signal.SIGHUP) if signal.getsignal(number) is not signal.SIG_IGN]
     before = {number: signal.signal(number, ask) for number in wanted}
     try:
@@ -64,13 +64,13 @@ def stop_on_signal(message: str) -> Iterator[StopRequest]:
 
 
 def raise_signals() -> None:
-    """Make later signals raise KeyboardInterrupt, at once or after an import in progress."""
+    """Make later SIGINT and SIGTERM raise KeyboardInterrupt at once, or after an import that is in progress."""
     for number in (*_STOP_SIGNALS, signal.SIGALRM):
         signal.signal(number, _interrupt)
 
 
 def _interrupt(number: int, frame: FrameType | None) -> None:
-    # An interrupted import of an extension module looks like a missing module, and its library may continue without it.
+    # If the import of an extension module is interrupted, the importing library may treat the module as missing.
     if _importing(frame):
         signal.setitimer(signal.ITIMER_REAL, _RETRY_SECONDS)
         return

@@ -15,10 +15,10 @@ from yamsim_cli.datasets.dataset_page import group_by_code, problem_counts
 
 from .tables import FactTable, ItemTable
 
-_WIDTH = 80  # columns
-_MAX_EXAMPLES = 2  # for each problem code; --json has all problems
-_MAX_EXAMPLE_LENGTH = 200  # characters
-_SPREAD = {"median": "median", "p95": "95 %", "max": "most"}
+_WIDTH = 80  # terminal columns, maximum width of the tables
+_MAX_EXAMPLES = 2  # problems shown for each problem code; --json has all problems
+_MAX_EXAMPLE_LENGTH = 200  # characters of a problem's description; longer ones are cut
+_STATISTIC_LABELS = {"median": "median", "p95": "95 %", "max": "most"}  # statistic in the report -> label in the table
 
 
 def summary_tables(report: Mapping[str, Any]) -> RenderableType:
@@ -54,7 +54,7 @@ def _figures(report: Mapping[str, Any]) -> FactTable:
             row("recovered", f"{attempts['recovered']:,} of them after a skill was tried again")
     for key, label in (("dxy_m", "off centre"), ("dz_m", "above target")):
         if spread := report[key]:
-            row(label, ", ".join(f"{name} {spread[k] * 1000:.1f} mm" for k, name in _SPREAD.items()))
+            row(label, ", ".join(f"{name} {spread[k] * 1000:.1f} mm" for k, name in _STATISTIC_LABELS.items()))
     return FactTable(rows)
 
 

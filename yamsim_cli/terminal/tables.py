@@ -11,14 +11,14 @@ if TYPE_CHECKING:
     from rich.table import Table
     from rich.text import Text
 
-_MIN_WIDE_COLUMNS = 60  # columns of a terminal, below which cells may be stacked
-_MAX_NAME_SHARE = 0.4  # share of a narrow terminal's width, up to which names are beside their values
+_MIN_WIDE_COLUMNS = 60  # width of a terminal in characters, below which the cells of a row may be stacked
+_MAX_NAME_SHARE = 0.4  # share of a narrow terminal's width; longer names have their values below
 
 Item = Mapping[str, Any]
 
 
 class FactTable:
-    """A table of one item's properties, one per row. In a narrow terminal, values are below long names."""
+    """A table of an item's properties. A row has a name and a value; narrow terminals show it below long names."""
 
     def __init__(self, rows: Iterable[tuple[str | Text, str | Text]], title: str | None = None) -> None:
         self._rows = [(_plain(name), _plain(value)) for name, value in rows]
@@ -40,9 +40,9 @@ class ItemTable:
     """A table with one item in each row, or a stacked list in a narrow terminal whose columns would break words.
 
     Args:
-        headings: one for each column.
-        numbers_from, numbers_to: columns from `numbers_from` to before `numbers_to` are numbers, aligned right.
-        whole: whether the first column never wraps.
+        headings: the heading of each column.
+        numbers_from, numbers_to: the columns with indices from `numbers_from` to `numbers_to` - 1 are aligned right.
+        whole: whether cells of the first column never wrap.
     """
 
     def __init__(
@@ -59,7 +59,7 @@ class ItemTable:
         self._rows: list[list[Text]] = []
 
     def add_row(self, *cells: str | Text) -> None:
-        """Add a row, with one cell for each column."""
+        """Add a row at the end, with one cell for each column."""
         self._rows.append([_plain(cell) for cell in cells])
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
@@ -75,7 +75,7 @@ class ItemTable:
             yield _indented(FactTable((name, cell) for name, cell in named if cell.plain))
 
     def _narrowest(self) -> int:
-        """Return the table's width if lines break only between words."""
+        """Return the smallest width (characters) of the table at which no word is broken."""
         columns = zip(map(_plain, self._headings), *self._rows, strict=True)
         return sum(max(len(word) for cell in column for word in (cell.plain.split() or [""])) + 3 for column in columns)
 
@@ -95,7 +95,7 @@ class ItemTable:
 def print_items(
     items: Sequence[Item], headings: Sequence[str], row: Callable[[Item], Sequence[str]], json: bool
 ) -> None:
-    """Print items as `{"items": [...]}`, or as a table.
+    """Print items to stdout: as the JSON object `{"items": [...]}` if `json` is true, else as a table.
 
     Args:
         row: returns the cells of an item, one for each heading.
@@ -112,10 +112,10 @@ def print_items(
 
 
 def print_item(item: Item, json: bool, words: Mapping[str, Callable[[Any], str]] | None = None) -> None:
-    """Print one item as `{"items": [...]}`, or as a table with a row for each key that has a value.
+    """Print an item to stdout: as JSON `{"items": [item]}` if `json` is true, else as a table with its keys and values.
 
     Args:
-        words: key -> function that formats the value, instead of `format_value`.
+        words: key -> function that formats the key's value; `format_value` formats all other values.
     """
     from .console import print_json, print_table
 
@@ -130,7 +130,7 @@ def print_item(item: Item, json: bool, words: Mapping[str, Callable[[Any], str]]
 
 
 def format_value(value: Any) -> str:
-    """Return a JSON value as readable text."""
+    """Return a JSON value as text for users, such as "yes" for true and "a, b" for a list."""
     if isinstance(value, Mapping):
         return "; ".join(f"{key}: {format_value(inner)}" for key, inner in value.items())
     if isinstance(value, list | tuple):

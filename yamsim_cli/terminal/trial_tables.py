@@ -16,17 +16,17 @@ if TYPE_CHECKING:
 
 
 def trials_table(report: dict[str, Any]) -> FactTable:
-    """Return the report of `core.episode.trials.run_batch` as a table."""
+    """Return a table of a batch of trials: success rates, causes of failure, and motor load. See `run_batch`."""
     return FactTable([("trials", str(report["n"])), *_counted(report, report), *_batch(report)])
 
 
 def evaluation_table(report: dict[str, Any]) -> FactTable:
-    """Return the report of `policies.evaluate.evaluation.evaluation_report` as a table."""
+    """Return a table of a policy's evaluation: success rates, response times, and errors. See `evaluation_report`."""
     return FactTable([("policy", report["policy"]), *_counted(report, report["stats"]), *_evaluation(report)])
 
 
 def open_films(path: Path, settings: RecordConfig, *, overwrite: bool) -> TrialFilms:
-    """Return the writer of a job's videos, and raise an error for an unusable path before any trial runs."""
+    """Return a writer of trial videos to `path`. An unusable path raises an error now, before any trial runs."""
     from yamsim_cli.core.episode.trials import TrialFilms
 
     timing = settings.task.timing
@@ -34,7 +34,7 @@ def open_films(path: Path, settings: RecordConfig, *, overwrite: bool) -> TrialF
 
 
 def film_with_progress(films: TrialFilms, make: Callable[[Progress], list[FilmedTrial]]) -> list[dict[str, Any]]:
-    """Record videos with a progress bar, and return their entries for a report."""
+    """Call `make`, which records videos, with a progress bar. Return the number and video path of each trial."""
     with progress_bar("filming", "trials") as advance:
         filmed = make(advance)
     note_moved(films.path, films.moved_aside)
@@ -42,7 +42,7 @@ def film_with_progress(films: TrialFilms, make: Callable[[Progress], list[Filmed
 
 
 def _counted(report: dict[str, Any], counts: dict[str, Any]) -> Iterator[tuple[str, str]]:
-    """Yield rows for the counts of `core.episode.trials.count_outcomes`."""
+    """Yield (label, text) rows of success rates and causes of failure. `counts` is from `count_outcomes`."""
     yield "task", f"{report['task']} on {report['rig']}"
     low, high = counts["wilson95"]
     limit_m = counts["threshold_m"]

@@ -1,4 +1,4 @@
-"""Judge a board in a photo: its pose with uncertainty, or the reason for no pose and advice."""
+"""Decide whether a board's fitted pose in a photo is acceptable. If not, give the reason and advice for photos."""
 
 from __future__ import annotations
 
@@ -26,22 +26,22 @@ from .fitting.print_view import whole_board_piece
 
 Grey = NDArray[np.uint8]
 
-# Markers that the fit excludes, but that are whole and displaced, lie beyond a crease. Covered markers have a lower
-# correlation or no shift. Source: 14 half-covered prints and 3 creased ones.
+# A marker that the pose fit excludes, but that is whole and displaced, lies beyond a crease of the print. A covered
+# marker has a lower correlation or no shift. Source: 14 half-covered prints and 3 creased ones.
 _MIN_DISPLACED = 2  # displaced markers that indicate a crease
 _MIN_DISPLACED_CORRELATION = 0.5  # correlation of rendering and photo, above which a marker is whole
 _DISPLACED_PX = 0.7  # px, shift above which a marker is displaced
 _CREASED_SHARE_IF_DISPLACED = 0.9  # prior probability of a crease with displaced markers
-_SHARED_ERROR_FACTOR = 4 / 3  # on `PoseLimits.turn`, if the errors of the lens and of the print's scale are included
+_SHARED_ERROR_FACTOR = 4 / 3  # on `PoseLimits.turn`, for a sigma that includes errors of lens and print scale
 _MIN_FLAT_PROBABILITY = 0.5  # probability of a flat print, up to which a message names the print's shape as the cause
 
-PRINT_SIGMA = 0.0025  # standard deviation of an unmeasured print's scale: printers stretch by tenths of a percent
+PRINT_SIGMA = 0.0025  # relative sigma of an unmeasured print's size: printers stretch by tenths of a percent
 
 # Limits within which nearly all boards are found. Source: `make bench-fiducials`.
-_MAX_MOTION_PX = 3.0  # px
-_MAX_BLUR_PX = 1.5  # px, sigma
-_MIN_CONTRAST_RATIO = 8.0  # times the noise
-_MIN_CELL_PX = 0.8  # px
+_MAX_MOTION_PX = 3.0  # px, length of the motion blur
+_MAX_BLUR_PX = 1.5  # px, sigma of the defocus blur
+_MIN_CONTRAST_RATIO = 8.0  # ratio of the print's contrast to the noise's standard deviation
+_MIN_CELL_PX = 0.8  # px, shorter side of a marker cell
 _MIN_GREY_RANGE = 60.0  # grey levels, range below which a photo is dark or has low contrast
 _MAX_EDGE_SIGMA = 2.5  # px, sigma of the sharpest edge, above which a photo is blurred
 _SMOOTHING_SIGMA = 1.5  # px, sigma of the smoothing against noise before edges are measured
@@ -49,7 +49,7 @@ _RANGE_PERCENTILES = (0.5, 99.5)  # percentiles of the grey levels that define a
 
 
 class BoardStatus(StrEnum):
-    """The result for a board. UNCERTAIN: the board has a pose, but its uncertainty exceeds the limits."""
+    """The result for a board. AMBIGUOUS: two poses or prints. POOR_FIT: no pose fits. UNCERTAIN: too large a sigma."""
 
     OK = "ok"
     NOT_FOUND = "not_found"
@@ -95,12 +95,12 @@ class BoardDetection:
 
     @property
     def position_sigma(self) -> float | None:
-        """The standard deviation of the centre's position, all axes together, m."""
+        """The root sum square of the standard deviations of the centre's position along the three axes, m."""
         return None if self.covariance is None else math.sqrt(float(np.trace(self.covariance[3:, 3:])))
 
     @property
     def own_position_sigma(self) -> float | None:
-        """The standard deviation of the centre's position, m, without the errors that all boards of a photo share."""
+        """The standard deviation of the centre's position, all axes, m, without errors that all boards share (lens)."""
         if self.covariance is None or self.shared_errors is None:
             return None
         return math.sqrt(
@@ -109,17 +109,17 @@ class BoardDetection:
 
     @property
     def rotation_sigma(self) -> float | None:
-        """The standard deviation of the orientation, all axes together, rad."""
+        """The root sum square of the standard deviations of the rotation about the three axes, rad."""
         return None if self.covariance is None else math.sqrt(float(np.trace(self.covariance[:3, :3])))
 
 
 @dataclass(frozen=True)
 class PoseLimits:
-    """The uncertainty up to which a board counts as located, without the errors that all boards of a photo share.
+    """The largest uncertainty with which a board's pose is accepted, without errors that all boards of a photo share.
 
     Attributes:
-        turn: standard deviation of the orientation, rad. With the shared errors, a third more is allowed.
-        shift: standard deviation of the centre's position, m.
+        turn: standard deviation of the rotation, all axes, rad. With the shared errors, a third more is accepted.
+        shift: standard deviation of the centre's position, all axes, m.
     """
 
     turn: float = math.radians(1.5)
@@ -142,10 +142,10 @@ def judge_detection(
 
     Args:
         photo: grey levels (height, width).
-        fit: the best fit.
-        fits: all fits.
+        fit: the pose whose rendered print explains the photo best.
+        fits: all poses that were fitted, from different start poses.
         predicted_poses: approximate poses (4, 4) of the board, one from each other board, to resolve an ambiguity.
-        limits: the uncertainty up to which the pose is accepted.
+        limits: the largest uncertainty with which the pose is accepted.
     """
     fit = without_outliers(photo, camera, board, fit)
     rival = find_competing_fit(photo, camera, board, fit, fits, predicted_poses)
@@ -208,7 +208,7 @@ def marker_shift_rms(tiles: Mapping[int, MarkerTile]) -> float:
 
 
 def pose_covariance(alignment: Alignment, camera: CameraModel, point: Array) -> tuple[Array, Array]:
-    """Return `covariance` and `shared_errors` of a `BoardDetection` about a point (3,) of the reference frame, m."""
+    """Return a pose's covariance and shared errors, as in `BoardDetection`, about a point (3,) of frame `ref`, m."""
     x, y, z = alignment.T_ref_in_cam[:3, :3] @ (point - alignment.centre)
     # A rotation w about the centre moves the point by w x r.
     moved = np.eye(6)
@@ -225,9 +225,9 @@ class BoardAppearance:
 
     Attributes:
         cell: shorter side of a marker cell, px.
-        blur, motion: sigma of the blur and length of the motion, px.
+        blur, motion: sigma of the defocus blur and length of the motion blur, px.
         contrast: grey levels from black to white.
-        noise: standard deviation, grey levels.
+        noise: standard deviation of the photo's noise, grey levels.
     """
 
     cell: float
@@ -255,7 +255,7 @@ def measure_appearance(
 
 
 def suggest_improvements(looks: BoardAppearance) -> tuple[str, ...]:
-    """Return advice for better photos of a board; empty if all measures are within the limits."""
+    """Return advice for better photos of a board; empty if motion, blur, contrast and cell size are sufficient."""
     found = []
     if looks.motion > _MAX_MOTION_PX:
         found.append(f"hold still (it is smeared by {looks.motion:.0f} px)")

@@ -44,7 +44,7 @@ from .recognition.board_recognizer import BoardRecognizer
 
 Grey = NDArray[np.uint8]
 
-_MAX_LOG_SCALE = 3 * PRINT_SIGMA  # log scale of a print, above which the boards contradict the poses in the rig
+_MAX_LOG_SCALE = 3 * PRINT_SIGMA  # log of print size over nominal size, above which the rig's poses are wrong
 
 
 def locate_boards(
@@ -62,7 +62,7 @@ def locate_boards(
         T_boards_in_ref: approximate pose (4, 4) of each board in one frame, which predicts a board's pose from another
             board. A prediction starts the search and resolves ambiguities; the fitted pose does not depend on it.
         before: pose (4, 4) of each board in the camera frame in the previous photo; None if not known.
-        limits: the uncertainty up to which a pose counts as located.
+        limits: the largest uncertainty with which a pose is accepted.
 
     Returns:
         One detection for each board, and by dictionary all detected markers, including those of other boards.
@@ -81,7 +81,7 @@ def locate_boards(
             sightings[k] = recognizer.sighting(
                 seen, _poses_by_other_boards(k, sightings, T_boards_in_ref), was, anywhere=True
             )
-    # Boards recognized in the first pass predict the poses of boards before them in the list.
+    # Boards that the loop above recognized only now predict the poses of boards before them in the list.
     for k, seen in enumerate(sightings):
         if seen.status is not BoardStatus.OK and not seen.is_duplicated:
             new = [
@@ -108,10 +108,10 @@ def _poses_by_other_boards(
 def boards_without_pose(
     grey: Grey, camera: CameraModel, boards: Sequence[Board], reason: str
 ) -> tuple[list[BoardDetection], dict[str, list[DetectedMarker]]]:
-    """Return detections without poses, for a photo (height, width) with unknown focal length, as `locate_boards` does.
+    """Return a detection without pose for each board in a photo (height, width), and all markers by dictionary.
 
     Args:
-        camera: any camera, to group markers.
+        camera: a camera with any focal length, only to group markers.
         reason: why the boards have no pose, for users.
     """
     markers = find_markers(grey, sorted({board.dictionary for board in boards}))
@@ -146,7 +146,7 @@ def _locate_read_board(
     for T in initial_poses(best, board, camera):
         if fit := fit_pose(photo, camera, board, best.places, T, fits):
             fits.append(fit)
-            # The other start could only give a competing fit, which `judge_detection` searches.
+            # The other start pose could only give a competing pose, which `judge_detection` searches.
             if fit.contradicting == 0 or fit.explains_well:
                 break
     if not fits:
@@ -158,7 +158,7 @@ def _locate_read_board(
 
 
 def with_pose(grey: Grey, camera: CameraModel, seen: BoardDetection, T_board_in_cam: Array) -> BoardDetection:
-    """Return a detection with another pose (4, 4) and its reprojection error in the photo (height, width)."""
+    """Replace the pose (4, 4) of a detection, and measure its reprojection error in the photo (height, width)."""
     piece = whole_board_piece(seen.board, [seen.board.ids.index(number) for number in seen.markers])
     check = measure_agreement(
         grey.astype(np.float32), camera, [piece], T_board_in_cam, seen.blur or USUAL_BLUR, noise=1.0
@@ -170,24 +170,24 @@ def with_pose(grey: Grey, camera: CameraModel, seen: BoardDetection, T_board_in_
 def locate_together(
     grey: Grey, camera: CameraModel, sightings: Sequence[BoardDetection], T_boards_in_ref: Sequence[Array]
 ) -> list[BoardDetection] | None:
-    """Locate boards with known relative poses as one rigid body. Distant boards determine their tilt better together.
+    """Fit one pose to boards with known relative poses. Boards far apart determine their common tilt better.
 
     Args:
-        sightings: at least one, each with a pose.
-        T_boards_in_ref: pose (4, 4) of each board in the shared frame.
+        sightings: the boards' detections, at least one, each with a pose.
+        T_boards_in_ref: pose (4, 4) of each board in a frame `ref` that all boards share.
 
     Returns:
-        New detections; None if no print size within the limits explains the relative poses.
+        New detections; None if no print size within 3 `PRINT_SIGMA` explains the relative poses.
     """
     pieces = [
         PrintPiece(seen.board, T, tuple(seen.board.ids.index(number) for number in seen.markers))
         for seen, T in zip(sightings, T_boards_in_ref, strict=True)
     ]
-    # The most certain board gives the start pose of the shared frame.
+    # The board with the most certain pose gives the start pose of `ref`.
     best = min(range(len(pieces)), key=lambda k: sightings[k].position_sigma or math.inf)
     T_board_in_cam, kernel = sightings[best].T_board_in_cam, sightings[best].blur or USUAL_BLUR
     assert T_board_in_cam is not None
-    # The scale is fitted too: an error of a quarter of a percent in a fixed scale would tilt the boards by 0.2 degrees.
+    # The print size is fitted too: a fixed size with an error of 0.25 % would tilt the boards by 0.2 degrees.
     scale_prior = LogScalePrior(0.0, PRINT_SIGMA / INFLATION, _common_log_scale(sightings, T_boards_in_ref))
     T_start = T_board_in_cam.copy()
     T_start[:3, 3] *= math.exp(scale_prior.start)
@@ -210,7 +210,7 @@ def locate_together(
 
 
 def _common_log_scale(sightings: Sequence[BoardDetection], T_boards_in_ref: Sequence[Array]) -> float:
-    """Return the prints' log scale at which the distances between the boards match the known ones."""
+    """Return the log of print size over nominal size at which the boards' distances match `T_boards_in_ref`."""
     logs = []
     for (one, T_one), (two, T_two) in itertools.combinations(zip(sightings, T_boards_in_ref, strict=True), 2):
         assert one.T_board_in_cam is not None and two.T_board_in_cam is not None

@@ -1,4 +1,4 @@
-"""Detect markers in a photo, and group those that can belong to one board."""
+"""Detect ArUco markers in a photo, and group those that can belong to one print of a board."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _REDUCED_SIDE = 4096
 # The detector's thresholds suit photos that use all grey levels.
 _STRETCHED_PERCENTILES = (0.1, 99.9)  # percentiles that are stretched to the whole range
 _MIN_UNSTRETCHED_RANGE = 128.0  # grey levels between these percentiles, from which a photo is not stretched
-_MAX_CENTRE_DISTANCE = 0.8  # marker edges, between the board centres that two markers of one board predict
+_MAX_CENTRE_DISTANCE = 0.8  # marker edges, largest distance of the board centres that two markers predict
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ class MarkerGroup:
 
 
 def find_markers(grey: Grey, dictionaries: Sequence[str]) -> dict[str, list[DetectedMarker]]:
-    """Return, by dictionary, all markers in a photo (height, width), duplicates included.
+    """Return dictionary name -> all its markers in a photo (height, width), including repeated ids.
 
     Raises:
         ConfigError: OpenCV has no such dictionary.
@@ -128,5 +128,5 @@ def _middle(marker: DetectedMarker, corners: Array, camera: CameraModel) -> tupl
 
 
 def seen_ids(markers: Mapping[str, Sequence[DetectedMarker]]) -> list[int]:
-    """Return the sorted ids of all markers without duplicates."""
+    """Return the sorted ids of all markers of all dictionaries, without duplicates."""
     return sorted({marker.id for found in markers.values() for marker in found})

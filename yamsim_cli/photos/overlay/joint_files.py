@@ -15,34 +15,34 @@ from yamsim_cli.core.files.documents.yaml_document import load_yaml
 from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.core.robots.joint_limits import describe_limit_violation
 
-_LIMIT_TOLERANCE = math.radians(3.0)  # rad, beyond a joint limit, for errors of encoders and calibrations
-_MAX_OPENING_SHARE = 1.1  # full openings; larger values in a file, read as m, are shares of the full opening instead
+_LIMIT_TOLERANCE = math.radians(3.0)  # rad, accepted excess over a joint limit, for errors of encoders and calibrations
+_MAX_OPENING_SHARE = 1.1  # largest ratio of a gripper's opening to its full opening
 
-_KINDS = (".npy", ".yaml", ".yml", ".pkl")
+_SUFFIXES = (".npy", ".yaml", ".yml", ".pkl")
 
-# The postures of a rig's arms, in the rig's order.
+# The joints (rad) and the gripper opening (m) of each arm of a rig, in the rig's order of arms.
 ArmPostures = tuple[ArmPosture, ...]
 
 
 def home_postures(rig: RigConfig) -> ArmPostures:
-    """Return the postures of a rig's arms at home with closed grippers."""
+    """Return the postures of a rig's arms at the robots' home joints, with closed grippers."""
     return tuple(ArmPosture(np.array(arm.robot.home), 0.0) for arm in rig.arms)
 
 
 def load_postures(path: Path, rig: RigConfig) -> list[ArmPostures]:
-    """Return the postures of a rig's arms, one row for all photos or a row for each.
+    """Read the postures of a rig's arms from a file: one element for all photos, or one for each photo.
 
-    An `.npy` file holds an array of one row, or of a row for each photo. A `.pkl` file is a recorded frame's lowdim. A
+    An `.npy` file holds one row, or a row for each photo. A `.pkl` file holds a recorded frame with the key `joints`. A
     YAML file holds either `joints: [...]` or a list under each arm's name. A row has each arm's joints in rad and, for
     an arm with fingers, the opening of one finger in m. The left arm comes first. For a rig of one arm, a row may omit
-    the opening, or hold two such arms. If any opening is more than a tenth above the full one, all are shares of it.
+    the opening, or hold a left and a right arm. If any value exceeds 1.1 full openings, all are shares 0..1, not m.
 
     Raises:
         ConfigError: the file is unreadable, has the wrong shape, or has values that are not finite or out of range.
     """
     kind = path.suffix.lower()
-    if kind not in _KINDS:
-        raise ConfigError(f"--joints {path}: unknown kind of file {path.suffix!r}; valid: {', '.join(_KINDS)}")
+    if kind not in _SUFFIXES:
+        raise ConfigError(f"--joints {path}: unknown kind of file {path.suffix!r}; valid: {', '.join(_SUFFIXES)}")
     try:
         values = _yaml_rows(path, rig) if kind in (".yaml", ".yml") else _split_by_arm(_numbers(path, kind), rig, path)
     except OSError as error:
@@ -56,7 +56,7 @@ def load_postures(path: Path, rig: RigConfig) -> list[ArmPostures]:
 
 
 def recorded_postures(joints: Array, rig: RigConfig, source: Path) -> ArmPostures:
-    """Return the postures of a rig's arms in a recorded frame. Raises as `load_postures`."""
+    """Return the postures of a rig's arms from a recorded frame's `joints`. Raises ConfigError for a wrong shape."""
     return _arm_postures(_split_by_arm(joints, rig, source), rig)[0]
 
 
@@ -92,7 +92,7 @@ def _in_metres(values: list[Array], rig: RigConfig, path: Path) -> list[Array]:
 def _numbers(path: Path, kind: str) -> Array:
     if kind == ".npy":
         try:
-            # `np.load` would also open archives.
+            # `np.load` would also accept .npz archives.
             with path.open("rb") as stream:
                 return np.asarray(np.lib.format.read_array(stream, allow_pickle=False), dtype=np.float64)
         except (ValueError, TypeError, EOFError, MemoryError) as error:
@@ -136,7 +136,7 @@ def _array(value: object, path: Path) -> Array:
 
 
 def _split_by_arm(values: Array, rig: RigConfig, path: Path) -> list[Array]:
-    """Return each arm's columns of rows for all arms, in the rig's order."""
+    """Split an array (rows, columns) of all arms' joints and openings into one array for each arm of the rig."""
     rows = np.atleast_2d(values)
     if len(rows) == 0:
         raise ConfigError(f"{path}: holds no row of joints")

@@ -1,6 +1,6 @@
 """Detect moves of the camera or of an arm's base in a series of photos from one camera.
 
-Each board's pose in the camera frame gives a series of vectors (6,). A step in the level of a series indicates a move.
+Each board's pose in the camera frame gives a series of vectors (6,). A lasting step in such a series indicates a move.
 """
 
 from __future__ import annotations
@@ -22,16 +22,16 @@ from .photo_arm_poses import ArmPose, RigInPhoto
 # Smallest reported move. An arm in front of its board shifts the estimated pose by part of this amount.
 _MIN_SHIFT = 5e-4  # m
 _MIN_TURN = math.radians(0.1)  # rad
-# Smallest standard deviation of a pose. Identical photos would have none.
+# Minimum assumed standard deviation of a pose. Identical photos would give zero.
 _NOISE_SHIFT = 5e-5  # m
 _NOISE_TURN = math.radians(0.01)  # rad
 _MAX_EVENT_SPAN = 3  # photos, largest distance between steps of two boards that count as one event
-_HANDHELD_NOISE_RATIO = 8.0  # ratio of pose noise to photo noise, above which a person holds the camera
-_MIN_PHOTOS_PER_STEP = 12  # photos for each of several steps, below which a person holds the camera
+_HANDHELD_NOISE_RATIO = 8.0  # scatter of a pose over its sigma in one photo, above which the camera is hand-held
+_MIN_PHOTOS_PER_STEP = 12  # photos per step; if several steps have fewer, the camera counts as hand-held
 
-_MIN_SAMPLES = 4  # samples of a level; with fewer, one outlier dominates the level
-# Squared distance of two levels, in variances, above which a step counts. Six independent axes exceed this limit by
-# chance once in 20 million (chi-squared, 6 degrees of freedom): no false step in a series of thousands.
+_MIN_SAMPLES = 4  # photos between two steps; with fewer, one outlier dominates their median pose
+# Squared difference of the poses before and after, in variances, above which a step counts. Noise exceeds this
+# limit once in 20 million (chi-squared, 6 degrees of freedom): no false step in a series of thousands.
 _MIN_STRENGTH = 45.0
 _MAX_SAMPLE_COST = 6.0  # standard deviations that a sample counts for at most, so that one wrong pose is no step
 _SIGMA_PER_MAD = 1.4826  # ratio of the standard deviation to the median absolute deviation, of normal noise
@@ -81,7 +81,7 @@ class MoveReport:
 
     Attributes:
         moves: in the order of the photos.
-        unknown: why moves cannot be detected; empty otherwise.
+        unknown: why moves cannot be detected, for users; empty if they can.
     """
 
     moves: tuple[DetectedMove, ...] = ()
@@ -123,11 +123,11 @@ def find_moves(results: Sequence[RigInPhoto]) -> MoveReport:
 
 @dataclass(frozen=True)
 class _PoseStep:
-    """A step of a series.
+    """A lasting change in a series of vectors (d,). A level is the median between two steps.
 
     Attributes:
         at: index of the first sample after the step.
-        before, after: the levels (d,) on both sides, up to the neighbouring steps.
+        before, after: the levels (d,) before and after the step.
         sigma: standard deviation (d,) of the difference between the levels.
         strength: squared difference in variances, summed over all axes.
     """
@@ -157,11 +157,11 @@ class _BoardTrack:
 
     @cached_property
     def steps(self) -> list[_PoseStep]:
-        """The steps of the board's pose that are large enough for the report."""
+        """The steps of the board's pose of at least `_MIN_TURN` or `_MIN_SHIFT`."""
         return [step for step in _find_steps(self.motions, self._least) if _is_significant(step)]
 
     def step_before(self, photo: int) -> _PoseStep | None:
-        """Return the step between the levels on both sides of a photo; None if either side has too few samples."""
+        """Return the change of the median pose at a photo, significant or not; None with too few photos around it."""
         cut = int(np.searchsorted(self.photos, photo))
         edges = [0, *(step.at for step in self.steps if abs(step.at - cut) > _MAX_EVENT_SPAN), len(self.photos)]
         low = max(edge for edge in edges if edge <= cut)
@@ -230,7 +230,7 @@ _TrackStep = tuple[_BoardTrack, _PoseStep]
 
 
 def _events(found: list[_TrackStep]) -> list[list[_TrackStep]]:
-    """Group steps of several boards at about the same photo."""
+    """Group the steps of different boards that lie at most `_MAX_EVENT_SPAN` photos apart."""
     events: list[list[_TrackStep]] = []
     for track, step in sorted(found, key=lambda one: one[0].photos[one[1].at]):
         last = events[-1] if events else []
@@ -331,7 +331,7 @@ def _step_at(series: Array, at: int, sigma: Array) -> _PoseStep:
 
 
 def _split(series: Array, start: int) -> list[int]:
-    """Return the samples before which a whitened series steps, by recursive splits into two levels of best fit."""
+    """Return `start` plus the indices at which a series with noise 1 steps, by recursive splits into two levels."""
     n = len(series)
     if n < 2 * _MIN_SAMPLES:
         return []

@@ -31,7 +31,7 @@ _MIN_POINTS = 20  # points of an outline, below which the outline does not move 
 
 
 def score_outlines(result: RigInPhoto, renderer: ArmRenderer, grey: NDArray[np.uint8]) -> RigInPhoto:
-    """Return the result with edge residuals between the outlines of `renderer`'s arms and the photo (height, width)."""
+    """Return the result with the median distance (px) of rendered outlines to the photo's edges, by arm and overall."""
     flat_grey = renderer.flattened(grey)
     labels = renderer.flat_labels()
     offsets = {
@@ -53,7 +53,7 @@ def _other_arms_mask(labels: NDArray[np.uint8], k: int) -> NDArray[np.bool_]:
 def refine_poses(
     result: RigInPhoto, renderer: ArmRenderer, postures: ArmPostures, grey: NDArray[np.uint8], together: bool
 ) -> RigInPhoto:
-    """Return the result with poses fitted to the edges of the photo (height, width), with the boards' poses as prior.
+    """Return the result with poses fitted to the edges of a photo (height, width); poses from boards are the prior.
 
     Args:
         together: whether the arms move as one rigid body.

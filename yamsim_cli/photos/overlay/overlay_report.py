@@ -21,14 +21,14 @@ REPORT_NAME = "overlay.json"
 
 @dataclass
 class OverlayReport:
-    """The results of all photos.
+    """The results of drawing rendered arms over a series of photos.
 
     Attributes:
         results: a result for each photo that could be read.
-        files: the written files.
-        failures: a message for each limit that a photo violates.
+        files: paths of the written files.
+        failures: a message for each limit of the request that a photo violates.
         unreadable: a message for each photo that could not be read.
-        stillness: the moves of the camera and of the bases.
+        stillness: the detected moves of the camera and of the arms' bases between photos.
     """
 
     rig: RigConfig
@@ -77,7 +77,7 @@ class OverlayReport:
 
 
 def captions(result: RigInPhoto) -> list[str]:
-    """Return the lines of text for a photo's picture: one for each arm, then those for the photo."""
+    """Return the text lines to draw into a photo: one for each arm, then on joints, lens and distance of the arms."""
     lines = []
     for arm in result.arms:
         text = f"{arm.name}: {arm.status}"

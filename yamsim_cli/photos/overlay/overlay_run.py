@@ -41,7 +41,7 @@ class PhotoJob:
 
     Attributes:
         mask: file with the user's mask of the robot; None without one.
-        outputs: paths of the picture to write and, optionally, of the mask.
+        outputs: paths of the overlay picture to write and, optionally, of the rendered mask.
     """
 
     photo: Photo
@@ -54,16 +54,17 @@ class OverlayRequest:
     """The settings of an overlay run.
 
     Attributes:
-        jobs: the photos, see `photo_jobs`.
+        jobs: the photos with masks and output paths, from `photo_jobs`.
         out: folder for the pictures and the report.
-        camera: the camera of all photos. None for each photo's own camera, or an estimate from the boards without one.
-        trust_margin: whether the rig's relative poses of the arms are exact, so that all boards give one pose.
+        camera: calibration of all photos. None for each photo's recorded camera, or else an estimate from the boards.
+        trust_margin: whether to take the rig's relative arm poses as exact, and fit one rig pose to all boards.
         refine: whether to move each pose until the arms' outline matches the photo's edges.
         opacity: opacity of the rendered arms, 0..1.
-        limits: the uncertainty up to which a board counts as located.
+        limits: the largest uncertainty with which a board's pose is accepted.
         video: MP4 file of all pictures, which replaces an existing file; None for no video.
         frame_period: time from one picture to the next in the video, s.
-        max_reprojection, min_iou: limits for each photo, px and 0..1; None for no limit.
+        max_reprojection: largest accepted RMS reprojection error of a board's markers, px; None for no limit.
+        min_iou: smallest accepted overlap of rendered and given mask, 0..1; None for no limit.
         fail_if_moved: whether a move of the camera or of a base between photos counts as a failure.
     """
 
@@ -98,9 +99,9 @@ def photo_jobs(
 
     Args:
         out: folder for the pictures.
-        postures: postures of all arms, one row for all photos or a row for each; None for those recorded with a photo.
-        write_masks: whether to write a mask of each photo: 0 for the background, k for the k-th arm.
-        mask_images: the user's own mask of the photos, or a folder with masks named after the photos.
+        postures: arms' postures, one element for all photos or one for each; None for those recorded with a photo.
+        write_masks: whether to write a rendered mask of each photo: 0 for the background, k for the k-th arm.
+        mask_images: the user's mask of the robot for all photos, or a folder with masks named after the photos.
 
     Raises:
         ConfigError: the number of rows does not match the photos.
@@ -124,7 +125,7 @@ def photo_jobs(
 
 
 def _result_names(photos: Sequence[Photo]) -> list[str]:
-    """Return a distinct name for each photo's results, with suffix or list position if the plain names are not."""
+    """Return a distinct output name for each photo: its stem or, for duplicates, with suffix or list position."""
     stems = [photo.path.stem for photo in photos]
     if len(set(stems)) < len(stems):
         stems = [photo.path.name.replace(".", "_") for photo in photos]
@@ -141,7 +142,7 @@ def run_overlays(
     locations: Locations,
     progress: Progress,
 ) -> OverlayReport:
-    """Overlay the rig on every photo that can be read, and return the report.
+    """Draw the rig's arms over every readable photo, write all files of the request, and return the report.
 
     Raises:
         ConfigError: a mask or the camera does not match the photos.
@@ -205,7 +206,7 @@ def _overlay(
 
     Args:
         image, grey: the photo, RGB (height, width, 3) and grey.
-        result: the located arms.
+        result: the arms' poses in the photo.
     """
     postures, camera = job.photo.postures or home_postures(rig), result.lens.camera
     picture, labels = image.copy(), np.zeros(image.shape[:2], np.uint8)
@@ -237,7 +238,7 @@ def _mask_overlap(labels: NDArray[np.uint8], mask: Mask, path: Path) -> float:
 
 
 def _changed_pixels(picture: Image, image: Image) -> NDArray[np.bool_]:
-    # A comparison channel by channel is much faster.
+    # Comparing one channel at a time is much faster than all channels at once.
     changed = np.zeros(image.shape[:2], dtype=np.bool_)
     for k in range(3):
         changed |= picture[..., k] != image[..., k]

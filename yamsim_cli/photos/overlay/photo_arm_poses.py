@@ -22,17 +22,17 @@ from .photos import Photo
 
 INFERRED = "inferred"  # status of an arm whose pose follows from the other board and the rig
 RECORDED = "recorded"  # status of an arm whose pose is that of the recording
-NO_BOARD = "no_board"
+NO_BOARD = "no_board"  # status of an arm without a board in the rig, whose pose is unknown
 
 _MAX_REPROJECTION_PX = 0.5  # px, reprojection error above which the result has a note
-_MARGIN_TOLERANCE = 0.002  # m, difference of the measured margin from the rig's, above which the result has a note
+_MARGIN_TOLERANCE = 0.002  # m, error of the rig's distance between arms (`margin`), above which the result has a note
 
 # A chi-squared test of the boards' relative pose decides whether two prints have the sizes in the rig.
 _MARGIN_SIGMA = 0.005  # m, standard deviation of the real margin between the arms from the rig's
 _POSITION_SIGMA = 0.002  # m, standard deviation of the real arm positions from the rig's, along each axis
-_MIN_EXPLAINED = 25.0  # chi squared that another print size has to explain
-_MAX_UNEXPLAINED = 14.0  # chi squared that may remain with another print size
-_MIN_SIZE_DIFFERENCE = 0.01  # smallest relative difference of size that is reported
+_MIN_EXPLAINED = 25.0  # minimum decrease of chi squared by another print size
+_MAX_UNEXPLAINED = 14.0  # maximum chi squared that remains with another print size
+_MIN_SIZE_DIFFERENCE = 0.01  # smallest reported difference of size, relative to the rig
 
 
 @dataclass(frozen=True)
@@ -65,15 +65,15 @@ class RigInPhoto:
     """The poses of a rig's arms in a photo.
 
     Attributes:
-        lens: the camera of the photo.
+        lens: the camera model of the photo and its source.
         joints_source: source of the joints: "home", "file" or "episode".
         arms: one pose for each arm of the rig.
         ids: ids of all detected markers, including those that belong to no board of the rig.
-        T_arm2_in_arm1: measured pose (4, 4), with each arm's pose from its own board; None unless both are located.
-        margin, margin_sigma: distance between the arms according to `T_arm2_in_arm1`, and its standard deviation, m.
+        T_arm2_in_arm1: pose (4, 4) of arm 2's base in arm 1's, each from its own board; None unless both are located.
+        margin, margin_sigma: measured distance of the arms along world y, and its standard deviation, m; else None.
         edge_residual: median distance of all rendered outlines to the photo's edges, px; None if not measured.
         iou: overlap with the user's mask, 0..1; None without a mask.
-        notes: sentences for users.
+        notes: warnings for users, such as a distance between the arms that differs from the rig's.
         time: time of the photo, s; None if not known.
     """
 
@@ -107,14 +107,14 @@ def find_arms(
     before: RigInPhoto | None = None,
     limits: PoseLimits = USUAL_LIMITS,
 ) -> RigInPhoto:
-    """Return each arm's pose from its board, with `trust_margin` from any board, or else from the recording.
+    """Find each arm's base pose: from its own board, with `trust_margin` from all boards, or else from the recording.
 
     Args:
         grey: the photo (height, width).
         lens: the camera. If its focal length is too uncertain, no board gives a pose.
-        trust_margin: whether the rig's relative poses of the arms are exact, so that all boards give one pose.
-        before: the result of the previous photo of a series, whose board poses are start poses too.
-        limits: the uncertainty up to which a board counts as located.
+        trust_margin: whether to take the rig's relative arm poses as exact, and fit one rig pose to all boards.
+        before: the result of the previous photo of a series, whose board poses are additional start poses.
+        limits: the largest uncertainty with which a board's pose is accepted.
     """
     boards, camera = [arm.board.board for arm in rig.arms if arm.board], lens.camera
     if lens.focal.reason:
@@ -154,7 +154,7 @@ def _located_boards(arms: Sequence[ArmPose]) -> list[tuple[int, BoardDetection]]
 
 
 def _drop_inconsistent_sizes(rig: RigConfig, arms: list[ArmPose]) -> list[ArmPose]:
-    """Return the arms without the poses of two boards whose prints cannot both have the sizes in the rig."""
+    """Remove the poses of two arms if the prints of their boards cannot both have the sizes in the rig."""
     for (k, one), (j, two) in itertools.combinations(_located_boards(arms), 2):
         ratio = _size_ratio(one, two, _T_board_in_world(rig, k), _T_board_in_world(rig, j))
         if ratio is None:
@@ -195,7 +195,7 @@ def _size_ratio(one: BoardDetection, two: BoardDetection, T_one: Array, T_two: A
     own_two: Array = two.covariance - two.shared_errors @ two.shared_errors.T
     shared: Array = two.shared_errors[3:] - swung @ one.shared_errors
     noise = swung @ own_one @ swung.T + own_two[3:, 3:] + shared @ shared.T
-    # The margin is along world y.
+    # The rig's `margin`, the distance between the arms, is along world y.
     along = one.T_board_in_cam[:3, :3] @ T_one[:3, :3].T @ np.array([0.0, 1.0, 0.0])
     noise = noise + _POSITION_SIGMA**2 * np.eye(3) + _MARGIN_SIGMA**2 * np.outer(along, along)
     off = two.T_board_in_cam[:3, 3] - expected[:3, 3]
@@ -240,7 +240,7 @@ def _inconsistencies(arms: Sequence[ArmPose]) -> tuple[str, ...]:
 
 
 def _with_margin(rig: RigConfig, result: RigInPhoto) -> RigInPhoto:
-    """Return the result with the measured margin of the arms, and a note if it differs from the rig's."""
+    """Return the result with the measured distance of the arms along world y, and a note if the rig's differs."""
     if len(result.arms) < 2 or not all(arm.located for arm in result.arms[:2]):
         return result
     one, two = result.arms[:2]

@@ -22,28 +22,28 @@ _SUFFICIENT_PHOTOS = 8  # photos with a board, after which the search ends
 
 @dataclass(frozen=True)
 class PhotoCamera:
-    """A camera's focal length and model, and their source: "file", "episode" or "estimated"."""
+    """A camera model, and its source: "file" (calibration file), "episode" (recording) or "estimated" (from boards)."""
 
     focal: FocalEstimate
     source: str
 
     @classmethod
     def from_calibration(cls, camera: CameraModel, source: str) -> PhotoCamera:
-        """Return a calibrated camera."""
+        """Wrap a calibrated camera model, with the source "file" or "episode"."""
         return cls(known_focal(camera), source)
 
     @property
     def camera(self) -> CameraModel:
-        """The camera, with the estimated focal length if the camera is not calibrated."""
+        """The camera model, with the estimated focal length if the camera is not calibrated."""
         return self.focal.camera
 
 
 class PhotoCameras:
-    """The cameras of photos. Photos of one size from an unknown camera share one estimate.
+    """Determines the cameras of photos. Photos of one size from an unknown camera share one estimate.
 
     Args:
         paths: all photos from which a focal length may be estimated.
-        camera: the calibrated camera of all photos; None for each photo's own camera, or else an estimate.
+        camera: calibration of all photos; None for each photo's recorded camera, or else an estimate from boards.
     """
 
     def __init__(self, rig: RigConfig, paths: Sequence[Path], camera: CameraModel | None) -> None:

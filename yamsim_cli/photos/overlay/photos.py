@@ -28,11 +28,11 @@ MASK_ENDING = "_mask.png"
 
 @dataclass(frozen=True)
 class Photo:
-    """One photo with its known camera, postures and pose.
+    """One photo, with the camera, arm postures and camera pose as far as known.
 
     Attributes:
         camera: the camera of the photo; None if not known.
-        postures: the postures of a rig's arms; None if not known, which counts as home.
+        postures: the postures of a rig's arms; None if not known, and the arms are shown at the home joints.
         joints_source: source of the joints: "home", "file" or "episode".
         T_base_in_cam: pose (4, 4) of the first arm's base in the camera frame; None if not recorded.
         time: time of the photo, s; None if not known.
@@ -90,7 +90,7 @@ def find_mask(masks: Path, photo: Path) -> Path:
 
 
 def recorded_photos(recordings: Sequence[Path], camera: str | None, rig: RigConfig) -> list[Photo]:
-    """Return the frames of episodes, and of all episodes of datasets, in order, see `episode_photos`."""
+    """Return one camera's photos in recordings, each an episode or a dataset. Raises as `episode_photos`."""
     episodes: list[Path] = []
     for path in recordings:
         within = [episode for _, episode in episode_directories(path)] if path.is_dir() else []
@@ -99,15 +99,15 @@ def recorded_photos(recordings: Sequence[Path], camera: str | None, rig: RigConf
 
 
 def chosen_camera(cameras: Sequence[str], camera: str | None) -> str:
-    """Return `camera` or, without a name, the first of `cameras` that is no wrist camera, or else the first."""
+    """Return `camera` or, if it is None, the first name in `cameras` without "wrist", or else the first name."""
     return camera or next((name for name in cameras if "wrist" not in name), cameras[0])
 
 
 def episode_photos(episode: Path, camera: str | None, rig: RigConfig) -> list[Photo]:
-    """Return a recorded episode's frames of one camera, with intrinsics, pose and joints.
+    """Return a recorded episode's photos from one camera, with intrinsics, camera pose and arm joints.
 
     Args:
-        camera: name of the camera, see `chosen_camera`.
+        camera: name of the camera; None for the first that is no wrist camera.
 
     Raises:
         DatasetError: the directory is no episode or has no pictures, or a frame is damaged.
@@ -156,7 +156,7 @@ def _frame_photo(episode: Path, camera: str, path: Path, rig: RigConfig) -> Phot
 
 
 def camera_matrix(frame: Mapping[str, Any], key: str, camera: str) -> Array:
-    """Return a camera's "intrinsics" (3, 3) or "extrinsics" (4, 4), the pose in a base frame, from a recorded frame.
+    """Return a camera's "intrinsics" (3, 3) or "extrinsics" (4, 4: its pose in an arm's base) from a recorded frame.
 
     Raises:
         KeyError: the frame has no such matrix.

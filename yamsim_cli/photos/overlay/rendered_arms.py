@@ -28,7 +28,7 @@ from yamsim_cli.core.scene.compose import compose
 
 from ..lens_distortion import LensWarp
 
-_CAMERA = "photo"
+_CAMERA = "photo"  # name of the camera in the MuJoCo scene
 _HIDDEN_GROUP = 5  # geom group that is not rendered
 _MAX_SUPERSAMPLED_SIDE = 1400  # px, up to which arms are rendered at double resolution: smooth edges in any OpenGL
 _MAX_SIDE = 8192  # px, largest side of a rendered picture
@@ -103,7 +103,7 @@ class ArmRenderer(Closable):
         self._renderer = SceneRenderer(self._model, size)
 
     def pose(self, T_base_in_cam: Mapping[int, Array], postures: Sequence[ArmPosture]) -> None:
-        """Set the base poses and the joints of the arms.
+        """Set the base poses and the joints of the arms for the next renderings.
 
         Args:
             T_base_in_cam: arm's index -> pose (4, 4). Other arms are hidden.
@@ -126,17 +126,17 @@ class ArmRenderer(Closable):
         self._labels = None
 
     def render(self) -> ArmPicture:
-        """Render the arms as the real camera sees them."""
+        """Render colours and labels of the arms, with the lens distortion of the real camera."""
         colour = self._warp.image(self._renderer.render(self._data, _CAMERA))
         return ArmPicture(colour, self._warp.image(self._ideal_labels(), nearest=True))
 
     def flat_labels(self) -> NDArray[np.uint8]:
-        """Render only the labels of `pinhole_arms`, in half the time."""
+        """Render each pixel's arm without lens distortion or depth: 0 for the background, k for the k-th arm."""
         step = self._warp.supersample
         return np.ascontiguousarray(self._ideal_labels()[::step, ::step])
 
     def pinhole_arms(self) -> PinholeArms:
-        """Render the arms in an ideal pinhole picture."""
+        """Render labels and depth of the arms, without lens distortion."""
         step = self._warp.supersample
         depth = self._renderer.depth(self._data, _CAMERA)[::step, ::step]
         return PinholeArms(self.flat_labels(), np.ascontiguousarray(depth), self._warp.coarse)
@@ -147,7 +147,7 @@ class ArmRenderer(Closable):
         return self._labels
 
     def flattened(self, photo: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """Return a photo of the camera without distortion, with the intrinsics of `pinhole_arms`."""
+        """Return the photo with its lens distortion removed, pixel by pixel aligned with `pinhole_arms`."""
         return self._warp.flattened(photo)
 
     def close(self) -> None:
@@ -156,14 +156,14 @@ class ArmRenderer(Closable):
 
 
 class ArmRenderers(Closable):
-    """Makes the `ArmRenderer` of each camera, and keeps the last one."""
+    """Creates an `ArmRenderer` for each camera model, and keeps only the last one open."""
 
     def __init__(self, rig: RigConfig, scene: SceneConfig, quality: RenderConfig, locations: Locations) -> None:
         self._parts = rig, scene, quality, locations
         self._last: tuple[CameraModel, ArmRenderer] | None = None
 
     def renderer_for(self, camera: CameraModel) -> ArmRenderer:
-        """Return the renderer of a camera."""
+        """Return the renderer for a camera model; the renderer of another camera is closed."""
         if self._last is None or self._last[0] != camera:
             self.close()
             rig, scene, quality, locations = self._parts

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 Grey = NDArray[np.float32]
 
 _POINTS_PER_PX, _MIN_POINTS = 4, 9  # sample points of a motion per px of its length, and their minimum number
-_BLUR_STEP = 0.03  # share of the blur, step of the numeric derivative with respect to blur
-# With one pixel on each side instead of two, the derivatives of a sharp picture would be a third too small.
+_BLUR_STEP = 0.03  # step of the numeric derivative with respect to blur, as a share of the blur
+# Derivative from two pixels on each side. From one, the derivatives of a sharp picture would be a third too small.
 _DERIVATIVE_KERNEL = np.array([1, -8, 0, 8, -1], np.float32) / 12
 _IDENTITY = np.ones(1, np.float32)
 _BORDER = cv2.BORDER_REPLICATE
@@ -24,7 +24,7 @@ class BlurKernel:
     """The defocus blur and motion blur of a picture.
 
     Attributes:
-        blur: sigma of the defocus blur, px.
+        blur: sigma of the defocus blur, a Gaussian, px.
         motion: uniform motion (right, down; px) during the exposure; opposite motions are equivalent.
     """
 
@@ -42,7 +42,7 @@ class BlurKernel:
         return 1.2 * math.sqrt(self.blur**2 + self.length**2 / 12)
 
     def in_larger_pixels(self, coarser: int) -> BlurKernel:
-        """Return the same blur in a picture whose pixels are `coarser` times as large."""
+        """Convert the blur to the pixels of a picture that is reduced by the factor `coarser`."""
         return BlurKernel(self.blur / coarser, (self.motion[0] / coarser, self.motion[1] / coarser))
 
     def blurred(self, picture: Grey) -> Grey:

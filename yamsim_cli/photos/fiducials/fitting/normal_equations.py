@@ -17,25 +17,25 @@ from yamsim_cli.core.geometry.se3 import Array
 from .blur_kernel import BlurKernel, picture_gradients
 from .print_view import PhotoRegion, RenderedPrint, draw_print
 
-_MIN_TILE_PIXELS = 12  # pixels of a tile, below which the tile is not compared
-_MIN_SURROUNDINGS_POWER = 1e-4  # sum of squared surroundings shares, below which the surroundings of a tile are ignored
+_MIN_TILE_PIXELS = 12  # pixels of a marker and its half gap (a tile), below which it is not compared
+_MIN_SURROUNDINGS_POWER = 1e-4  # sum of a tile's squared pixel shares outside the print; less is ignored
 _MIN_CONTRAST = 1.0  # grey levels, contrast below which a tile shows no print
 
 _HUBER_THRESHOLD = 1.345  # standard deviations, beyond which residuals have less weight (95 % efficiency)
 _MIN_NOISE = 0.3  # grey levels, from rounding alone
-_MAX_STEPS = 30
+_MAX_STEPS = 30  # least-squares steps of a fit
 # A step below either limit ends a fit: shift of the print in the picture, px, and standard deviations of the noise.
 _CONVERGED = (4e-3, 0.1)
 _COARSELY_CONVERGED = (2e-2, 0.4)  # the same limits for a coarse fit, which needs only the cost
-_MIN_RETRIED_STEP = 1.0  # standard deviations, below which a coarse fit ends at a failed step
+_MIN_RETRIED_STEP = 1.0  # standard deviations of the noise; a coarse fit ends if a smaller step fails
 
 
 @dataclass(frozen=True)
 class MarkerTile:
-    """A marker and half the gap around it.
+    """The agreement of rendered print and photo at a tile: a marker and half the gap around it.
 
     Attributes:
-        correlation: of the rendered print and the photo, -1..1.
+        correlation: correlation of the rendered print and the photo, -1..1.
         shift: offset (px, right and down) of the photo from the rendered print.
         residual_variance: mean squared residual after that shift, grey levels squared.
     """
@@ -47,7 +47,7 @@ class MarkerTile:
 
 @dataclass(frozen=True)
 class PixelDerivatives:
-    """The compared pixels and the derivatives of the rendered print there.
+    """The compared pixels, and derivatives of the rendered print's brightness at these pixels.
 
     Attributes:
         at: positions on the board (n, 2), m.
@@ -67,7 +67,7 @@ def linearize_print(
     """Return residuals and their Jacobian, both with each tile's brightness and contrast projected out, and the tiles.
 
     Args:
-        plane: (3, 3) from the board to the camera frame, as for `draw_print`.
+        plane: (3, 3) from (x, y, 1) on the board, m, to the camera frame.
         blur: in the photo's pixels.
         columns: returns the print's derivatives (n, k) with respect to the parameters that move the print.
 
@@ -166,7 +166,7 @@ def _project_out_light(
     numbers, starts, which = np.unique(tile[order], return_index=True, return_inverse=True)
 
     def of_tiles(values: Array) -> Array:
-        """Sums (t, ...) over each tile's pixels."""
+        """Return the sums (t, ...) of values (n, ...) over each tile's pixels."""
         return np.add.reduceat(values, starts, axis=0)
 
     # Subtract each tile's mean and the surroundings from photo, rendered print and derivatives.
@@ -200,7 +200,7 @@ def _project_out_light(
     return residual, slopes[:, :-2], tiles
 
 
-Part = tuple[Array, Array, dict[int, MarkerTile]]
+Part = tuple[Array, Array, dict[int, MarkerTile]]  # residuals, Jacobian, and marker -> tile, of one board
 S = TypeVar("S")
 
 
@@ -213,8 +213,8 @@ class NormalEquations:
         misfit: weighted sum of squared residuals, grey levels squared.
         weight, pixels: sum of the weights, and number of pixels.
         noise: standard deviation of the residuals, grey levels: assumed for the weights, or estimated.
-        tiles: for each piece, marker -> tile.
-        free: indices of the fitted parameters.
+        tiles: for each board, marker -> tile.
+        free: indices of the fitted parameters; all others are constant.
     """
 
     every_normal: Array
@@ -282,7 +282,7 @@ class PrintProblem(LeastSquares[S, NormalEquations]):
 def combine_equations(
     parts: Sequence[Part | None], noise: float | None, free: tuple[int, ...]
 ) -> NormalEquations | None:
-    """Return the normal equations of all pieces together; None if a piece is not visible."""
+    """Return the normal equations of all boards together, from `linearize_print`; None if a board is not visible."""
     whole = [part for part in parts if part is not None]
     if len(whole) < len(parts):
         return None

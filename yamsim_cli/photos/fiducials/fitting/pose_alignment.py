@@ -33,10 +33,10 @@ Grey = NDArray[np.float32]
 
 BLUR_RANGE = (0.25, 5.0)  # px of a `PhotoRegion`, sigmas: less blur is not visible, and more hides a marker
 _MAX_MOTION = 20.0  # px of a `PhotoRegion`, longest motion
-USUAL_BLUR = BlurKernel(0.9)  # px, start of a fit if the blur is not known
+USUAL_BLUR = BlurKernel(0.9)  # px, sigma of the blur at the start of a fit, if the blur is not known
 
-# Ratio of the standard deviations with marginalized shape and placement to those from noise alone. At 1.3, the 95 %
-# intervals hold at least 95 % of the poses in each of six sets of 40 to 120. 1.4 leaves a margin. Source:
+# Factor on the noise's standard deviation where the print's shape is marginalized. At 1.3, the 95 % intervals hold at
+# least 95 % of the poses in each of six sets of 40 to 120 poses; 1.4 is safer. Source:
 # `python -m tools.bench.print_shape` with seeds below 200, and `tools.bench.filament`.
 INFLATION = 1.4
 
@@ -45,20 +45,20 @@ _PX_PER_LOG_SCALE = 4.0  # px, shift of the print per unit of log scale; the dis
 
 @dataclass(frozen=True)
 class Alignment:
-    """A fitted pose, and the agreement of print and photo there.
+    """A pose fitted to one or several boards, and the agreement of rendered print and photo at this pose.
 
     Attributes:
-        T_ref_in_cam: pose (4, 4).
+        T_ref_in_cam: pose (4, 4) of the frame `ref` in which the boards' poses are known.
         covariance: (6, 6) of a small rotation about `centre` (rad) and of the shift of `centre` (m), both along the
             camera's axes, from the photo's noise. `marginalize_shape` adds the uncertainty from the print's shape.
         by_lens: (6, k) derivatives of the pose, in the same units, with respect to the lens parameters of
             `CameraModel.intrinsics_cholesky`.
         by_print: (6,) derivative with respect to the print's log scale; 0 if `covariance` includes a fitted scale.
-        centre: the mean (3,) of the pieces' origins in the reference frame, m.
-        blur: blur and motion, px.
+        centre: the mean (3,) of the boards' centres in `ref`, m.
+        blur: blur and motion of the photo, px.
         noise: standard deviation of the residuals, grey levels.
         cost: weighted sum of squared residuals over `pixels` pixels.
-        tiles: for each piece, marker -> agreement of rendering and photo.
+        tiles: for each board, marker -> agreement of rendering and photo.
         log_scale: natural logarithm of the print's size over the nominal size; 0 if not fitted.
         flat: probability that the print is flat, as on a rigid plate; 1 if not estimated.
     """
@@ -79,7 +79,7 @@ class Alignment:
 
 @dataclass(frozen=True)
 class LogScalePrior:
-    """A Gaussian prior of a fitted log scale, and the start value of the fit."""
+    """A Gaussian prior of the log of the print's size over its nominal size, and the start value of the fit."""
 
     mean: float
     sigma: float
@@ -101,11 +101,11 @@ def align_pose(
         photo: grey levels (height, width).
         T_ref_in_cam: start pose (4, 4), with an error of at most about one marker cell.
         blur: start value; the fit includes motion only if this value has motion.
-        log_scale_prior: prior of the print's log scale, which is then fitted too; None for the nominal size.
+        log_scale_prior: prior of the print's size, which is then fitted too; None for the nominal size.
         coarse: stop early, when the cost is known but the pose is less exact.
 
     Returns:
-        None if a piece is not in the picture, or the fit fails.
+        The fitted pose; None if a board is not in the picture, or the fit fails.
     """
     fit = _problem(photo, camera, pieces, T_ref_in_cam, blur.length > 0, log_scale_prior, coarse)
     if fit is None:
@@ -117,7 +117,7 @@ def align_pose(
 def measure_agreement(
     photo: Grey, camera: CameraModel, pieces: Sequence[PrintPiece], T_ref_in_cam: Array, blur: BlurKernel, noise: float
 ) -> Alignment | None:
-    """Return the agreement of print and photo at a fixed pose; `noise` (grey levels) determines the weights."""
+    """Compare print and photo at a fixed pose. `noise` (sigma, grey levels) determines the weights of residuals."""
     fit, state = _problem(photo, camera, pieces, T_ref_in_cam, moving=False), _PoseState(T_ref_in_cam, blur)
     if fit is None:
         return None
@@ -249,7 +249,7 @@ class _PoseProblem(PrintProblem[_PoseState]):
         return np.column_stack([*turns, by_shift, by_size, *by_lens])
 
     def _shape_columns(self, pixels: PixelDerivatives, piece: PrintPiece, T: Array, larger: float) -> Array:
-        """Return derivatives (n, 7 + k + m) by the parameters of `_columns`, then by each piece's modes."""
+        """Return derivatives (n, 7 + k + m) by the parameters of `_columns`, then by each board's shape modes."""
         columns = self._columns(pixels, piece, T, larger)
         # Derivatives of each pixel with respect to a shift of the print along the axes of its board.
         along_x, along_y, by_height = (columns[:, 3:6] @ T[:3, :3] @ piece.T_board_in_ref[:3, :3]).T[:, :, None]
@@ -311,7 +311,7 @@ class _PoseProblem(PrintProblem[_PoseState]):
         return every
 
     def moved_px(self, state: _PoseState, step: Array) -> float:
-        # The rotation counts for a print of 0.1 m.
+        # The rotation counts as a shift with a lever of 0.1 m.
         every = self._every(step)
         turn, shift = every[_POSE][:3], every[_POSE][3:]
         metres = float(np.linalg.norm(shift) + 0.1 * np.linalg.norm(turn))

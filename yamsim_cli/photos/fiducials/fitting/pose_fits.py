@@ -20,23 +20,23 @@ from .normal_equations import MarkerTile
 from .pose_alignment import Alignment, align_pose, measure_agreement
 from .print_view import whole_board_piece
 
-SAME_PRINT = 0.75  # correlation of print and photo, below which a marker is hidden, moved or something else
+SAME_PRINT = 0.75  # correlation of rendered print and photo, below which a marker is hidden or displaced
 EXPLAINED = 0.96  # median correlation of the markers, above which a fit needs no other blur and no other start pose
 # An outlier is a marker with a much larger residual variance than most others and with a low correlation. The ratio to
 # the median is at most 2.5 in photos of whole boards, 4 with creases, and 40 or more with half-covered markers.
 _OUTLIER_RATIO = 5.0  # ratio of the residual variance to the median, above which a marker may be an outlier
 _OUTLIER_CORRELATION = 0.9  # correlation above which no marker is an outlier
-_MAX_ROUNDS = 3  # searches for outliers: each one pulls the pose off the other markers and hides further outliers
+_MAX_ROUNDS = 3  # searches for outliers; several, because an outlier displaces the pose and so hides further outliers
 _MIN_EVIDENCE = 12.0  # difference of log-likelihoods, above which a pose excludes a competing pose
 _PIXELS_PER_SAMPLE = 4.0  # neighbouring pixels that count as one independent sample
 _SAME_POSE = math.radians(4.0)  # rad, angle below which two poses are the same
-_DECIDING_SHARE = 0.25  # of the angle between two poses, within which a prediction from another board selects one
+_DECIDING_SHARE = 0.25  # share of the angle between two poses; a prediction nearer than that to a pose selects it
 _MAX_RIVAL_RATIO = 4.0  # ratio of mean squared residuals before the fit, above which a competing fit cannot win
 
 
 @dataclass(frozen=True)
 class PoseFit:
-    """A pose fitted to a board's print, the markers that agree with it, and the number of visible ones that do not."""
+    """A pose fitted to a board's print, the indices of markers that agree, and the number of those that do not."""
 
     alignment: Alignment
     agreeing: tuple[int, ...]
@@ -101,11 +101,11 @@ def fit_pose(
     """Fit a pose to the detected markers, then to all markers whose print agrees with that pose.
 
     Args:
-        places: indices of the detected markers.
+        places: indices into `board.ids` of the detected markers.
         T: start pose (4, 4) of the board in the camera frame.
 
     Returns:
-        None if no pose fits, or the fitted pose is already `known`.
+        The fit; None if no pose fits, or the pose equals that of a fit in `known`.
     """
     first = align_pose(photo, camera, [whole_board_piece(board, places)], T)
     if first is None or not faces_camera(first.T_ref_in_cam):
@@ -128,7 +128,7 @@ def fit_pose(
 
 
 def without_outliers(photo: NDArray[np.float32], camera: CameraModel, board: Board, fit: PoseFit) -> PoseFit:
-    """Return the fit without outliers, such as partly covered markers, which would pull the pose."""
+    """Repeat a fit without outliers, such as partly covered markers, which displace the pose."""
     candidates = whole_board_piece(board, fit.agreeing)
     tiles = fit.alignment.tiles[0]
     for _ in range(_MAX_ROUNDS):

@@ -24,7 +24,7 @@ _BENT_SAG = 1e-3  # m, sigma of the bow or twist at the print's edge, for a bent
 _FOLD_SIGMA = math.radians(4.0)  # rad, sigma of a crease's fold angle; users notice larger folds
 _BENT_PROBABILITY = 0.02  # prior probability of a bent print
 CREASED_SHARE = 0.08  # prior probability of a creased print
-# With this value, the poses of 180 creased photos stay within their intervals.
+# With this value, the poses from 180 photos of creased prints are within their 95 % intervals.
 _NONLINEAR_FOLD_SHARE = 0.15  # sigma of the error of the linear crease modes, as a share of the fold angle
 _CREASE_DIRECTIONS = 8  # directions of the folded side over 360 degrees; either side of a crease may lie on the plate
 _CREASE_OFFSETS = (-0.5, -0.25, 0.0, 0.25, 0.5)  # crease positions from the centre, in half widths of the print
@@ -41,7 +41,7 @@ class ShapedPose:
     Attributes:
         step: (p,) from the parameters of the flat print to the expected parameters.
         covariance: (p, p) of the parameters.
-        moves: (p, h) derivatives of the fitted parameters with respect to the held parameters.
+        moves: (p, h) derivatives of the fitted parameters with respect to the parameters that the fit keeps fixed.
         neglected: variance of the rotation, rad^2 about each axis, that the linear modes of a crease neglect.
         flat: probability that the print lies on a rigid plate.
     """
@@ -67,8 +67,8 @@ def shape_modes(board: Board, at: Array) -> Array:
 def placement_modes(board: Board, at: Array) -> tuple[Array, Array]:
     """Return the shift of points (n, 2) on a board along x (n, m) and along y (n, m), per metre of each mode.
 
-    Rounding in a printer or drawing program is equal for the markers of a column, for those of a row, and for all half
-    edges. Without the last mode, the marker size would determine the scale, which the positions determine better.
+    Rounding in a printer or drawing program shifts all markers of a column, or of a row, equally. It also changes all
+    half edges equally. Without that mode, the marker size would determine the scale, which positions determine better.
     """
     step, middle = board.marker_length + board.gap, np.array([board.columns - 1, board.rows - 1]) / 2
     to_right_and_down = np.array([1.0, -1.0])
@@ -115,7 +115,7 @@ def marginalize_modes(
         normal, gradient: (k, k) and (k,), from residuals that are not divided by their standard deviation.
         variance: of the residuals.
         free: indices of the fitted parameters.
-        held: indices of the parameters before the modes that are not fitted.
+        held: indices of the parameters that the fit keeps fixed.
         boards: the boards of the prints, in the order of their modes.
         creased: prior probability of a creased print.
 

@@ -29,7 +29,7 @@ _MIN_VIEW_PX = 8  # px, smallest side of a view
 
 @dataclass(frozen=True)
 class PrintPiece:
-    """A board and its pose in the reference frame `ref` whose pose is estimated.
+    """A board and its known pose in a frame `ref`. A fit estimates the pose of `ref`, with one or several boards.
 
     Attributes:
         T_board_in_ref: pose (4, 4).
@@ -42,13 +42,13 @@ class PrintPiece:
 
 
 def whole_board_piece(board: Board, markers: Sequence[int] | None = None) -> PrintPiece:
-    """Return a piece whose reference frame is the board frame, with the given markers or all markers."""
+    """Return a board in its own frame (`ref` is the board frame), with the given markers or, for None, all."""
     return PrintPiece(board, np.eye(4), tuple(range(len(board.ids)) if markers is None else markers))
 
 
 @dataclass(frozen=True)
 class PhotoRegion:
-    """The region of the photo that shows a piece, with all values that do not depend on the pose.
+    """The region of the photo that shows a board, with all values for rendering that do not depend on the pose.
 
     Attributes:
         photo: grey levels (rows, columns) of the region, reduced by the factor `coarser`.
@@ -97,13 +97,13 @@ def print_plane(piece: PrintPiece, T_ref_in_cam: Array, larger: float = 1.0) -> 
 
 
 def view_print(photo: Grey, camera: CameraModel, piece: PrintPiece, plane: Array) -> PhotoRegion | None:
-    """Return the region of a photo (height, width) that shows a piece.
+    """Return the region of a photo (height, width) that shows a board.
 
     Args:
         plane: (3, 3) from (x, y, 1) on the board, m, to points in the camera frame, up to a positive factor.
 
     Returns:
-        None if the piece is not in front of the camera or the region is smaller than `_MIN_VIEW_PX`.
+        The region; None if the board is not in front of the camera, or a side of the region is below 8 px.
     """
     board = piece.board
     half = np.array([board.width / 2, board.height / 2])
@@ -162,7 +162,7 @@ def _pattern(board: Board, points_per_cell: float) -> tuple[Grey, float]:
 
 @functools.lru_cache(maxsize=32)
 def _fine_pattern(board: Board) -> tuple[Grey, float]:
-    """Return the print and its scale in px/m. Markers are whole pixels, and rounding of gaps is minimal."""
+    """Return the print and its scale in px/m. Marker cells are whole pixels, and gaps as nearly as possible."""
     step = (board.marker_length + board.gap) / board.marker_length
 
     def rounding(cell_px: int) -> float:
@@ -187,7 +187,7 @@ def _reduced(board: Board, coarser: int) -> Grey:
 
 
 def draw_print(view: PhotoRegion, plane: Array, blur: BlurKernel) -> RenderedPrint:
-    """Render the print of a piece.
+    """Render a board's print as the camera sees it, with blur.
 
     Args:
         plane: (3, 3) from (x, y, 1) on the board, m, to points in the camera frame, up to a positive factor.
@@ -223,7 +223,7 @@ def fine_board_points(view: PhotoRegion, onto_board: Array) -> tuple[Grey, Grey]
     """Return the positions on the board (m, right and up) of the sample points of the print.
 
     Args:
-        onto_board: (3, 3) from viewing rays to the board.
+        onto_board: (3, 3) from viewing rays (x, y, 1) to (x, y, 1) on the board, m, up to a factor.
     """
     field, A = view.field, onto_board.astype(np.float32)
     w = A[2, 0] * field[..., 0] + A[2, 1] * field[..., 1] + A[2, 2]
@@ -235,7 +235,7 @@ def fine_board_points(view: PhotoRegion, onto_board: Array) -> tuple[Grey, Grey]
 
 
 def _marker_at(view: PhotoRegion, at: Array, blur: BlurKernel) -> NDArray[np.int_]:
-    """Return the piece's marker at each pixel, including half the gap around the marker; -1 for none.
+    """Return the index (n,) of the marker at each pixel, including half the gap around the marker; -1 for none.
 
     Pixels within the blur radius of anything else, such as the table or a hand, are -1 too.
     """

@@ -34,26 +34,26 @@ from ..fitting.pose_fits import SAME_PRINT
 from ..fitting.print_view import PhotoRegion, PrintPiece, view_print
 from ..markers import MarkerGroup
 
-# Error of each point without noise, px of the view, because the rendering has few sample points per pixel. Source: 350
-# outlines of random views, sharp and blurred, small and large. With this error and the noise, 95 % of squared distances
-# are within those of a normal distribution.
+# Standard deviation of an outline point in a photo without noise, px: the rendering has few sample points per pixel.
+# Source: 350 outlines of random views, sharp and blurred, small and large. With this error and the noise, 95 % of
+# squared distances are within the 95 % bound of a normal distribution.
 _MIN_SIGMA_PX = 0.003
 # Ratio of standard deviations to those from noise alone, since the fit does not marginalize the print's shape and
 # placement. Source: `python -m tools.bench.intervals`.
 _INFLATION = 2.0
-_USUAL_BLUR = 0.9  # px, start of a fit
-_FREE = (0, *range(3, 11))  # indices of the fitted parameters: the blur and the map, without motion
+_USUAL_BLUR = 0.9  # px, sigma of the blur at the start of a fit
+_FITTED = (0, *range(3, 11))  # indices of the fitted parameters: blur and homography, but not motion
 
 
 @dataclass(frozen=True)
 class BoardOutline:
-    """The position of a board in a photo.
+    """The position of a board in a photo, given by four points.
 
     Attributes:
         on_board: four points (4, 2) of the board, m.
         points: the same points in the photo (4, 2), px.
         covariance: (8, 8) of `points`, x and y alternating, px^2.
-        markers: indices into `board.ids` of the markers that agree.
+        markers: indices into `board.ids` of the markers whose print agrees with the photo.
     """
 
     board: Board
@@ -64,13 +64,13 @@ class BoardOutline:
 
 
 def fit_outline(photo: NDArray[np.float32], group: MarkerGroup, board: Board) -> BoardOutline | None:
-    """Return the outline of the print around a group of markers; None if the photo does not determine the outline.
+    """Fit a homography to the print around detected markers; None if the photo does not determine the homography.
 
     Args:
         photo: grey levels (height, width).
     """
     height, width = photo.shape
-    # The focal length is arbitrary, since the result is in pixels.
+    # Any focal length will do, since the result is in pixels.
     camera = CameraModel.pinhole(width, height, float(max(width, height)))
     corners = board.corners()[list(group.places)].reshape(-1, 4, 3)[..., :2].reshape(-1, 2)
     plane: Any = cv2.findHomography(corners, viewing_rays(camera, group.corners.reshape(-1, 2)))[0]
@@ -127,7 +127,7 @@ class _PlaneProblem(PrintProblem[_MapState]):
             return self._by_map(state, pixels.at, pixels.rays, pixels.by_ray)
 
         return combine_equations(
-            [linearize_print(self._view, state.plane, BlurKernel(state.blur), columns)], noise, _FREE
+            [linearize_print(self._view, state.plane, BlurKernel(state.blur), columns)], noise, _FITTED
         )
 
     def _by_map(self, state: _MapState, at: Array, seen: Array, by_ray: Array) -> Array:

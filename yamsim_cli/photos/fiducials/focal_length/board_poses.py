@@ -1,4 +1,4 @@
-"""Fit the poses that explain a flat board's outline at many focal lengths at once, with the effect of a lens."""
+"""Fit the poses that explain a flat board's outline at many focal lengths at once, with a principal point and k1."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from .board_outline import BoardOutline
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
-_MAX_STEPS = 30  # of a pose
+_MAX_STEPS = 30  # least-squares steps of a pose fit
 _MIN_GAIN = 1e-3  # gain of chi squared, relative to 1 + chi squared, below which the steps end
 _GRID_POINTS = 5  # points along each edge of a board at which distortion is evaluated
-_MIN_AREA = 1e-6  # longer sides squared, area of a board's picture, below which the board is seen edge-on
-_MAX_BEND = 3.0  # longer sides, shift by distortion with k1 = 1, above which rounding errors dominate
-_MAX_ROTATION = 0.5  # rad, of one step
+_MIN_AREA = 1e-6  # area of a board's picture (unit: longer side squared), below which the view is edge-on
+_MAX_BEND = 3.0  # photo's longer sides, shift by distortion with k1 = 1, above which rounding errors dominate
+_MAX_ROTATION = 0.5  # rad, largest rotation in one step
 
 
 def fit_board_poses(outline: BoardOutline, size: tuple[int, int], spread: Array) -> list[BoardPoses]:
@@ -42,14 +42,14 @@ def fit_board_poses(outline: BoardOutline, size: tuple[int, int], spread: Array)
 
 
 def _starts(on_board: Array, seen: Array, spread: Array) -> list[FocalPoses]:
-    """Return two sets of start poses, with a pose for each focal length."""
+    """Return the two sets of start poses that a flat board allows, each with a pose for each focal length."""
     points = np.column_stack([on_board, np.zeros(4)])
     turns, shifts = np.empty((2, len(spread), 3, 3)), np.empty((2, len(spread), 3))
     for k, value in enumerate(spread):
         _, vectors, places, _ = cv2.solvePnPGeneric(
             points, seen * value, np.eye(3), np.zeros(5), flags=cv2.SOLVEPNP_IPPE
         )
-        # If IPPE returns one pose, both sets get that pose.
+        # If OpenCV's IPPE method returns only one pose, both sets get that pose.
         for pose, which in ((0, 0), (1, -1)):
             turns[pose, k] = cv2.Rodrigues(vectors[which])[0]
             shifts[pose, k] = places[which].ravel()
@@ -82,7 +82,7 @@ class FocalPoses:
 
     Attributes:
         turns: rotations (n, 3, 3) of the board.
-        middles, sizes: centre (n, 2) and width (n,) of the board in the picture, in its longer side.
+        middles, sizes: centre (n, 2) and width (n,) of the board in the picture, in units of the picture's longer side.
     """
 
     turns: Array
@@ -102,8 +102,8 @@ def select_rows(take: NDArray[np.bool_], one: R, other: R) -> R:
 class BoardPoses:
     """The poses of a board that explain its outline, for each of n focal lengths.
 
-    With y = R u for a point u of the board, the point's image is (middle + size y_xy) / (1 + spread size y_z), which
-    stays regular for infinite focal lengths.
+    With y = R u for a point u of the board, the point's image is (middle + size y_xy) / (1 + spread size y_z). The
+    spread is the picture's longer side over the focal length, so infinite focal lengths are regular.
     """
 
     def __init__(self, on_board: Array, seen: Array, whiten: Array, spread: Array, first: FocalPoses) -> None:
@@ -115,9 +115,9 @@ class BoardPoses:
         self._flatten = _flat_moves(on_board) @ np.linalg.pinv(_flat_moves(self._grid))
 
     def followed(self, poses: FocalPoses, lens: Array) -> FocalPoses:
-        """Return the poses near the given ones that explain the outline best with a lens (n, 3)."""
+        """Return the best poses near the given ones for a lens (n, 3): principal point shift, and k1."""
         _, _, by_lens = self.equations(poses, lens)
-        # The effect of distortion hardly changes during the steps.
+        # The shifts by distortion hardly change during the fit, so they are computed once.
         bend = np.linalg.solve(self._whiten, by_lens[..., 2:])[..., 0].reshape(-1, 4, 2).astype(np.float64)
         found = solve_least_squares(_BoardPosesProblem(self, lens, bend), poses, _MAX_STEPS)
         assert found is not None  # the equations exist at every state
@@ -152,8 +152,8 @@ class BoardPoses:
         """Return whitened residuals (n, 8), and their derivatives by the pose (n, 8, 6) and by the lens (n, 8, 3).
 
         Args:
-            lens: principal point shift (right and down, in the longer side) and k1 (n, 3).
-            bend: shifts (n, 4, 2) of the points by distortion with k1 = 1, if known.
+            lens: principal point shift (right and down, in units of the picture's longer side) and k1 (n, 3).
+            bend: shifts (n, 4, 2) of the points by distortion with k1 = 1; None to compute them.
         """
         turned = self._on_board @ np.swapaxes(poses.turns[:, :, :2], 1, 2) * poses.sizes[:, None, None]
         x, y, z = (turned[..., k] for k in range(3))

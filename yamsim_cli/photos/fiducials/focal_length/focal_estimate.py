@@ -27,12 +27,12 @@ from .board_poses import BoardPoses, FocalPoses, fit_board_poses, select_rows
 
 Grey = NDArray[np.uint8]
 
-# Search range, longer sides of the image: from a 100 degree field of view to a lens longer than those that film robots.
+# Searched focal lengths, longer sides of the image: from 100 degrees field of view to lenses too long to film robots.
 _FOCAL_RANGE = (0.42, 16.0)
-_NODES, _REFINED_NODES = 57, 33  # focal lengths of a profile over the whole range, and over one valley
-_MAX_VALLEYS = 3  # local minima of the misfit that are refined
-_MIN_VALLEY_NODES = 14  # nodes within a valley, up to which the profile is refined
-_MAX_REFINEMENTS = 6  # of a valley
+_NODES, _REFINED_NODES = 57, 33  # evaluated focal lengths: over the whole range, and over one valley
+_MAX_VALLEYS = 3  # valleys (local minima of chi squared) in which more focal lengths are evaluated
+_MIN_VALLEY_NODES = 14  # focal lengths within a valley, up to which more are evaluated
+_MAX_REFINEMENTS = 6  # finer grids of focal lengths in a valley
 
 _CHI_95 = 3.84  # chi squared of a 95 % interval, one degree of freedom
 _CHI_VALLEY = 16.0  # chi squared above the minimum, up to which a valley extends
@@ -44,10 +44,10 @@ _MIN_SIGMAS = np.array([0.003, 0.0005, 0.0005, 0.002])
 # a straight one. Source: outlines of 200 single photos and of 70 sets of four, with lenses from the prior. Without this
 # share, 62 and 84 % of squared errors are within the 95 % bounds, and with this share 95 and 96 %.
 _CURVATURE_SHARE = 0.5
-_MAX_INTERVAL_RATIO = 1.5  # ratio of an interval's ends, above which errors are too far from a normal distribution
-_MAX_MISFIT_SIGMAS = 3.72  # standard deviations, which one in ten thousand sets of consistent outlines exceeds
+_MAX_INTERVAL_RATIO = 1.5  # ratio of a 95 % interval's ends, above which errors are too far from a normal distribution
+_MAX_MISFIT_SIGMAS = 3.72  # standard deviations of chi squared, which 1 in 10,000 sets of consistent outlines exceeds
 
-_TYPICAL_FOCAL = 0.5 / math.tan(math.radians(30.0))  # longer sides, for a field of view of 60 degrees
+_TYPICAL_FOCAL = 0.5 / math.tan(math.radians(30.0))  # longer sides of the image, for a field of view of 60 degrees
 _TYPICAL_LOG_SIGMA = 0.35  # standard deviation of the logarithm of a typical focal length
 
 _NO_BOARD = "no board tells the focal length"
@@ -57,16 +57,16 @@ _ADVICE = "photograph the board from a slant, or give --camera"
 # Source: 13 published calibrations of webcams and robots' cameras. Half of these are within one sigma, and three in
 # four within two. Phones correct their distortion and are well within.
 _LENS_SIGMAS = np.array([0.02, 0.02, 0.1])
-_MAX_LENS_ROUNDS = 25  # rounds over lens and poses
+_MAX_LENS_ROUNDS = 25  # least-squares rounds, each with a step of the lens and refitted poses
 _MAX_IDLE_ROUNDS = 2  # rounds without gain that end the search
 _CHI_RELEVANT = 150.0  # chi squared above the minimum, from which the exact value is irrelevant
 _MIN_GAIN = 0.03  # gain of chi squared, up to which a round counts as idle
-_CHI_IMPOSSIBLE = 1e12  # chi squared of impossible states
+_CHI_IMPOSSIBLE = 1e12  # stands for a chi squared that is infinite or not a number
 
 
 @dataclass(frozen=True)
 class FocalProfile:
-    """The misfit of focal lengths to the outlines, with the best lens for each focal length.
+    """How well each focal length explains the boards' outlines, with the best lens for each focal length.
 
     Attributes:
         spread: longer side of the image over the focal length (n,).
@@ -84,13 +84,13 @@ class FocalProfile:
 def compute_profile(
     outlines: Sequence[BoardOutline], size: tuple[int, int], spread: Array, near: FocalProfile | None = None
 ) -> FocalProfile:
-    """Return the misfit of focal lengths to outlines.
+    """Return how well each focal length explains the boards' outlines (chi squared), with the best lens.
 
     Args:
         outlines: from all photos of one camera.
         size: width and height of the photos, px.
         spread: longer side of the image over the focal length (n,).
-        near: a coarser profile with start values for the lens.
+        near: a profile at fewer focal lengths, which gives start values for the lens; None starts without distortion.
     """
     lens = np.zeros((len(spread), 3))
     if near is not None:
@@ -104,7 +104,7 @@ def compute_profile(
 
 @dataclass(frozen=True)
 class _LensState:
-    """A lens (n, 3) for each focal length, and each board's two poses with this lens."""
+    """Principal point shift and k1 (n, 3) for n focal lengths, and each board's two poses with this lens."""
 
     lens: Array
     poses: tuple[tuple[FocalPoses, ...], ...]
@@ -115,7 +115,8 @@ class _LensEquations:
     """The normal equations of the lens at each of n focal lengths, from boards at their best poses.
 
     Attributes:
-        information, slope, misfit: without the prior, (n, 3, 3), (n, 3) and (n,).
+        information, slope, misfit: (n, 3, 3), (n, 3) and (n,): half the Hessian and half the gradient of chi squared by
+            the lens, and chi squared, all without the lens prior.
         lens: the lens (n, 3) at which the boards are evaluated.
     """
 
@@ -131,9 +132,8 @@ class _LensEquations:
 
     @classmethod
     def from_board(cls, board: BoardPoses, poses: FocalPoses, lens: Array) -> _LensEquations:
-        """Return the equations of one board."""
+        """Return the equations of one board, with the changes that a change of its pose could explain projected out."""
         residual, by_pose, by_lens = board.equations(poses, lens)
-        # Project out the changes that a change of the pose can explain.
         q, _ = np.linalg.qr(by_pose)
         own = by_lens - q @ (np.swapaxes(q, 1, 2) @ by_lens)
         left = residual - (q @ (np.swapaxes(q, 1, 2) @ residual[..., None]))[..., 0]
@@ -168,7 +168,7 @@ class _LensProblem(LeastSquares[_LensState, _LensEquations]):
         self._idle = 0
 
     def start(self, lens: Array) -> _LensState:
-        """Return the state of a lens (n, 3) with fitted poses."""
+        """Return a lens (n, 3) together with the boards' poses fitted for this lens."""
         return self._through(lens, [[board.first for board in pair] for pair in self._boards])
 
     def _through(self, lens: Array, poses: Sequence[Sequence[FocalPoses]]) -> _LensState:
@@ -211,7 +211,7 @@ class FocalEstimate:
     """A camera's focal length, estimated from photos.
 
     Attributes:
-        camera: the likeliest camera, or a typical camera if `reason` is not empty.
+        camera: the likeliest camera, or one with a field of view of 60 degrees if `reason` is not empty.
         low, high: ends of the 95 % interval, px; None for an open end.
         reason: why the estimate is not good enough for poses, for users; empty for a useful interval.
     """
@@ -223,7 +223,7 @@ class FocalEstimate:
 
 
 def known_focal(camera: CameraModel) -> FocalEstimate:
-    """Return the focal length of a calibrated camera with its 95 % interval."""
+    """Return the focal length of a calibrated camera, with the 95 % interval from its `focal_sigma`."""
     wide = math.exp(math.sqrt(_CHI_95) * camera.focal_sigma)
     return FocalEstimate(camera, camera.focal / wide, camera.focal * wide)
 
@@ -232,7 +232,7 @@ def find_outlines(grey: Grey, boards: Sequence[Board]) -> list[BoardOutline]:
     """Return the outlines of boards in a photo (height, width) from an unknown camera."""
     height, width = grey.shape
     markers = find_markers(grey, sorted({board.dictionary for board in boards}))
-    # The focal length is arbitrary for grouping markers.
+    # Any focal length will do for grouping markers.
     camera = CameraModel.pinhole(width, height, float(max(width, height)))
     found, photo = [], None
     for board in boards:
@@ -258,7 +258,7 @@ def estimate_focal(outlines: Sequence[BoardOutline], size: tuple[int, int]) -> F
 
 
 def _best_profile(outlines: Sequence[BoardOutline], size: tuple[int, int], coarse: FocalProfile) -> FocalProfile:
-    """Return the profile around the best focal length. Refine several valleys, since nodes may miss a narrow bottom."""
+    """Return the profile around the best focal length. Refine several valleys, since the grid may miss a narrow one."""
     misfit = np.pad(coarse.misfit, 1, constant_values=math.inf)
     bottoms = np.flatnonzero((misfit[1:-1] <= misfit[:-2]) & (misfit[1:-1] <= misfit[2:]))
     ends = np.isin(bottoms, (0, len(coarse.spread) - 1))
@@ -278,7 +278,7 @@ def _refine_profile(
     for _ in range(_MAX_REFINEMENTS):
         last_node = len(found.spread) - 1
         likely = found.misfit < found.misfit[best] + _CHI_VALLEY
-        # Nodes of this valley, up to the first unlikely node on either side.
+        # Focal lengths of this valley, up to the first unlikely one on either side.
         first = best - int(np.argmin(np.append(likely[best::-1], False)))
         last = best + int(np.argmin(np.append(likely[best:], False)))
         first, last = max(first, 0), min(last, last_node)
@@ -292,7 +292,7 @@ def _refine_profile(
 
 
 def _interval(found: FocalProfile, size: tuple[int, int]) -> tuple[float | None, float | None]:
-    """Return the ends (px) of the interval with a misfit within `_CHI_95` of the minimum; None for the range's end."""
+    """Return the ends (px) of the focal length's 95 % interval; None for an end beyond the searched range."""
     best = math.log(found.spread[np.argmin(found.misfit)])
     over = found.misfit - found.misfit.min() - _CHI_95
     inside = np.flatnonzero(over <= 0)
@@ -334,7 +334,7 @@ def _camera(found: FocalProfile, size: tuple[int, int]) -> CameraModel:
     likely = np.exp(-0.5 * (found.misfit - found.misfit[best]))
     # Variance about the likeliest focal length, which differs from the mean in an asymmetric valley.
     variance = float((likely * off**2).sum() / likely.sum())
-    # From longer sides to focal lengths.
+    # Convert the principal point from longer sides of the image to focal lengths.
     units = np.array([found.spread[best], found.spread[best], 1.0])
     lens = found.lens * units
     slope = (likely * off) @ (lens - lens[best]) / max(float((likely * off**2).sum()), 1e-30)

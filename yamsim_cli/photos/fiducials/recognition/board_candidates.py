@@ -33,34 +33,34 @@ from .marker_bits import marker_bits
 Grey = NDArray[np.uint8]
 
 _WHOLE_PRINT_SCALES = ((1, 3), (2, 3), (2, 7))  # reduction factors, and width of light lines to close, reduced px
-_MARKER_SCALES = ((1, 0),)  # the same for single markers
+_MARKER_SCALES = ((1, 0),)  # reduction factor and width of lines to close, for single markers: no change
 _MAX_PHOTO_SIDE = 960  # px, longer side to which larger photos are reduced
 _THRESHOLDS = np.linspace(0.12, 0.84, 9)  # share of the photo's grey range, below which a pixel is dark
 _RANGE_PERCENTILES = (0.5, 99.5)  # percentiles of the grey levels that define a photo's range
 # Minimum difference within 3 px at an edge, as a share of the grey range; width of gaps between edges to close, px.
 _EDGE_THRESHOLDS = ((0.14, 3), (0.18, 3), (0.22, 3), (0.27, 3), (0.34, 3), (0.42, 5))
-_MIN_THICKNESS = 5  # px, of a patch full of edges; a single edge is thinner
-_MIN_AREA = 30  # px^2, of a patch
-_MIN_CONTOUR = 20  # px, length of a patch's contour
-_MAX_PATCH_SHARE = 0.8  # of the photo's sides, largest patch
+_MIN_THICKNESS = 5  # px, minimum thickness of a patch full of edges; a single edge is thinner
+_MIN_AREA = 30  # px^2, minimum area of a patch
+_MIN_CONTOUR = 20  # px, minimum length of a patch's contour
+_MAX_PATCH_SHARE = 0.8  # maximum ratio of a patch's sides to the photo's sides
 _MIN_HULL_SHARE = 0.78  # minimum ratio of a patch's area to that of its convex hull
 _MAX_QUAD_RATIO = 1.3  # maximum ratio of the quadrilateral's area to that of the hull
 _DUPLICATE_DISTANCE = 0.04  # patch sizes, distance of all corners below which two patches are the same
 
 # Grids of markers.
 _MAX_NEIGHBOUR_OFFSET = 0.3  # grid steps, maximum distance of a neighbour's centre from its predicted position
-_MAX_AREA_RATIO = 1.6  # of neighbours
-_MIN_MARKERS = 3  # markers of a grid; fewer do not determine its perspective
+_MAX_AREA_RATIO = 1.6  # maximum ratio of the areas of neighbouring markers
+_MIN_MARKERS = 3  # minimum markers of a grid; fewer do not determine its perspective
 _MAX_CORNER_RMS = 0.12  # marker edges, maximum rms distance of corners from the grid
 
 # Bits of patches.
 _POINTS_PER_CELL = 2  # sample points of a marker cell along each axis
-_MIN_AGREEMENT = 2.5  # standard deviations of chance, minimum agreement of a candidate's bits
-# Refinement of rough corners: step, px, and minimum agreement after the step, standard deviations of chance. Source:
-# photos from a physically based renderer, in which other patches reached 4.3 at the end, and boards 7.
+_MIN_AGREEMENT = 2.5  # minimum agreement of a candidate's bits with the board, standard deviations of random bits
+# Refinement of rough corners: step, px, and minimum agreement after it, standard deviations of random bits. Source:
+# photos from a physically based renderer, in which patches without a board reached 4.3 at the end, and boards 7.
 _REFINEMENT_STEPS = ((3.0, 3.5), (1.5, 4.5), (0.75, 5.0))
-_MAX_REFINED = 4  # patches that are refined
-_MIN_REFINED_AGREEMENT = 1.5  # standard deviations of chance, minimum agreement of a patch that is refined
+_MAX_REFINED = 4  # patches whose corners are refined
+_MIN_REFINED_AGREEMENT = 1.5  # minimum agreement of a patch to be refined, standard deviations of random bits
 _ROUNDS_PER_STEP = 3  # maximum rounds over all corners and edges for each step
 
 
@@ -68,7 +68,7 @@ def dark_quads(grey: Grey, whole: bool) -> list[Array]:
     """Return the corners (4, 2), px, clockwise in the picture, of distinct dark patches in a photo (height, width).
 
     Args:
-        whole: whether to close light lines, for whole prints instead of single markers.
+        whole: whether to search whole prints, whose light gaps between markers are closed, instead of single markers.
     """
     grey, factor = _at_most(_MAX_PHOTO_SIDE, grey)
     low, high = np.percentile(grey[::4, ::4], _RANGE_PERCENTILES)
@@ -145,11 +145,11 @@ def _distinct_quads(quads: list[Array]) -> list[Array]:
     return kept
 
 
-Grid = dict[tuple[int, int], int]
+Grid = dict[tuple[int, int], int]  # (column, row) of a marker -> index of its patch
 
 
 def board_quads(markers: Sequence[Array], board: Board) -> list[Array]:
-    """Return the outer corners (4, 2), px, of possible boards whose markers are among patches (4, 2), px, clockwise."""
+    """Return the outer corners (4, 2), px, of boards that patches with corners (4, 2), px, form as their markers."""
     if len(markers) < _MIN_MARKERS:
         return []
     quads = np.array(markers)
@@ -170,7 +170,7 @@ def board_quads(markers: Sequence[Array], board: Board) -> list[Array]:
 
 
 def _grow_grid(seed: int, quads: Array, areas: Array, step: float) -> Grid:
-    """Return the grid of patches around a seed, by column and row relative to the seed."""
+    """Return the patches that form a grid with the patch `seed`, by column and row relative to it."""
     middles = quads.mean(axis=1)
     grid, ends, used = {(0, 0): seed}, [(0, 0)], {seed}
     right = (quads[seed, 1] - quads[seed, 0] + quads[seed, 2] - quads[seed, 3]) / 2 * step
@@ -243,7 +243,7 @@ class BoardCandidate:
 
     Attributes:
         corners: outer corners (4, 2), px, clockwise from the board's top left.
-        agreement: of the patch's bits with those of the board, in standard deviations of chance.
+        agreement: correlation of the patch's bits with the board's, in standard deviations of random bits.
     """
 
     corners: Array
@@ -253,14 +253,14 @@ class BoardCandidate:
 def candidates(
     grey: Grey, board: Board, quads: Sequence[Array], minimum: float = _MIN_AGREEMENT
 ) -> list[BoardCandidate]:
-    """Return the patches of a photo (height, width) that may be a board in any of four orientations, best first."""
+    """Return the patches whose bits agree with a board in one of four orientations by `minimum`, best first."""
     turned = [np.roll(quad, turn, axis=0) for quad in quads for turn in range(4)]
     found = [BoardCandidate(corners, _agreement(grey, board, corners)) for corners in turned]
     return sorted((one for one in found if one.agreement > minimum), key=lambda one: -one.agreement)
 
 
 def refine_candidates(grey: Grey, board: Board, quads: Sequence[Array]) -> list[BoardCandidate]:
-    """Return candidates as `candidates` does, with rough corners moved to the best agreement of the bits."""
+    """Return the patches that may be a board, best first, with corners moved to the best agreement of the bits."""
     rough = candidates(grey, board, quads, _MIN_REFINED_AGREEMENT)[:_MAX_REFINED]
     found = [moved for candidate in rough if (moved := _refine_quad(grey, board, candidate)) is not None]
     return sorted(found, key=lambda one: -one.agreement)
@@ -295,13 +295,13 @@ def _corner_moves() -> Array:
     return np.array(moves)
 
 
-_UNIT = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], np.float32)
+_UNIT_SQUARE = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], np.float32)
 
 
 def _agreement(grey: Grey, board: Board, corners: Array) -> float:
-    """Return the agreement of a patch's bits with a board, with equal weight for each marker."""
+    """Return the correlation of a patch's bits with a board's, with equal weight for each marker."""
     at, size = _bit_points(board)
-    flat = cv2.getPerspectiveTransform(_UNIT, corners.astype(np.float32))
+    flat = cv2.getPerspectiveTransform(_UNIT_SQUARE, corners.astype(np.float32))
     seen = np.asarray(cv2.perspectiveTransform(at[None], flat), dtype=np.float32)
     values = cv2.remap(grey, seen[..., 0], seen[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     patch = values.reshape(size).astype(np.float32).mean(axis=2)

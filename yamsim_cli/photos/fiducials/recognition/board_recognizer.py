@@ -44,14 +44,14 @@ FALSE_ALARMS = 1e-4  # accepted rate of photos without the board in which the bo
 # 20 to 60 patches in four orientations, and about 250 moves of each refined patch.
 _TRIALS_PER_BOARD = 1200
 _TRIALS_PER_FIT = 30  # poses of one fit that differ enough to count as independent trials of the bits
-_MAX_BOARD_LOG_CHANCE = -8.0  # log of chance, below which a patch is probably the board
-_MAX_RETRIED_LOG_CHANCE = -3.0  # log of chance, below which a fit with low correlation is repeated
-_SAME_MOTION = 3.0  # px, difference of lengths within which two motions are the same
-_MAX_FITS = 2  # candidates of one kind that are fitted
-_MIN_RELATIVE_AGREEMENT = 0.6  # of the best candidate's agreement, below which a candidate is not fitted
+_MAX_BOARD_LOG_CHANCE = -8.0  # log of the probability of the bits by chance; below, advice assumes the board
+_MAX_RETRIED_LOG_CHANCE = -3.0  # the same logarithm, below which a fit with low correlation is repeated
+_SAME_MOTION = 3.0  # px, difference of lengths, below which two motion blurs count as the same
+_MAX_FITS = 2  # candidates from one search method that are fitted
+_MIN_RELATIVE_AGREEMENT = 0.6  # ratio to the best candidate's agreement, below which a candidate is not fitted
 _SEARCH_RADIUS = 0.5  # board sizes in the picture, within which the print is searched around a predicted position
-_SUFFICIENT_CORRELATION = 0.85  # median correlation above which no other pose is fitted
-_MIN_SEPARATION = 0.5  # patch sizes, distance above which two patches are different places
+_SUFFICIENT_CORRELATION = 0.85  # median correlation of print and photo, above which no other pose is fitted
+_MIN_SEPARATION = 0.5  # patch sizes, distance above which two patches count as different prints
 
 # Blur kernels from which a fit may start.
 _BLUR_SIGMAS = (0.9, 2.0, 3.5)  # px
@@ -63,7 +63,7 @@ _COMPARISON_BLUR = BlurKernel(_BLUR_SIGMAS[1])
 
 
 class BoardRecognizer:
-    """Recognizes boards in one photo.
+    """Recognizes boards in one photo by their bits, without detected markers.
 
     Args:
         grey, photo: the photo (height, width), as bytes and as floats.
@@ -95,12 +95,12 @@ class BoardRecognizer:
         before: Sequence[Array] = (),
         anywhere: bool = False,
     ) -> BoardDetection:
-        """Return a new detection of a board that could not be read well enough, or `seen` without a new one.
+        """Search a board whose markers could not be read well enough. Return a new detection or, if none, `seen`.
 
         Args:
             predicted_poses: approximate poses (4, 4) of the board in the camera frame, one from each other board.
-            before: the board's pose in the previous photo, if known.
-            anywhere: whether to search the whole photo too.
+            before: the board's pose (4, 4) in the previous photo, or empty.
+            anywhere: whether to search the whole photo, besides the places of these poses.
         """
         board, fits = seen.board, list[PoseFit]()
         self._likeliest = None
@@ -123,7 +123,7 @@ class BoardRecognizer:
         return judge_detection(self._photo, self._camera, board, best, fits, predicted_poses, self._limits)
 
     def _candidates(self, board: Board) -> Iterator[list[BoardCandidate]]:
-        """Yield the candidates of each kind, slower kinds last."""
+        """Yield the candidates of each search method: dark prints, grids of markers, and patches full of edges."""
         yield candidates(self._grey, board, self._dark_prints)
         yield candidates(self._grey, board, board_quads(self._dark_markers, board))
         yield refine_candidates(self._grey, board, self._edge_patches)
@@ -150,7 +150,7 @@ class BoardRecognizer:
         for T in poses:
             if fit := self._fit(board, T):
                 found.append(fit)
-                # The other pose could only be a competing fit, which `judge_detection` searches.
+                # The other pose could only be a competing pose, which `judge_detection` searches.
                 if fit.contradicting == 0 and _is_explained(fit.alignment, _SUFFICIENT_CORRELATION):
                     break
         return found
@@ -168,7 +168,7 @@ class BoardRecognizer:
         first, bits = found
         if self._likeliest is None or bits.log_chance < self._likeliest[0]:
             self._likeliest = bits.log_chance, first
-        # Correct the limit for all trials in the photo.
+        # Divide the accepted rate of false alarms by the number of trials in the photo (Bonferroni).
         if bits.log_chance > math.log(FALSE_ALARMS / (self._boards * _TRIALS_PER_BOARD * _TRIALS_PER_FIT)):
             return None
         if len(bits.markers) < len(first.tiles[0]):
@@ -203,7 +203,7 @@ class BoardRecognizer:
         return None if view is None else (fit, measure_evidence(view, plane, fit.blur, fit.noise))
 
     def _shifted(self, board: Board, T: Array) -> Array | None:
-        """Return a pose shifted parallel to the image plane to the best match nearby; None if the board faces away."""
+        """Shift a pose parallel to the image plane to the best match of the print; None if the board faces away."""
         if not faces_camera(T):
             return None
         corners = project_points(self._camera, board.outer_corners() @ T[:3, :3].T + T[:3, 3])
@@ -249,7 +249,7 @@ def _is_explained(fit: Alignment, minimum: float = EXPLAINED) -> bool:
 
 
 def estimate_blur(view: PhotoRegion, plane: Array) -> BlurKernel | None:
-    """Return the blur, px, with which the rendered print explains the photo best; None if too few pixels are visible.
+    """Return the blur or motion (px) with which the rendered print explains the photo best; None with too few pixels.
 
     Args:
         plane: (3, 3) from the board to the camera frame, as for `draw_print`.

@@ -41,12 +41,12 @@ class BitEvidence:
 
 
 def measure_evidence(view: PhotoRegion, plane: Array, blur: BlurKernel, noise: float) -> BitEvidence:
-    """Return the evidence for a piece's board at a pose.
+    """Compare the bits in a photo with those of the board that `view` assumes, at the pose `plane`.
 
     Args:
-        plane: (3, 3) from the board to the camera frame, as for `draw_print`.
+        plane: (3, 3) from (x, y, 1) on the board, m, to the camera frame.
         blur: in the photo's pixels.
-        noise: standard deviation, grey levels.
+        noise: standard deviation of the photo's noise, grey levels.
     """
     blur = blur.in_larger_pixels(view.coarser)
     drawing = draw_print(view, plane, blur)
@@ -61,7 +61,7 @@ def measure_evidence(view: PhotoRegion, plane: Array, blur: BlurKernel, noise: f
 
 
 def most_significant_markers(agreement: dict[int, float]) -> tuple[float, tuple[int, ...]]:
-    """Return the natural logarithm of the lowest bound on chance, and the set of markers that has this bound.
+    """Return the log of the lowest bound on agreement by chance, and the set of markers that has this bound.
 
     By Hoeffding's inequality, a sum of random signs with weights of norm 1 exceeds z with a probability of at most
     exp(-z^2 / 2). The number of all sets that could have been chosen multiplies this bound.
@@ -85,7 +85,7 @@ def marker_bits(board: Board) -> Array:
 
 
 def _cells(view: PhotoRegion, plane: Array) -> NDArray[np.int_]:
-    """Return the bit (rows, columns) at each sample point, counted marker by marker; -1 for none."""
+    """Return the index (rows, columns) of the bit at each sample point, counted marker by marker; -1 for none."""
     board = view.piece.board
     x, y = fine_board_points(view, np.linalg.inv(plane).astype(np.float64))
     step, side = board.marker_length + board.gap, marker_cells(board).shape[1]
@@ -130,7 +130,7 @@ def _estimated(
     inside = use[part]
     by_bit = blurred[inside].astype(np.float64)
     drawn, photo = (picture[part][inside].astype(np.float64) for picture in (drawing.grey, view.photo))
-    # Project out the effects of border and light.
+    # Project out the brightness, its gradient, the marker's border, and the surroundings.
     rest = drawn - by_bit @ (bits / 2)
     across, down = np.meshgrid(np.linspace(-1, 1, wide), np.linspace(-1, 1, high))
     light = [np.ones(len(rest)), across[inside], down[inside], rest]
