@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 
 from yamsim_cli.core.geometry.se3 import Array
-from yamsim_cli.core.robots.finray.finger import FinRay, hinge_stiffness, slip_arms, slip_stiffness
+from yamsim_cli.core.robots.finray.finger import FinRay, hinge_stiffness, slip_jacobian, slip_stiffness
 
 # Beams between two joints.
 _PARTS = 6
@@ -89,7 +89,7 @@ class PlaneFrame:
 
 def bent(finger: FinRay, height: float, force: float) -> Array:
     """Angles (n,) in rad at which a small force (N) holds the springs, pushing the front wall in at a height (m)."""
-    arms = slip_arms(finger)
+    arms = slip_jacobian(finger)
     stiffness = np.diag(hinge_stiffness(finger)) + arms.T @ slip_stiffness(finger) @ arms
     return np.linalg.solve(stiffness, -force * np.maximum(height - finger.stations, 0.0))
 

@@ -109,4 +109,4 @@ def bench_at_start(simulators: Simulators) -> PlanningContext:
     simulator, _, data = started(simulators)
     world = make_sim_world(simulator.scene, data, arm_sides(simulator.config))
     stands = list(start_postures(simulator.config))
-    return simulator.expert_tools.planning_context(world, stands, np.random.default_rng(0))
+    return simulator.expert_planner.planning_context(world, stands, np.random.default_rng(0))

@@ -200,7 +200,7 @@ def by_inspect(case: TrialCase, played: Played, end: End, folder: Path) -> Verdi
     with own.simulator:
         for ctrl, magnet in zip(played.ctrl, played.magnet, strict=True):
             motion.episode.step(ctrl, magnet)
-            reached, _ = judge.look()
+            reached, _ = judge.evaluate()
             if reached:
                 break
     return Verdict(reached, motion.episode.ticks)

@@ -61,8 +61,8 @@ def _finray(opener: SessionOpener, where: Locations) -> np.ndarray:
     moment = 0.45  # the share of the attempt after which the ball is a little above the table
     session = _session(opener, where, **given)
     with first_success(session) as (simulator, done):
-        simulator.replica.show(done.states[round(moment * (len(done.states) - 1))].qpos)
-        x, y, z = map(float, simulator.replica.data.body("tennis_ball").xpos)
+        simulator.state_replay.set_state(done.states[round(moment * (len(done.states) - 1))].qpos)
+        x, y, z = map(float, simulator.state_replay.data.body("tennis_ball").xpos)
     near = FixedCamera(position=(x + 0.15, y - 0.29, z + 0.07), look_at=(x, y, z + 0.03), fovy_deg=35)
     scene = session.config.scene.model_copy(update={"scene_camera": near})
     closer = Session(session.config.model_copy(update={"scene": scene}), session.locations)

@@ -176,8 +176,8 @@ class PickPlaceEnv(gymnasium.Env[dict[str, NDArray[Any]], NDArray[np.float32]]):
         from .policies.policy_protocol import squeeze_single_arm
 
         simulator, episode = self._task.simulator, self._task.episode
-        replica, T_base = simulator.replica, simulator.scene.T_base_in_world
-        replica.show(episode.data.qpos)
+        replica, T_base = simulator.state_replay, simulator.scene.T_base_in_world
+        replica.set_state(episode.data.qpos)
         hands = squeeze_single_arm(T_base @ replica.T_grasp_in_base())
         seen: dict[str, Any] = {"joints": episode.readings(self._task.attempt.job).ravel(), "ee_pose_world": hands}
         if not self._images:

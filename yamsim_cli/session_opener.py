@@ -165,7 +165,7 @@ class SessionOpener:
         if (
             given.get("task") is not None
             and given.get("rig") is None
-            and (own_rig := self._own_rig(given["task"], locations))
+            and (own_rig := self._embedded_rig(given["task"], locations))
         ):
             overrides["rig",] = own_rig
         if within:
@@ -206,7 +206,7 @@ class SessionOpener:
             raise UsageError(f"{self.setting_label('fps')}: {error}") from None
         return {("task", "timing", key): (self.setting_label("fps"), value) for key, value in changed.items()}
 
-    def _own_rig(self, task: str | dict[str, Any], locations: Locations) -> tuple[str, str] | None:
+    def _embedded_rig(self, task: str | dict[str, Any], locations: Locations) -> tuple[str, str] | None:
         """Return the file position and the name of the rig in the config of a task; None if the task names no rig."""
         from .core.config.loader import config_model
         from .core.config.program_task import PROGRAM

@@ -136,8 +136,8 @@ class Station(Closable):
         from .core.dataset.environment_state import object_pose_keys, state_row
 
         simulator = self._task.simulator
-        replica, config = simulator.replica, simulator.config
-        replica.show(self._task.episode.data.qpos)
+        replica, config = simulator.state_replay, simulator.config
+        replica.set_state(self._task.episode.data.qpos)
         moving = {item.name: item for item in config.task.objects if item.links}
         row = state_row(
             [
@@ -202,6 +202,6 @@ class Station(Closable):
 
     def _hold(self) -> None:
         """Set the present joints, without encoder errors, as the command."""
-        replica = self._task.simulator.replica
-        replica.show(self._task.episode.data.qpos)
+        replica = self._task.simulator.state_replay
+        replica.set_state(self._task.episode.data.qpos)
         self._command = self._rows.action(replica.joints(), np.zeros(self._rows.arms, bool))

@@ -100,7 +100,7 @@ class StationForm:
         width, height = config.image.size_px
         return cls(
             rows.drives,
-            rows.actions,
+            rows.action_names,
             state_names(tuple(object_pose_keys(config)), joints),
             dict.fromkeys(config.recorded_cameras, (height, width, 3)),
             round(1 / (timing.tick * timing.ticks_per_frame), 6),

@@ -15,7 +15,7 @@ from tests.unrendered import SIZE, change_frame, change_record, frame_count, rea
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.session import Session
 from yamsim_cli.core.dataset.reader import dataset_config, select_episodes
-from yamsim_cli.core.episode.attempt_payload import ENGINE, LOOKS
+from yamsim_cli.core.episode.attempt_payload import ENGINE, APPEARANCE_REVISION
 from yamsim_cli.core.errors import DatasetError, UsageError
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.datasets.verify import ACTIONS, IMAGES, SEED, EpisodeVerdict, EpisodeVerifier, Tolerances
@@ -224,7 +224,7 @@ def failing(dataset: Path, *args: str) -> Run:
 def test_the_command_tells_what_differs_in_one_line_with_the_versions_that_changed(dataset: Path) -> None:
     after = read_frame(dataset / "ep_000001", 20)["joints"] + np.float32(1e-3)
     change_frame(dataset / "ep_000001", 20, rehash=True, joints=after)
-    change_record(dataset / "ep_000001", versions={"mujoco": "3.9.9", "looks": LOOKS, "engine": ENGINE})
+    change_record(dataset / "ep_000001", versions={"mujoco": "3.9.9", "looks": APPEARANCE_REVISION, "engine": ENGINE})
     run = failing(dataset)
     assert run.json["first_divergence"]["episode"] == 1
     assert run.json["first_divergence"]["frame"] == 20
@@ -258,9 +258,9 @@ def test_pictures_of_an_earlier_revision_of_looks_are_reported_and_states_agree(
     assert found.checks[SEED].first_difference is None
     assert IMAGES not in found.checks
     assert found.skipped[IMAGES].startswith(
-        f"its pictures are of looks revision 1, and this version draws revision {LOOKS}"
+        f"its pictures are of looks revision 1, and this version draws revision {APPEARANCE_REVISION}"
     )
-    assert found.changed["looks"] == ("1", LOOKS)
+    assert found.changed["looks"] == ("1", APPEARANCE_REVISION)
 
 
 def test_an_episode_of_an_earlier_engine_is_repeated_by_its_actions_alone(dataset: Path, locations: Locations) -> None:

@@ -175,7 +175,7 @@ def test_what_is_done_on_the_page_is_an_episode(
         go((x, y, 0.06))
         browser.screenshot(screens / "teleop_placing.png")
         browser.keys("gm")
-        wait_until(lambda: not driven.status.magnet_holds)
+        wait_until(lambda: not driven.status.is_weld_holding)
         time.sleep(1)
         go((x, y, 0.2))
         browser.click("Stop and judge")

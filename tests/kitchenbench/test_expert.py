@@ -52,7 +52,7 @@ from yamsim_cli.kitchenbench.embodiment import JOINTS, YamsimEmbodiment
 from yamsim_cli.kitchenbench.policy import PlanningScene, YamsimExpert, is_still, segment_actions
 from yamsim_cli.kitchenbench.scene_stepper import SceneStepper, commanded_opening, commanded_share, scene_fingers
 from yamsim_cli.kitchenbench.skill_programs import build_scene_program
-from yamsim_cli.kitchenbench.sorting import Grab, PlaceInCompartment, PutBesideTray, Slide, Sort
+from yamsim_cli.kitchenbench.sorting import PickNarrow, PlaceInCompartment, PutBesideTray, Slide, Sort
 from yamsim_cli.kitchenbench.success_judges import KitchenWorld
 
 BASES = [np.array((0.0, 0.305)), np.array((0.0, -0.305))]
@@ -98,7 +98,7 @@ def test_references_bear_the_arm_at_the_end_of_a_motion(expert_bench: PlanningCo
     *_, last = segment_actions(expert_bench, segment, 10)
     # Nothing hangs on the first joint, whose axis is upright; what brakes it is newton metres.
     assert last[7 * hand.number] == pytest.approx(goal[0], abs=0.002)
-    assert abs(segment.paths[hand.number].torques[-1][0] / hand.arm.kp[0]) > 0.005
+    assert abs(segment.paths[hand.number].torques[-1][0] / hand.arm.position_gain[0]) > 0.005
 
 
 def test_only_what_waits_is_still(expert_bench: PlanningContext) -> None:
@@ -188,11 +188,11 @@ def test_a_grip_that_slipped_is_not_tried_again(expert_bench: PlanningContext, m
         raise SkillFailedError(FailureCause.SLIPPED, "between the fingers is nothing")
         yield
 
-    monkeypatch.setattr(Pick, "_take", slips)
-    grab = Grab(thing=thing)
+    monkeypatch.setattr(Pick, "_grasp_and_lift", slips)
+    grab = PickNarrow(thing=thing)
     with pytest.raises(SkillFailedError):
         list(
-            grab._take(
+            grab._grasp_and_lift(
                 expert_bench, hand, thing, ReachableGrasp(grip, hand.ready_joints, hand.ready_joints, grip.opening)
             )
         )
@@ -243,7 +243,9 @@ def test_beside_a_wall_fingers_come_nearer_than_arms(tray_scene: PlanningScene) 
     def free(grip: GraspCandidate, beside: float | None) -> bool:
         at = hand.solve_ik(T @ grip.T_pinch_in_thing, (hand.joints, hand.ready_joints))
         wide = grip.opening + grip.clearance
-        return at is not None and bench.find_contact(hand, at, wide, between="cutlery_2", beside=beside) is None
+        return (
+            at is not None and bench.find_contact(hand, at, wide, grasped="cutlery_2", finger_clearance=beside) is None
+        )
 
     close = [grip for grip in bench.grasp_candidates("cutlery_2", hand.max_opening) if grip.finger_distance is not None]
     first = next(grip for grip in close if free(grip, grip.finger_distance))
@@ -263,7 +265,7 @@ def test_a_thing_has_as_much_room_as_there_is_to_the_wall(tray_scene: PlanningSc
 def test_what_lies_beside_a_wall_is_slid_away_from_it(tray_scene: PlanningScene) -> None:
     before = tray_scene.context.world.pose("cutlery_2")[1, 3]
     cast = RoleAssignment({"cutlery_2": ("cutlery_2",)}, {"cutlery_2": "fork"})
-    tray_scene.step_action([Slide(thing="cutlery_2")], cast)
+    tray_scene.start_program([Slide(thing="cutlery_2")], cast)
     while len(tray_scene.next_actions()) > 1:
         pass
     assert before - tray_scene.context.world.pose("cutlery_2")[1, 3] > 0.002
@@ -311,7 +313,7 @@ def test_a_gripper_is_told_what_its_share_says() -> None:
     fingers = scene_fingers(embodiment.world.scene.arms)[0]
     shares = np.linspace(0.0, 1.0, 41)
     told = [commanded_opening(fingers, share) for share in shares]
-    assert told[0] == fingers.ctrl_range[0] and told[-1] == pytest.approx(fingers.stroke)
+    assert told[0] == fingers.ctrl_range[0] and told[-1] == pytest.approx(fingers.full_opening)
     assert np.diff(told).min() > 0
     assert [commanded_share(fingers, opening) for opening in told] == pytest.approx(shares)
     embodiment.close()

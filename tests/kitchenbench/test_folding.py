@@ -136,7 +136,7 @@ def test_crumpled_cloth_starts_the_same_way_each_time_and_not_folded() -> None:
         points = cloth.points(first.start)
         assert np.ptp(points[:, 2]) > 0.02
         lengths = np.linalg.norm(np.diff(points.reshape(*cloth.grid[::-1], 3), axis=1), axis=-1)
-        rest = np.linalg.norm(np.diff(cloth.rest.reshape(*cloth.grid[::-1], 3), axis=1), axis=-1)
+        rest = np.linalg.norm(np.diff(cloth.flat_points.reshape(*cloth.grid[::-1], 3), axis=1), axis=-1)
         assert np.abs(lengths / rest - 1).max() < 0.08
     finally:
         first.simulator.close()
@@ -160,7 +160,7 @@ def test_crumpled_cloth_is_spread_out_slid_and_folded() -> None:
         assert checker(world).success and actions <= 120
         (cloth,) = scene.simulator.scene.cloths.values()
         points, ends = cloth.points(planning.motion.data.qpos), grid_edges(*cloth.grid)
-        lengths, rest = (np.linalg.norm(np.diff(x[ends], axis=1)[:, 0], axis=1) for x in (points, cloth.rest))
+        lengths, rest = (np.linalg.norm(np.diff(x[ends], axis=1)[:, 0], axis=1) for x in (points, cloth.flat_points))
         assert (lengths / rest).max() < 1.08
     finally:
         planning.close()

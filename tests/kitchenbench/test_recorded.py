@@ -164,8 +164,8 @@ def test_cutlery_is_put_onto_a_napkin_that_bends(locations: Locations) -> None:
         checker = make_success_checker(build_blueprint(scene, task["arrangements"][0]["seed"]), Queries(world))  # type: ignore[arg-type]
         assert checker(Queries(world)).success  # type: ignore[arg-type]
         # The fork lies on the fabric, let go, and did not go through it.
-        assert world.touching("cutlery", "napkin") and not world.holding_sides("cutlery")
-        assert not world.touching("cutlery", "table")
+        assert world.are_touching("cutlery", "napkin") and not world.holding_sides("cutlery")
+        assert not world.are_touching("cutlery", "table")
 
 
 @pytest.mark.slow

@@ -107,7 +107,7 @@ def test_what_is_a_block_becomes_one() -> None:
     block = visual_surface("box", np.array([0.05, 0.02, 0.03]), SurfaceMaterial())
     made = build_object(thing(block), ImportOptions("brick"), Path("unused"))
     assert made.collision[0].kind == "primitives" and made.data["collision"][0]["type"] == "box"
-    assert made.collision[0].fit is not None and made.collision[0].fit.most < 1e-3
+    assert made.collision[0].fit is not None and made.collision[0].fit.p99 < 1e-3
 
 
 def test_the_inside_of_a_mug_is_not_of_it() -> None:

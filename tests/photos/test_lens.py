@@ -101,7 +101,7 @@ def test_flattening_undoes_the_lens(camera: CameraModel) -> None:
     ideal = warp.ideal
     rows, columns = np.mgrid[: ideal.height, : ideal.width]
     picture = (128 + 60 * np.sin(columns / 25) + 60 * np.cos(rows / 31)).astype(np.uint8)
-    flat = warp.flattened(warp.image(picture))
+    flat = warp.undistort(warp.image(picture))
     assert flat.shape == picture.shape
     seen = np.round(viewing_rays(camera, whole_image(camera, 5)) * (ideal.fx, ideal.fy) + (ideal.cx, ideal.cy)).astype(
         int

@@ -101,7 +101,7 @@ def test_a_flat_disk_is_pulled_back_onto_its_picture() -> None:
         offsets = edge_offsets(photo, line, reach).offsets
         part = edge_equations(line, np.full(len(line.points), T[2, 3]), offsets, K, T[:3, 3].copy())
         move = solve_correction([part], T[:3, 3].copy(), weak, so_far)
-        T, so_far = move.applied(T), so_far + move.step
+        T, so_far = move.apply(T), so_far + move.step
     assert T[:2, 3] == pytest.approx((0.012, -0.008), abs=0.0008)
     assert T[2, 3] == pytest.approx(1.0, abs=0.005)
 
@@ -140,6 +140,6 @@ def test_no_outline_no_step() -> None:
 
 def test_a_correction_turns_about_its_centre() -> None:
     turn = PoseCorrection(np.array([0, 0, np.pi / 2, 0, 0, 0.1]), np.array([1.0, 0, 0]))
-    moved = turn.applied(pose((1.0, 1.0, 0.0)))
+    moved = turn.apply(pose((1.0, 1.0, 0.0)))
     assert moved[:3, 3] == pytest.approx((0.0, 0.0, 0.1))
     assert moved[:3, :3] == pytest.approx(rotation_from_vector([0, 0, np.pi / 2]))

@@ -29,7 +29,7 @@ from yamsim_cli.core.errors import ConfigError, ResourceError
 from yamsim_cli.core.files.documents.yaml_document import load_yaml
 from yamsim_cli.core.files.resources import Locations, Meshes
 from yamsim_cli.core.geometry.stl import stl_bytes
-from yamsim_cli.core.scene.build import state_meshes
+from yamsim_cli.core.scene.build import with_mesh_descriptions
 from yamsim_cli.core.workers.executors import InlineExecutor
 from yamsim_cli.recording.executor_factories import pack_session, unpack_session, unpacked_runner
 
@@ -134,7 +134,7 @@ def test_of_another_configuration_its_keys_are_named_first(
 def test_a_recorded_config_asks_for_no_meshes_in_a_new_dataset(recording: Recording, meshes: Meshes) -> None:
     """What it says of them was so for that dataset."""
     there = replace(Locations.find({}), meshes=meshes)
-    recording.config = state_meshes(Session(recording.config, there)).config
+    recording.config = with_mesh_descriptions(Session(recording.config, there)).config
     recording.run()
     assert load_yaml(recording.path / "config.yaml").data["meshes"] == {ARM: "primitives", YCB: "primitives"}
 
@@ -154,7 +154,7 @@ class TestOfAnEarlierVersion:
     @pytest.fixture
     def old(self, recording: Recording, monkeypatch: pytest.MonkeyPatch) -> Recording:
         with monkeypatch.context() as patch:
-            patch.setattr("yamsim_cli.recording.recorder.state_meshes", lambda session: session)
+            patch.setattr("yamsim_cli.recording.recorder.with_mesh_descriptions", lambda session: session)
             recording.run()
         assert says_nothing(recording.path)
         return recording
@@ -229,7 +229,7 @@ def test_every_cast_of_a_task_shows_the_meshes_that_the_recording_states(tmp_pat
     """The files of a set differ from cast to cast, and the recording states those of all things."""
     session = session_of(tmp_path, FRUIT)
     meshes = stand_ins(tmp_path / "meshes", session.locations, "i2rt_yam_linear_4310", YCB, SMALL, OBJECTS)
-    session = state_meshes(replace(session, locations=replace(session.locations, meshes=meshes)))
+    session = with_mesh_descriptions(replace(session, locations=replace(session.locations, meshes=meshes)))
     said = session.config.meshes
     assert said is not None and said[OBJECTS].startswith("full ")
     AttemptRunner(session, render=True).close()

@@ -13,7 +13,7 @@ from yamsim_cli.core.dataset.records import Manifest, from_json
 from yamsim_cli.core.errors import ResourceError
 from yamsim_cli.recording.disk_space import EpisodeSize, check_space, files_per_episode
 
-SIZE = EpisodeSize(least=1_000_000, likely=4_000_000, least_inodes=100, inodes=120)
+SIZE = EpisodeSize(min_bytes=1_000_000, likely=4_000_000, min_inodes=100, inodes=120)
 
 
 @pytest.fixture
@@ -59,8 +59,8 @@ def test_every_image_takes_whole_blocks() -> None:
     tiny = ImageConfig(size_px=(16, 16), jpeg_quality=85)
     size = EpisodeSize.estimate((57, 57), 2, tiny, block=4096)
     assert size.inodes == 57 * 3 + 6
-    assert size.least >= 57 * 3 * 4096
-    assert size.least < EpisodeSize.estimate((57, 57), 2, tiny, block=65536).least
+    assert size.min_bytes >= 57 * 3 * 4096
+    assert size.min_bytes < EpisodeSize.estimate((57, 57), 2, tiny, block=65536).min_bytes
 
 
 def test_ground_truth_is_counted() -> None:
@@ -70,7 +70,7 @@ def test_ground_truth_is_counted() -> None:
     # Depth and segmentation of each camera; its numbers; the labels; and the folders of them all.
     assert truth.inodes - plain.inodes == 57 * 4 + 3 + 7
     # Measured with two cameras: 3.5 MB an episode.
-    assert truth.least - plain.least < 3_500_000
+    assert truth.min_bytes - plain.min_bytes < 3_500_000
     assert 0.7 < (truth.likely - plain.likely) / 3_500_000 < 2
 
 
@@ -82,13 +82,13 @@ def test_episodes_that_are_there_teach_what_the_next_will_take(tmp_path: Path, d
     known = guess.from_recorded(manifest.episodes, 4096)
     real = sum(len(data) for data in made(0).files.values())
     assert real < known.likely < real + 119 * 4096
-    assert 0.7 * known.likely < known.least < known.likely
+    assert 0.7 * known.likely < known.min_bytes < known.likely
 
 
 def test_of_a_program_the_lower_bound_is_refused_and_the_likely_size_warned_of(disk: SimpleNamespace) -> None:
     image = ImageConfig(size_px=(64, 48), jpeg_quality=85)
     size = EpisodeSize.estimate((40, 80), 2, image, block=4096)
-    assert (size.least_inodes, size.inodes) == (40 * 3 + 6, 80 * 3 + 6)
+    assert (size.min_inodes, size.inodes) == (40 * 3 + 6, 80 * 3 + 6)
     disk.f_bavail, disk.f_favail = 10**6, 126
     assert "246 files" in (check_space(Path("/d"), 1, size) or "")
     disk.f_favail = 125
@@ -102,7 +102,7 @@ def test_a_typical_picture_takes_more_at_a_higher_quality() -> None:
         for quality in (20, 50, 85, 100)
     ]
     assert [size.likely for size in sizes] == sorted({size.likely for size in sizes})
-    assert all(size.least <= size.likely for size in sizes)
+    assert all(size.min_bytes <= size.likely for size in sizes)
 
 
 @pytest.mark.parametrize(("inodes", "what"), [(0, "no inodes left on the device"), (7, "no space left on the device")])

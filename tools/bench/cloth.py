@@ -29,7 +29,7 @@ from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.geometry.cloth_contacts import count_self_intersections
 from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.core.scene.cloth import add_cloth, flat_points, grid_edges, grid_triangles
-from yamsim_cli.core.sim.cloth import ClothGrips
+from yamsim_cli.core.sim.cloth import ClothConstraints
 from yamsim_cli.session_opener import SessionOpener
 
 # A drop or a pull takes so many steps of so long, s; the thing pulled at is let go after so many.
@@ -65,7 +65,7 @@ class _Watching:
 
     def __init__(self) -> None:
         self.sheets: dict[str, Sheet] = {}
-        self._ticks, update = 0, ClothGrips.update
+        self._ticks, update = 0, ClothConstraints.update
 
         def seen(grips: Any, data: mujoco.MjData, ctrl: Array) -> list[bool]:
             self._ticks += 1
@@ -75,7 +75,7 @@ class _Watching:
                     sheet.see(cloth.points(data.qpos))
             return update(grips, data, ctrl)
 
-        ClothGrips.update = seen  # type: ignore[method-assign]
+        ClothConstraints.update = seen  # type: ignore[method-assign]
 
 
 def fold(task: str, count: int, first: int, spoilt: int) -> None:

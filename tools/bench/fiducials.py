@@ -174,9 +174,9 @@ def _each(case: PhotoCase, said: RigConfig, photographer: Photographer, rng: np.
     arms = find_arms(said, Photo(Path("photo.png")), photo, lens, trust_margin=False).arms
     took = time.process_time() - began
     return [
-        _trial(case, distance, arm.sighting, inverse(T_cam) @ placed.T_in_world, took)
+        _trial(case, distance, arm.detection, inverse(T_cam) @ placed.T_in_world, took)
         for arm, placed in zip(arms, photographer.boards, strict=True)
-        if arm.sighting
+        if arm.detection
     ]
 
 

@@ -119,7 +119,7 @@ def outcomes(case: IntervalCase, rig: RigConfig, seed: int, k: int) -> list[Outc
 
 
 def _outcome(case: IntervalCase, k: int, rig: RigConfig, view: RandomView, result: RigInPhoto, arm: int) -> Outcome:
-    camera, focal, seen = view.camera, result.lens.focal, result.arms[arm].sighting
+    camera, focal, seen = view.camera, result.lens.focal, result.arms[arm].detection
     assert seen is not None
     outcome = Outcome(
         case.name,

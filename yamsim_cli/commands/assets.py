@@ -342,7 +342,7 @@ def _import_file(
         imported = import_file(
             file, units, options, opener.locations(), out, lambda done: advance(round(100 * done), 100)
         )
-    made = imported.made
+    made = imported.built_object
     for text in made.notes:
         print_note(f"{file.name}: {text}")
     if made.mass_is_guessed:
@@ -369,14 +369,14 @@ def _ycb_item(made: ImportedYcbObject) -> dict[str, Any]:
         "path": str(made.path),
         "primitives": [part.type for part in fit.parts],
         "rms_mm": round(fit.rms * 1000, 3),
-        "p99_mm": round(fit.most * 1000, 3),
+        "p99_mm": round(fit.p99 * 1000, 3),
         "width_mm": round(2000 * data["grasp"]["opening"], 1) if "grasp" in data else None,
         "vessel": "grasp" not in data,
     }
 
 
 def _file_item(imported: ImportedObjectFile) -> dict[str, Any]:
-    config, made = imported.config, imported.made
+    config, made = imported.config, imported.built_object
     fits = [part.fit for part in made.collision if part.fit is not None]
     return {
         "name": config.name,
@@ -388,7 +388,7 @@ def _file_item(imported: ImportedObjectFile) -> dict[str, Any]:
         "collision": {
             "kind": made.collision[0].kind,
             "parts": sum(len(part.parts) for part in made.collision),
-            "p99_mm": round(1000 * max(fit.most for fit in fits), 3) if fits else None,
+            "p99_mm": round(1000 * max(fit.p99 for fit in fits), 3) if fits else None,
         },
         "meshes": len(config.all_meshes),
         "textures": sum(mesh.texture is not None for mesh in config.all_meshes),

@@ -166,12 +166,12 @@ def _print(report: OverlayReport) -> None:
             print_line(f"{result.path}: {caption}")
         for arm in result.arms:
             # If no arm of a photo has a pose, the error that follows gives the reason.
-            if result.bases and not arm.located and arm.sighting:
-                print_note(f"{result.path}: {arm.name}: {arm.sighting.explanation}")
+            if result.bases and not arm.located and arm.detection:
+                print_note(f"{result.path}: {arm.name}: {arm.detection.explanation}")
         for text in result.notes:
             print_note(f"{result.path}: {text}")
-    for move in report.stillness.moves:
+    for move in report.move_report.moves:
         print_line(describe_move(move))
-    if not report.stillness.unknown and not report.stillness.moves:
+    if not report.move_report.unknown and not report.move_report.moves:
         print_line(f"camera and bases stayed where they were in all {len(report.results)} photos")
     print_line(f"{len(report.files)} files, such as {report.files[0]}")

@@ -130,11 +130,11 @@ def serve_robot(
             for follower in served.followers:
                 follower.tick()
 
-        loop = ServeLoop(served.plant, sockets, gap * 1e-6, ports, drive)
+        loop = ServeLoop(served.motor_simulation, sockets, gap * 1e-6, ports, drive)
         loop.run(lambda: stop.is_requested, float("inf") if seconds is None else seconds)
         pace = loop.pace
     if json:
-        print_json({"channels": [bus.channel for bus in served.plant.buses], **asdict(pace)})
+        print_json({"channels": [bus.channel for bus in served.motor_simulation.buses], **asdict(pace)})
         return
     print_line(
         f"{pace.steps} steps in {pace.seconds:.1f} s, the latest {pace.late_ms:.2f} ms late, {pace.late_steps} by more "
@@ -147,7 +147,7 @@ def _sockets(stack: ExitStack, served: ServedArms, folder: Path | None) -> list[
     from yamsim_cli.real.serve.can_bus import KernelBus, UnixBus
 
     sockets: list[UnixBus | KernelBus] = []
-    for side, bus in zip(served.sides, served.plant.buses, strict=True):
+    for side, bus in zip(served.sides, served.motor_simulation.buses, strict=True):
         one = KernelBus(bus.channel) if folder is None else UnixBus(folder, bus.channel)
         stack.callback(one.close)
         sockets.append(one)

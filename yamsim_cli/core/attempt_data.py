@@ -120,7 +120,7 @@ class StepState:
     time: float
     qpos: Array
     actions: ActionSequence
-    sensed: Array | None = None
+    encoder_readings: Array | None = None
 
 
 class FailureCause(StrEnum):

@@ -23,7 +23,14 @@ from ..core.dataset.dataset_paths import CONFIG, EPISODE, TRUTH_FOLDERS, image_n
 from ..core.dataset.lowdim import recorded_actions
 from ..core.dataset.reader import StoredEpisode, open_episode
 from ..core.dataset.records import EpisodeRecord, OutcomeRecord, recorded_attempt
-from ..core.episode.attempt_payload import ENGINE, FIRST_ENGINE, FIRST_LOOKS, LOOKS, encode_images, library_versions
+from ..core.episode.attempt_payload import (
+    ENGINE,
+    FIRST_ENGINE,
+    FIRST_APPEARANCE_REVISION,
+    APPEARANCE_REVISION,
+    encode_images,
+    library_versions,
+)
 from ..core.episode.attempt_payload import frame_records as made_frames
 from ..core.episode.episode_rules import EXPERT_RULES, REPLAY_RULES
 from ..core.episode.execution import demonstrate, run_actions
@@ -148,9 +155,9 @@ class EpisodeVerifier(Closable):
         checks = {SEED: _merge_comparisons(compare_frames(frames, made, self._tolerances.values), once)}
         if self._tolerances.images is None:
             return checks
-        if (looks := record.versions.get("looks", FIRST_LOOKS)) != LOOKS:
+        if (looks := record.versions.get("looks", FIRST_APPEARANCE_REVISION)) != APPEARANCE_REVISION:
             skipped[IMAGES] = (
-                f"its pictures are of looks revision {looks}, and this version draws revision {LOOKS}: they differ as "
+                f"its pictures are of looks revision {looks}, and this version draws revision {APPEARANCE_REVISION}: they differ as "
                 "intended, which is no damage"
             )
         elif done.states:
@@ -162,7 +169,7 @@ class EpisodeVerifier(Closable):
         return self._simulators.get(AttemptJob(record.seed, record.attempt))
 
     def _changed_versions(self, episode: StoredEpisode) -> dict[str, tuple[str, str]]:
-        first = {"looks": FIRST_LOOKS, "engine": FIRST_ENGINE}
+        first = {"looks": FIRST_APPEARANCE_REVISION, "engine": FIRST_ENGINE}
         then, now = first | episode.record.versions, library_versions()
         simulator = self._simulator(episode.record)
         if self._tolerances.images is not None:
@@ -242,7 +249,7 @@ def _read_frames(episode: StoredEpisode, problems: dict[str, str]) -> list[dict[
     frames = []
     for k in range(episode.record.frames):
         data = episode.read(name := lowdim_name(k))
-        if episode.altered_files(name, data):
+        if episode.is_altered(name, data):
             problems[name] = "its content is not what was recorded: sha256 differs from episode.json"
         frames.append(episode.frame(k, data))
     return frames

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.closable import Closable
-from ..core.images.video import ENCODER
+from ..core.images.video import H264_OPTIONS
 
 VERSION = "v3.0"  # format version in `meta/info.json`
 CHUNK_FILES = 1000  # files per `chunk-NNN` folder
@@ -176,10 +176,10 @@ def _video(size: tuple[int, int], fps: float) -> dict[str, Any]:
         "has_audio": False,
         # lerobot uses these entries to encode a video again.
         "video.g": KEY_FRAME_INTERVAL,
-        "video.crf": int(ENCODER["crf"]),
-        "video.preset": ENCODER["preset"],
+        "video.crf": int(H264_OPTIONS["crf"]),
+        "video.preset": H264_OPTIONS["preset"],
         "video.fast_decode": 0,
-        "video.extra_options": {key: ENCODER[key] for key in ("bf", "mbtree")},
+        "video.extra_options": {key: H264_OPTIONS[key] for key in ("bf", "mbtree")},
     }
     return {
         "dtype": "video",

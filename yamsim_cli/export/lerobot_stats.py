@@ -74,14 +74,14 @@ class RunningStats:
     def add(self, episode: Mapping[str, Stats]) -> None:
         """Add the statistics of an episode, by feature."""
         for key, stats in episode.items():
-            self._features[key] = _combined(self._features[key], stats) if key in self._features else dict(stats)
+            self._features[key] = _combine(self._features[key], stats) if key in self._features else dict(stats)
 
     def stats(self) -> dict[str, Stats]:
         """Return feature -> statistics of all episodes."""
         return self._features
 
 
-def _combined(one: Stats, other: Stats) -> Stats:
+def _combine(one: Stats, other: Stats) -> Stats:
     counts = one["count"], other["count"]
     total = counts[0] + counts[1]
     share = float(counts[1][0] / total[0])

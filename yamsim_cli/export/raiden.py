@@ -156,7 +156,7 @@ def export_real_raiden(
         for number, episode in enumerate(source.episodes()):
             folder = stage.path / schema.episode_name(number)
             recorded = episode.frames()
-            data = _converted(source, converter, episode, recorded, actions)
+            data = _convert_episode(source, converter, episode, recorded, actions)
             copy_images(RecordedEpisode(episode.directory, episode.record), folder, names, episode.chosen, options)
             times = [
                 k * source.period if source.is_resampled else frame["timestamp"] for k, frame in enumerate(recorded)
@@ -178,7 +178,7 @@ def export_real_raiden(
     return ExportResult(out, len(frames), sum(frames.values()), stage.moved_aside, tuple(notes))
 
 
-def _converted(
+def _convert_episode(
     source: RealSource, converter: FrameConverter, episode: RealEpisode, recorded: Frames, actions: ActionSource
 ) -> list[dict[str, Any]]:
     if source.first.record.drives != source.rig.drives:
@@ -191,7 +191,7 @@ def _converted(
     prompt = recorded[0].get("language_prompt", "")
     common = {"intrinsics": {}, "extrinsics": {}, "language_task": prompt, "language_prompt": prompt}
     return [
-        converter.converted(common | dict(frame), list(measured), list(command))
+        converter.convert(common | dict(frame), list(measured), list(command))
         for frame, measured, command in zip(recorded, joints, commands, strict=True)
     ]
 

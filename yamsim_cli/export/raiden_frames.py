@@ -137,12 +137,12 @@ class FrameConverter:
 
     def frame(self, frame: Mapping[str, Any]) -> dict[str, Any]:
         """Convert a simulated frame to raiden's layout."""
-        data = self.converted(frame, self._with_shares(frame["joints"]), self._with_shares(frame["action_joints"]))
+        data = self.convert(frame, self._with_shares(frame["joints"]), self._with_shares(frame["action_joints"]))
         if BETWEEN_BASES in frame:
             data[schema.BETWEEN_ARMS] = np.asarray(frame[BETWEEN_BASES], dtype=np.float32)
         return data
 
-    def converted(self, frame: Mapping[str, Any], joints: Sequence[Array], command: Sequence[Array]) -> dict[str, Any]:
+    def convert(self, frame: Mapping[str, Any], joints: Sequence[Array], command: Sequence[Array]) -> dict[str, Any]:
         """Convert a frame to raiden's layout, without the pose of the right base.
 
         Args:

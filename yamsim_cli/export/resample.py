@@ -93,10 +93,10 @@ def resample_episode(simulator: Simulator, episode: StoredEpisode, fps: float) -
     _require_same(episode, recorded, then)
     planned = np.array([planned_joints(frame, len(scene.arms)) for frame in recorded])
     lead = planned - _arms(scene, commanded)
-    reference = _arms(scene, ahead) + _between(times, stored, lead)
+    reference = _arms(scene, ahead) + _interpolate(times, stored, lead)
     if scene.arms[0].fingers is not None:
         # The last value of each arm is its finger opening.
-        reference[..., -1] = _between(times, stored, planned[..., -1])
+        reference[..., -1] = _interpolate(times, stored, planned[..., -1])
     acting = np.minimum(((times + ROUNDING_S) / tick).astype(int), len(actions.ctrl) - 1)
     states = [
         StepState(float(time), qpos, ActionSequence(actions.ctrl[k : k + 1], actions.magnet[k : k + 1], joints[None]))
@@ -114,7 +114,7 @@ def _arms(scene: CompiledScene, qpos: Array) -> Array:
     return joints
 
 
-def _between(times: Array, nodes: Array, values: Array) -> Array:
+def _interpolate(times: Array, nodes: Array, values: Array) -> Array:
     """Interpolate `values` (m, ...) at `nodes` (m,) linearly at `times` (n,). Return (n, ...)."""
     columns = values.reshape(len(values), -1).T
     found: Array = np.column_stack([np.interp(times, nodes, column) for column in columns])

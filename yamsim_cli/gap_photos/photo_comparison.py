@@ -152,7 +152,7 @@ class PhotoRequest:
         name: the camera's name in the recordings; None for the first that is no wrist camera.
     """
 
-    most: int
+    max_photos: int
     camera: CameraModel | None = None
     name: str | None = None
 
@@ -193,14 +193,14 @@ def compare_photos(
         ResourceError: no photo gives the camera's pose, or no OpenGL context is available.
     """
     camera, taken = photos_in_parts(gaps, request.name)
-    chosen = select_photos(taken, request.most)
+    chosen = select_photos(taken, request.max_photos)
     found: list[PhotoGap] = []
     figures: list[PhotoGap] = []
     lenses = PhotoCameras(rig, [one.path for one in chosen], request.camera)
     with ArmRenderers(rig, scene, quality, locations) as renderers:
         for k, one in enumerate(chosen):
             progress(k, len(chosen))
-            if compared := _compared(one, camera, rig, lenses, renderers):
+            if compared := _compare_photo(one, camera, rig, lenses, renderers):
                 figures.append(compared)
                 found = sorted([*found, compared], key=_error_rank, reverse=True)[:_SHOWN_PHOTOS]
         progress(len(chosen), len(chosen))
@@ -212,7 +212,7 @@ def compare_photos(
     return _plain(camera, figures, len(chosen) - len(figures)), [_shown(one) for one in found]
 
 
-def _compared(
+def _compare_photo(
     recorded: RecordedPhoto, camera: str, rig: RigConfig, lenses: PhotoCameras, renderers: ArmRenderers
 ) -> PhotoGap | None:
     """Return the comparison of one photo; None if neither its frame nor a board gives the camera's pose."""

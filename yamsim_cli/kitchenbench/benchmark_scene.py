@@ -130,7 +130,7 @@ class BenchmarkScene:
             self.sides,
             None,
             world=lambda data: SimWorld(
-                scene.model, data, scene.arms, self.sides, scene.things, regions=self.regions, cloths=scene.cloths
+                scene.model, data, scene.arms, self.sides, scene.object_names, regions=self.regions, cloths=scene.cloths
             ),
         )
 
@@ -219,7 +219,7 @@ def table_for_scene(config: RecordConfig, blueprint: SceneBlueprint) -> Table:
         / 100
     )
     half_width = table.half_size[1] + config.rig.span / 2
-    return table.widened(max(0.0, 2 * (reach + _TABLE_MARGIN - half_width)))
+    return table.widen(max(0.0, 2 * (reach + _TABLE_MARGIN - half_width)))
 
 
 def _role_assignment(blueprint: SceneBlueprint) -> RoleAssignment:
@@ -249,11 +249,11 @@ def _lower_objects(simulator: Simulator, wanted: Mapping[str, Array]) -> Array:
         T = T_wanted.copy()
         if name in scene.cloths:
             T[2, 3] = top + scene.cloths[name].radius + _SPAWN_GAP
-            scene.put(qpos, name, T)
+            scene.set_object_pose(qpos, name, T)
             continue
         T[2, 3] = top + _DROP_HEIGHT
-        T[2, 3] = simulator.expert_tools.rest_height(qpos, name, T, top - _DROP_HEIGHT) + _SPAWN_GAP
-        scene.put(qpos, name, T)
+        T[2, 3] = simulator.expert_planner.rest_height(qpos, name, T, top - _DROP_HEIGHT) + _SPAWN_GAP
+        scene.set_object_pose(qpos, name, T)
     return qpos
 
 

@@ -159,7 +159,7 @@ class YamsimEmbodiment:
         """Execute an action (14,), and judge the new state."""
         assert self._simulator is not None, "reset comes first"
         self._motion.act(np.asarray(action.data, dtype=np.float64))
-        reached, explanation = self._judge.look()
+        reached, explanation = self._judge.evaluate()
         reason = "success" if reached else None
         if broken := self._motion.broken():
             reason = f"physics broke down: {broken}"

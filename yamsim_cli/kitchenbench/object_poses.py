@@ -54,7 +54,7 @@ def feasible_poses(simulator: Simulator, blueprint: SceneBlueprint) -> dict[str,
         simulator: has a compiled scene with all objects of the blueprint.
     """
     wanted = {item.name: T_in_world(item, blueprint) for item in blueprint.objects if item.asset != COMPARTMENT}
-    world = make_sim_world(simulator.scene, simulator.replica.data, ())
+    world = make_sim_world(simulator.scene, simulator.state_replay.data, ())
     room = {name: world.local_box(name) for name in wanted}
     area = {name: float(np.prod((block[1] - block[0])[:2])) for name, block in room.items()}
     places = {name: wanted[name].copy() for name in sorted(wanted, key=lambda name: -area[name])}

@@ -32,7 +32,7 @@ from .benchmark_scene import TICK_HZ, BenchmarkScene, build_benchmark_scene, ope
 from .embodiment import CONTROL_HZ, JOINTS, SEED, action_space, ticks_per_action
 from .scene_stepper import SceneStepper, commanded_share, scene_fingers
 from .skill_programs import build_scene_program
-from .yamsim_scene import BENCHMARK, TaskScene, build_task_scene
+from .yamsim_scene import BENCHMARK, YamsimTaskScene, build_task_scene
 
 _STATE_TOLERANCE = 1e-6  # rad and gripper shares, largest difference of observed and simulated state: rounding
 _MAX_PATH_ERROR = 0.01  # rad, largest distance of a joint from its path between two actions: 5 mm at an arm's length
@@ -86,7 +86,7 @@ class YamsimExpert:
             self._planning.close()
             self._planning = None
 
-    def _realize(self, scene: Scene, seed: int) -> BenchmarkScene | TaskScene:
+    def _realize(self, scene: Scene, seed: int) -> BenchmarkScene | YamsimTaskScene:
         if scene.metadata.get("benchmark") == BENCHMARK:
             return build_task_scene(open_station_session("64x48", images=False, task=str(scene.metadata["task"])), seed)
         return build_benchmark_scene(build_blueprint(scene, seed), self._base)
@@ -113,24 +113,24 @@ class PlanningScene:
         ticks: control ticks in an action.
     """
 
-    def __init__(self, realized: BenchmarkScene | TaskScene, seed: int, ticks: int) -> None:
+    def __init__(self, realized: BenchmarkScene | YamsimTaskScene, seed: int, ticks: int) -> None:
         self._ticks = ticks
         self._simulator = simulator = realized.simulator
         self._scene = simulator.scene
         self.motion = SceneStepper(realized, ticks)
-        if isinstance(realized, TaskScene):
+        if isinstance(realized, YamsimTaskScene):
             self._scene_id, program = realized.scene_id, realized.program()
         else:
             self._scene_id = realized.blueprint.scene_id
             program = build_scene_program(realized.blueprint, realized.items, realized.bases)
         world = self.motion.episode.world
         rng = random_generator(AttemptJob(seed, 0), Stream.SEARCH)
-        self.context: PlanningContext = simulator.expert_tools.planning_context(
+        self.context: PlanningContext = simulator.expert_planner.planning_context(
             world, list(start_postures(simulator.config)), rng
         )
-        self.step_action(program, simulator.roles)
+        self.start_program(program, simulator.roles)
 
-    def step_action(self, program: Sequence[Skill], roles: RoleAssignment) -> None:
+    def start_program(self, program: Sequence[Skill], roles: RoleAssignment) -> None:
         """Begin a list of skills; afterwards, `next_actions` returns their motions as actions."""
         self._segments = chain(run_program(program, self.context, roles, RecoveryLog()), park_free_hands(self.context))
 
@@ -201,7 +201,7 @@ def segment_actions(context: PlanningContext, segment: MotionSegment, ticks: int
             arm = hand.arm
             joints = (
                 path.joints[tick]
-                + context.holding_torques(hand, path.joints[tick], float(path.gripper[tick - 1])) / arm.kp
+                + context.holding_torques(hand, path.joints[tick], float(path.gripper[tick - 1])) / arm.position_gain
             )
             opening = path.gripper[tick - 1] - 2 * path.grip_force[tick - 1] / fingers.gain
             share = commanded_share(fingers, float(np.clip(opening, *fingers.ctrl_range)))

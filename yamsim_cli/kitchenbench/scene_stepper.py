@@ -66,7 +66,7 @@ class SceneStepper:
         parts = []
         for arm, fingers in zip(self._scene.arms, scene_fingers(self._scene.arms), strict=True):
             opening = float(self.data.qpos[fingers.qpos[0]] * fingers.sign[0])
-            parts += [self.data.qpos[arm.joint_qpos], [np.clip(opening / fingers.stroke, 0.0, 1.0)]]
+            parts += [self.data.qpos[arm.joint_qpos], [np.clip(opening / fingers.full_opening, 0.0, 1.0)]]
         return np.concatenate(parts)
 
     @property
@@ -102,7 +102,12 @@ class SceneStepper:
             here = slice(_ARM_DIM * k, gripper)
             middle, speed = (before[here] + after[here]) / 2, (after[here] - before[here]) / self._tick
             # The velocity term compensates the drive's damping.
-            rows.append([*(middle + arm.kv / arm.kp * speed), commanded_opening(fingers, float(after[gripper]))])
+            rows.append(
+                [
+                    *(middle + arm.velocity_gain / arm.position_gain * speed),
+                    commanded_opening(fingers, float(after[gripper])),
+                ]
+            )
         return np.array(rows)
 
 
@@ -110,16 +115,16 @@ def commanded_opening(fingers: FingerAddresses, share: float) -> float:
     """Return the command to a gripper's drive for a share, 0 closed .. 1 open: the opening of one finger, m."""
     low = fingers.ctrl_range[0]
     if share >= _PRESS_SHARE:
-        return share * fingers.stroke
-    return float(low + share / _PRESS_SHARE * (_PRESS_SHARE * fingers.stroke - low))
+        return share * fingers.full_opening
+    return float(low + share / _PRESS_SHARE * (_PRESS_SHARE * fingers.full_opening - low))
 
 
 def commanded_share(fingers: FingerAddresses, opening: float) -> float:
     """Return the share whose command to a gripper's drive is an opening (m); the inverse of `commanded_opening`."""
     low = fingers.ctrl_range[0]
-    if opening >= _PRESS_SHARE * fingers.stroke:
-        return float(min(1.0, opening / fingers.stroke))
-    return float(max(0.0, _PRESS_SHARE * (opening - low) / (_PRESS_SHARE * fingers.stroke - low)))
+    if opening >= _PRESS_SHARE * fingers.full_opening:
+        return float(min(1.0, opening / fingers.full_opening))
+    return float(max(0.0, _PRESS_SHARE * (opening - low) / (_PRESS_SHARE * fingers.full_opening - low)))
 
 
 def scene_fingers(arms: Sequence[ArmAddresses]) -> list[FingerAddresses]:

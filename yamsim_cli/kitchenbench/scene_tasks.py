@@ -57,7 +57,7 @@ def scene_task_data(name: str) -> dict[str, Any]:
         arrangements = []
         for number in _epochs(epoch):
             blueprint = _blueprint(scene, number)
-            if _things(blueprint) == _things(first):
+            if _scene_requirements(blueprint) == _scene_requirements(first):
                 places = feasible_poses(realized.simulator, blueprint)
                 arrangements.append({"seed": _seed(scene, number), "places": dict(map(_rounded, places.items()))})
             if len(arrangements) == _MAX_ARRANGEMENTS:
@@ -106,7 +106,7 @@ def _blueprint(scene: Scene, epoch: int) -> SceneBlueprint:
     return build_blueprint(scene, _seed(scene, epoch))
 
 
-def _things(blueprint: SceneBlueprint) -> tuple[object, ...]:
+def _scene_requirements(blueprint: SceneBlueprint) -> tuple[object, ...]:
     slot = blueprint.conditions.get("slot_width_cm")
     return (slot, blueprint.instruction, *((item.name, item.asset, item.size_cm) for item in blueprint.objects))
 

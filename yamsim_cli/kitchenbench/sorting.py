@@ -180,7 +180,9 @@ class PutBesideTray(PlaceSkill):
     def goals(self, context: PlanningContext, roles: RoleAssignment, thing: str) -> list[Array]:
         """Return poses (4, 4) on free places of the table: by the best grasp for `then`, then by distance."""
         world, (low, high) = context.world, context.world.aabb(TABLE)
-        others = [footprint_corners(world.local_box(name), world.pose(name)) for name in world.things if name != thing]
+        others = [
+            footprint_corners(world.local_box(name), world.pose(name)) for name in world.object_names if name != thing
+        ]
         block, now = world.local_box(thing), world.pose(thing)[:2, 3]
         goals = list[Array]()
         for x, y in itertools.product(*(np.arange(float(low[k]), float(high[k]), _TABLE_GRID_STEP) for k in (0, 1))):
@@ -301,11 +303,11 @@ class Slide(Skill):
             if above is None or context.find_contact(hand, above, 0.0):
                 continue
             touching = hand.solve_ik(T_touching, (above,), WAYPOINT_TOLERANCE)
-            if touching is None or context.find_contact(hand, touching, 0.0, between=thing):
+            if touching is None or context.find_contact(hand, touching, 0.0, grasped=thing):
                 continue
             T_touching[:3, 3] += far
             end = hand.solve_ik(T_touching, (touching,), WAYPOINT_TOLERANCE)
-            if end is None or context.find_contact(hand, end, 0.0, between=thing):
+            if end is None or context.find_contact(hand, end, 0.0, grasped=thing):
                 continue
             yield _PressPose(above, T_above, T_press)
 
@@ -369,7 +371,7 @@ class Sort(Skill):
                 return
             parked = all(np.abs(hand.joints - hand.ready_joints).max() < _PARKED_TOLERANCE for hand in context.hands)
             try:
-                yield from self._bring(context, roles, name, tries.get(name, 0) + 1)
+                yield from self._move_to_compartment(context, roles, name, tries.get(name, 0) + 1)
             except SkillFailedError as error:
                 failures[name] = str(error)
                 yield from _put_back(context, roles, name)
@@ -402,13 +404,13 @@ class Sort(Skill):
 
         return sorted(names, key=order)
 
-    def _bring(
+    def _move_to_compartment(
         self, context: PlanningContext, roles: RoleAssignment, name: str, number: int
     ) -> Iterator[MotionSegment]:
         """Bring an object to its compartment. Try 1 picks and places it with one arm. Try 2 slides it free first.
         Try 3 puts it beside the tray first. Try 4 hands it over to the other arm.
         """
-        pick = Grab(thing=name, lift=_LIFT_HEIGHT)
+        pick = PickNarrow(thing=name, lift=_LIFT_HEIGHT)
         put = PlaceInCompartment(thing=name, into=self.into[roles.config_names[name]], beside=self.things)
         if number == 2:
             with suppress(SkillFailedError):
@@ -425,7 +427,7 @@ class Sort(Skill):
         yield from put.run(context, roles, ())
 
 
-class Grab(Pick):
+class PickNarrow(Pick):
     """Grasp a narrow object: the arm need not be at rest before the fingers close.
 
     A grasp that slips is not tried again with that object.
@@ -433,12 +435,14 @@ class Grab(Pick):
 
     WAIT_FOR_REST: ClassVar[bool] = False
 
-    def _take(self, context: PlanningContext, hand: Hand, thing: str, found: ReachableGrasp) -> Iterator[MotionSegment]:
+    def _grasp_and_lift(
+        self, context: PlanningContext, hand: Hand, thing: str, found: ReachableGrasp
+    ) -> Iterator[MotionSegment]:
         try:
-            yield from super()._take(context, hand, thing, found)
+            yield from super()._grasp_and_lift(context, hand, thing, found)
         except SkillFailedError as error:
             if error.cause in (FailureCause.SLIPPED, FailureCause.DROPPED):
-                hand.failed_grasps.append(HeldObject(thing, inverse(found.grip.T_pinch_in_thing)))
+                hand.failed_grasps.append(HeldObject(thing, inverse(found.candidate.T_pinch_in_thing)))
             raise
 
 

@@ -14,7 +14,7 @@ from ..core.sim.geom_shapes import geom_aabb
 from ..core.sim.sim_world import SimWorld
 from .benchmark_scene import BenchmarkScene
 from .scene_stepper import SceneStepper
-from .yamsim_scene import TaskScene
+from .yamsim_scene import YamsimTaskScene
 
 _GRIPPER_PREFIX = "gripper_"  # prefix of a side: the name of that arm's two fingers in the checkers' queries
 
@@ -32,7 +32,7 @@ class Judge(Protocol):
     unrealized: tuple[str, ...]
     step_info: dict[str, Any]
 
-    def look(self) -> tuple[bool, str]:
+    def evaluate(self) -> tuple[bool, str]:
         """Return whether the goal is reached now, and an explanation as text."""
 
 
@@ -49,7 +49,7 @@ class KitchenJudge:
         self.world = KitchenWorld(realized, motion)
         self._checker = make_success_checker(realized.blueprint, self.world)
 
-    def look(self) -> tuple[bool, str]:
+    def evaluate(self) -> tuple[bool, str]:
         """Return whether the checker finds the goal reached, and its explanation as text."""
         verdict = self._checker(self.world)
         return bool(verdict.success), str(verdict.explanation)
@@ -58,13 +58,13 @@ class KitchenJudge:
 class GoalJudge:
     """Judges by a task's own goal, which the episode evaluates after each control tick. See `Judge` for attributes."""
 
-    def __init__(self, realized: TaskScene, motion: SceneStepper) -> None:
+    def __init__(self, realized: YamsimTaskScene, motion: SceneStepper) -> None:
         self.instruction = realized.instruction
         self.unrealized: tuple[str, ...] = ()
         self.step_info: dict[str, Any] = {"end_rule": EndRule.SUCCESS.value}
         self._episode = motion.episode
 
-    def look(self) -> tuple[bool, str]:
+    def evaluate(self) -> tuple[bool, str]:
         """Return whether the goal has held for its hold time, and the state of the goal as text."""
         return self._episode.succeeds, self._episode.status
 
@@ -83,7 +83,7 @@ class KitchenWorld:
         simulator = realization.simulator
         compiled = simulator.scene
         self._model, self._data = compiled.model, motion.data
-        names = list(compiled.things)
+        names = list(compiled.object_names)
         self._masses = {item.name: 1000 * item.inertia.mass for item in simulator.config.task.objects}
         self.scene: SimWorld = motion.episode.world
         self._names = {*names, *realization.regions}

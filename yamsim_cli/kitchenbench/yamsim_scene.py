@@ -22,7 +22,7 @@ GOAL_KIND = "yamsim_goal"
 
 
 @dataclass(frozen=True)
-class TaskScene:
+class YamsimTaskScene:
     """A trial of a yamsim task, compiled and at rest. Close its simulator after use."""
 
     simulator: Simulator
@@ -52,7 +52,7 @@ class TaskScene:
         return build_program(self.task, self.simulator.roles)
 
 
-def build_task_scene(session: Session, seed: int) -> TaskScene:
+def build_task_scene(session: Session, seed: int) -> YamsimTaskScene:
     """Build the first trial of a seed, as in `yamsim trials --seed SEED --n 1`, with the station's control ticks.
 
     Args:
@@ -71,4 +71,4 @@ def build_task_scene(session: Session, seed: int) -> TaskScene:
     if attempt.start is None:
         simulator.close()
         raise SimulationError(f"task {task.name!r}, seed {seed}: {describe_missing_start(simulator, attempt)}")
-    return TaskScene(simulator, attempt)
+    return YamsimTaskScene(simulator, attempt)

@@ -27,7 +27,7 @@ from ..core.scene.assets.sources import FetchProgress, SourceError
 class GeneratedMeshes:
     """The source of meshes that yamsim has generated in memory. `made` is set -> file name -> content."""
 
-    made: Mapping[str, Mapping[str, bytes]]
+    files_by_set: Mapping[str, Mapping[str, bytes]]
 
     @property
     def name(self) -> str:
@@ -36,12 +36,12 @@ class GeneratedMeshes:
 
     def has_set(self, assets: AssetSet) -> bool:
         """Return whether the set is generated."""
-        return assets.name in self.made
+        return assets.name in self.files_by_set
 
     def read(self, assets: AssetSet, scratch: Path, progress: FetchProgress) -> dict[str, bytes]:
         """Return file name -> content of a generated set."""
         progress(f"{assets.name}: {self.name}", assets.size, assets.size)
-        return dict(self.made[assets.name])
+        return dict(self.files_by_set[assets.name])
 
 
 @dataclass(frozen=True)

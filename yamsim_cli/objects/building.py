@@ -119,7 +119,7 @@ def build_object(
         geometry = collision_geometry(label, part.looks, part.shapes, options.collision, cache, part_share)
         collision.append(geometry)
     depth, level = _rim_depth(*base), _level_height(*base)
-    origin = _origin(base[0], weights[0], stands=level is not None)
+    origin = _origin(base[0], weights[0], supports_others=level is not None)
     looks = [make_visual_meshes(f"{label}_look", part.looks) for part, label in zip(thing.parts, labels, strict=True)]
     data: dict[str, Any] = {
         "name": options.name,
@@ -201,10 +201,10 @@ def _mass_properties(
     return weights
 
 
-def _origin(vertices: Array, weight: MassProperties, *, stands: bool) -> Array:
+def _origin(vertices: Array, weight: MassProperties, *, supports_others: bool) -> Array:
     """Return the origin (3,), m: under the middle if the object supports others, else the centre of mass."""
     low, high = vertices.min(axis=0), vertices.max(axis=0)
-    middle = np.array([*_base_centre(vertices), low[2]]) if stands else weight.centre
+    middle = np.array([*_base_centre(vertices), low[2]]) if supports_others else weight.centre
     origin: Array = np.round(np.clip(middle, low, high), 5)
     return origin
 
@@ -239,7 +239,7 @@ def _rim_depth(vertices: Array, faces: Faces) -> float:
 
 
 def _lowest(thing: ObjectDescription) -> float:
-    looks = [surface.moved(T) for part, T in zip(thing.parts, thing.poses(), strict=True) for surface in part.looks]
+    looks = [surface.transform(T) for part, T in zip(thing.parts, thing.poses(), strict=True) for surface in part.looks]
     return min(float(surface.vertices[:, 2].min()) for surface in looks)
 
 

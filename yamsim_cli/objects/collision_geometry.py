@@ -67,7 +67,7 @@ def collision_geometry(
     body = merged_surface(meshes if meshes and len(meshes) == len(shapes or ()) else looks)
     if collision in ("auto", "primitives"):
         fit = fit_primitives(body)
-        if collision == "primitives" or fit.most <= NEAR:
+        if collision == "primitives" or fit.p99 <= NEAR:
             return CollisionGeometry("primitives", tuple(primitive_data(part) for part in fit.parts), {}, fit=fit)
     if collision == "sdf":
         return _of_meshes(name, "sdf", [body])

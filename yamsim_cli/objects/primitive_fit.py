@@ -90,7 +90,7 @@ class SolidFit:
 
     parts: Parts
     rms: float
-    most: float
+    p99: float
 
 
 def evaluate_fit(parts: Parts, points: Array) -> SolidFit:
@@ -104,21 +104,21 @@ def fit_solid(points: Array) -> SolidFit:
 
     The fit ignores dimples and holes, such as those of an apple.
     """
-    points = _outside(points)
+    points = _without_dimples(points)
     best: tuple[float, SolidFit] | None = None
     for make, start in _candidates(points):
         fitted = solve_least_squares(_ShapeProblem(make, points), start, _MAX_STEPS)
         assert fitted is not None  # the distances are defined everywhere
-        parts = _grounded(make(fitted[0]), float(points[:, 2].min()))
+        parts = _extend_to_ground(make(fitted[0]), float(points[:, 2].min()))
         fit = evaluate_fit(parts, points)
-        cost = fit.rms + fit.most / 4 + _PARAMETER_COST * len(start)
+        cost = fit.rms + fit.p99 / 4 + _PARAMETER_COST * len(start)
         if best is None or cost < best[0]:
             best = cost, fit
     assert best is not None  # there are always candidates
     return best[1]
 
 
-def _outside(points: Array) -> Array:
+def _without_dimples(points: Array) -> Array:
     heights = points @ np.ascontiguousarray(sphere_directions(_PLANES).T)
     depth = (heights.max(axis=0) - heights).min(axis=1)
     near: Array = points[depth < _DIMPLE_DEPTH]
@@ -239,7 +239,7 @@ class _ShapeProblem(LeastSquares[Array, _FitState]):
         return bool(0 < gain < _MIN_GAIN * known.cost)
 
 
-def _grounded(parts: Parts, ground: float) -> Parts:
+def _extend_to_ground(parts: Parts, ground: float) -> Parts:
     """Return the parts moved or extended to the ground; a capsule's end only if near or below the ground."""
     laid: list[Primitive] = []
     for part in parts:

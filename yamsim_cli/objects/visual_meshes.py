@@ -15,7 +15,7 @@ from ..core.files.writing import sha256_bytes
 from ..core.geometry.se3 import Array
 from ..core.geometry.stl import Faces, stl_bytes
 from ..core.images.png import decode_png, encode_png
-from ..core.scene.assets.mesh_reduction import LIMIT_MM
+from ..core.scene.assets.mesh_reduction import MAX_DEVIATION_MM
 from .part_surfaces import merged_surface, simplified_mesh
 from .readers.object_parts import Surface, SurfaceMaterial
 
@@ -70,7 +70,10 @@ def _mesh_arrays(group: tuple[Surface, ...], material: SurfaceMaterial) -> tuple
     """Return vertices, triangles, texture coordinates and PNG of a mesh, reduced from `_MAX_FACES` triangles on."""
     vertices, faces = merged_surface(group)
     textured = material.texture is not None and all(surface.uv is not None for surface in group)
-    if len(faces) > _MAX_FACES and (fewer := simplified_mesh((vertices, faces), _FACE_COUNTS, LIMIT_MM)) is not None:
+    if (
+        len(faces) > _MAX_FACES
+        and (fewer := simplified_mesh((vertices, faces), _FACE_COUNTS, MAX_DEVIATION_MM)) is not None
+    ):
         if not textured:
             return (*fewer, None, None)
         return (*fewer, *baked_colours(group, fewer))

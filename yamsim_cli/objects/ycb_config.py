@@ -56,13 +56,13 @@ def build_ycb_config(thing: ScannedObject, scan: Scan) -> YcbConfig:
     if hollow and hollow[0].rms < solid.rms:
         fit, axis = hollow
         origin = np.array([*axis, scan.foot])
-        parts = tuple(_moved(part, np.array([0.0, 0.0, -scan.foot])) for part in fit.parts)
+        parts = tuple(_translate(part, np.array([0.0, 0.0, -scan.foot])) for part in fit.parts)
     else:
         fit, hollow = solid, None
         low, high = scan.points.min(axis=0) - 0.01, scan.points.max(axis=0) + 0.01
         alone = _middle(fit.parts[0]) if len(fit.parts) == 1 else None
         origin = PointBody.fill(fit.parts, low, high).centre if alone is None else alone
-        parts = tuple(_moved(part, -origin) for part in fit.parts)
+        parts = tuple(_translate(part, -origin) for part in fit.parts)
     points = scan.points - origin
     body = PointBody.fill(parts, points.min(axis=0) - 0.01, points.max(axis=0) + 0.01)
     moments, quat = body.inertia(thing.mass_g / 1000)
@@ -93,7 +93,7 @@ def _comment(thing: ScannedObject, parts: tuple[Primitive, ...], fit: SolidFit) 
     return (
         f"# {thing.source}. Written by `yamsim assets import`.\n"
         f"# Fitted to the scan by least squares: {made}; {fit.rms * 1000:.1f} mm off it (rms), 99 % of it within "
-        f"{fit.most * 1000:.1f} mm.\n"
+        f"{fit.p99 * 1000:.1f} mm.\n"
     )
 
 
@@ -115,7 +115,7 @@ def _middle(part: Primitive) -> Array | None:
             return np.array(part.centre)
 
 
-def _moved(part: Primitive, by: Array) -> Primitive:
+def _translate(part: Primitive, by: Array) -> Primitive:
     def at(place: tuple[float, float, float]) -> tuple[float, float, float]:
         x, y, z = (round(float(a + b), 5) for a, b in zip(place, by, strict=True))
         return x, y, z

@@ -144,7 +144,7 @@ class PoseCorrection:
     step: Array
     centre: Array
 
-    def applied(self, T_in_cam: Array) -> Array:
+    def apply(self, T_in_cam: Array) -> Array:
         """Return a pose (4, 4) in the camera frame, moved by this step."""
         turn = rotation_from_vector(self.step[:3])
         moved = self.centre + self.step[3:] + turn @ (T_in_cam[:3, 3] - self.centre)

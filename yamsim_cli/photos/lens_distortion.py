@@ -118,7 +118,7 @@ class LensWarp:
         """The vertical field of view of the ideal camera, rad."""
         return 2 * math.atan(self.ideal.height / 2 / self.ideal.fy)
 
-    def flattened(self, photo: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    def undistort(self, photo: NDArray[np.uint8]) -> NDArray[np.uint8]:
         """Return a photo of the real camera without distortion, as a picture of the camera `coarse`."""
         ideal, K = self.coarse, np.array(self._camera.K)
         map_x, map_y = cv2.initUndistortRectifyMap(

@@ -128,7 +128,9 @@ class MappedPolicy:
                 row[:, -1] = np.clip(row[:, -1], 0.0, 1.0)
             message[config.state.key] = row.ravel().astype(config.state.dtype)
         if config.environment_state is not None and self._has_things:
-            message[config.environment_state.key] = self._things(observation).astype(config.environment_state.dtype)
+            message[config.environment_state.key] = self._object_poses(observation).astype(
+                config.environment_state.dtype
+            )
         pictures = {key: _picture(how, observation[name]) for key, (how, name) in self._pictures.items()}
         message |= {config.images_under: pictures} if config.images_under else pictures
         for key, value in (
@@ -161,7 +163,7 @@ class MappedPolicy:
             found["done"] = answer.get(actions.done_key, False)
         return found
 
-    def _things(self, observation: Observation) -> Array:
+    def _object_poses(self, observation: Observation) -> Array:
         """Return the vector of the objects' poses in the base, see `core.dataset.environment_state`."""
         T_world_in_base = inverse(self._station.T_base_in_world)
         return state_row(

@@ -109,7 +109,9 @@ def read_chunk(answer: object, arms: int, each: int) -> ActionChunk:
     ctrl = _ctrl(answer, arms * each)
     count = len(ctrl) if ctrl.ndim > 1 else 1
     _check_angles(ctrl.reshape(count, arms, each))
-    magnet = _magnet(answer["magnet"], ctrl.ndim > 1, count, arms) if "magnet" in answer else [(False,) * arms] * count
+    magnet = (
+        _weld_rows(answer["magnet"], ctrl.ndim > 1, count, arms) if "magnet" in answer else [(False,) * arms] * count
+    )
     period = answer.get("period")
     if period is not None and not (isinstance(period, int | float) and MIN_PERIOD <= period <= MAX_PERIOD):
         raise InvalidActionError(f"period is {period!r}, not {MIN_PERIOD:g} to {MAX_PERIOD:g} s")
@@ -121,7 +123,7 @@ def read_chunk(answer: object, arms: int, each: int) -> ActionChunk:
     return ActionChunk(ctrl.reshape(count, arms, each), np.array(magnet), done, period)
 
 
-def _magnet(value: Any, is_chunk: bool, count: int, arms: int) -> list[tuple[bool, ...]]:
+def _weld_rows(value: Any, is_chunk: bool, count: int, arms: int) -> list[tuple[bool, ...]]:
     """Return for each action whether each arm's weld is commanded on."""
     rows = _values(value, "magnet")
     if is_chunk and rows.size == count * arms:

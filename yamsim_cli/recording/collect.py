@@ -142,7 +142,7 @@ class Collector:
         """Return whether to submit another attempt. Limit: the missing episodes, if all running attempts succeed."""
         if self._queue:
             return True
-        if self._next >= self._limit.most_attempts and not self._uncertain_attempts:
+        if self._next >= self._limit.max_attempts and not self._uncertain_attempts:
             return False
         promised = executor.in_flight + sum(payload.outcome.success for payload in self._finished.values())
         ahead = self._next - len(self._sink.attempts)

@@ -38,9 +38,9 @@ class EpisodeSize:
         least_inodes, inodes: lower bound and estimate of inodes.
     """
 
-    least: int
+    min_bytes: int
     likely: int
-    least_inodes: int
+    min_inodes: int
     inodes: int
 
     @classmethod
@@ -82,8 +82,8 @@ class EpisodeSize:
             return self
         # On average, each file wastes half a block.
         mean = sum(entry.bytes for entry in entries) / len(entries) + self.inodes * block / 2
-        least = _MIN_SHARE_OF_MEAN * mean * self.least_inodes / self.inodes
-        return replace(self, least=int(least), likely=int(mean))
+        least = _MIN_SHARE_OF_MEAN * mean * self.min_inodes / self.inodes
+        return replace(self, min_bytes=int(least), likely=int(mean))
 
 
 def files_per_episode(frames: int, cameras: int, *, truth: bool) -> int:
@@ -104,11 +104,11 @@ def check_space(place: Path, episodes: int, size: EpisodeSize) -> str | None:
     free = max(0, state.f_bavail * state.f_frsize - _RESERVED_BYTES)
     # Filesystems that create inodes on demand report zero inodes.
     inodes = state.f_favail if state.f_files else math.inf
-    fit = int(min(free / size.least, inodes / size.least_inodes))
+    fit = int(min(free / size.min_bytes, inodes / size.min_inodes))
     verb = "takes" if episodes == 1 else "take"
     takes = (
-        f"{count_noun(episodes, 'episode')} {verb} at least {size.least_inodes * episodes} files and "
-        f"{_format_size(size.least * episodes)}"
+        f"{count_noun(episodes, 'episode')} {verb} at least {size.min_inodes * episodes} files and "
+        f"{_format_size(size.min_bytes * episodes)}"
     )
     there = f"{place} has room for {_format_size(free)}" + ("" if inodes == math.inf else f" in {inodes} files")
     if fit < episodes:

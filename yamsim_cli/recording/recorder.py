@@ -14,7 +14,7 @@ from ..core.config.session import Session
 from ..core.dataset.disk_errors import explain_disk_error
 from ..core.errors import InterruptedJobError, PartialJobError, ResourceError
 from ..core.scene.assets import load_lock
-from ..core.scene.build import state_meshes
+from ..core.scene.build import with_mesh_descriptions
 from ..core.scene.certificates import CertificateStatus, find_certificate
 from ..core.workers.stop_request import StopRequest
 from .collect import Collector, RecordCallbacks
@@ -52,7 +52,7 @@ def record(
     """
     began = time.monotonic()
     _check_certificates(session, callbacks)
-    session = state_meshes(session)
+    session = with_mesh_descriptions(session)
     config = session.config
     with open_destination(config, output, callbacks) as destination:
         starts = functools.partial(all_starts_fail, session)

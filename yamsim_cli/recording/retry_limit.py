@@ -63,20 +63,20 @@ class RetryLimit:
         self._checked = False
 
     @property
-    def most_attempts(self) -> int:
+    def max_attempts(self) -> int:
         """The number of attempts after which the recording stops in any case."""
         return max(MIN_ATTEMPTS, _ATTEMPTS_PER_EPISODE * self._wanted)
 
     def stop_error(self, attempts: Sequence[AttemptRecord], episodes: int) -> YamsimError | None:
         """Return the error that stops a recording after `attempts` with `episodes` successes; None to continue."""
         tried, last = len(attempts), attempts[-1].outcome if attempts else None
-        if last is None or (episodes and tried < self.most_attempts):
+        if last is None or (episodes and tried < self.max_attempts):
             return None
         if episodes:
             rest = f"the task works too rarely, {episodes} of {tried} times and at least 1 in {_ATTEMPTS_PER_EPISODE} "
             return RetryLimitError(f"gave up after {tried} attempts: {rest}is needed; {self._causes(attempts)}")
         if tried >= MIN_ATTEMPTS:
-            return self._cannot_work(f"none of {tried} attempts succeeded", attempts)
+            return self._infeasible_task_error(f"none of {tried} attempts succeeded", attempts)
         causes = {attempt.outcome.cause for attempt in attempts}
         if tried < SAME_CAUSE or len(causes) > 1 or self._checked:
             return None
@@ -84,9 +84,9 @@ class RetryLimit:
         if not self._no_better_start(FailureCause(str(last.cause)), tried):
             return None
         more = f"its first {tried} attempts all failed in one way, and {MORE_STARTS} more would start no better"
-        return self._cannot_work(more, attempts)
+        return self._infeasible_task_error(more, attempts)
 
-    def _cannot_work(self, why: str, attempts: Sequence[AttemptRecord]) -> SimulationError:
+    def _infeasible_task_error(self, why: str, attempts: Sequence[AttemptRecord]) -> SimulationError:
         return SimulationError(
             f"task {self._name!r} cannot work as it is: {why}; {self._causes(attempts)}; then record with "
             "--overwrite, or to another --out"
@@ -132,7 +132,7 @@ def _start_is_feasible(simulators: Simulators, cause: FailureCause, job: Attempt
     }
     top = simulator.config.table.top
     return all(
-        simulator.expert_tools.is_place_reachable(np.array([*places[name].T[:2, 3], top + HAND_HEIGHT]))
+        simulator.expert_planner.is_place_reachable(np.array([*places[name].T[:2, 3], top + HAND_HEIGHT]))
         for thing in grasped
         for name in cast.objects_of(thing)
         if places[name].on == TABLE

@@ -81,7 +81,7 @@ def check_reach(simulator: Simulator) -> TaskCheck:
 def _reachable_share(simulator: Simulator, start: Start) -> float:
     height = simulator.config.table.top + _HAND_HEIGHT
     places = list(itertools.product(np.linspace(*start.x, _GRID_POINTS), np.linspace(*start.y, _GRID_POINTS)))
-    return sum(simulator.expert_tools.is_place_reachable(np.array((x, y, height))) for x, y in places) / len(places)
+    return sum(simulator.expert_planner.is_place_reachable(np.array((x, y, height))) for x, y in places) / len(places)
 
 
 def check_holding_still(simulators: Simulators, seed: int, n: int) -> TaskCheck:
@@ -151,7 +151,7 @@ def _near_miss_states(
 
 
 def _moved_objects(scene: CompiledScene, start: Array, ended: Array) -> Iterator[str]:
-    for name in scene.things:
+    for name in scene.object_names:
         if name in scene.cloths:
             moved = np.linalg.norm((ended - start)[scene.cloths[name].qpos], axis=1).max()
         else:
@@ -173,7 +173,7 @@ def _displace(scene: CompiledScene, qpos: Array, name: str, miss: NearMiss) -> N
         cloth = scene.cloths[name]
         points = cloth.points(qpos)
         middle = points.mean(axis=0)
-        qpos[cloth.qpos] = (points - middle) @ turned.T + middle + miss.move - cloth.rest
+        qpos[cloth.qpos] = (points - middle) @ turned.T + middle + miss.move - cloth.flat_points
         return
     at = scene.object_qpos[name]
     qpos[at : at + 3] += miss.move

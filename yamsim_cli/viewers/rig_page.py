@@ -105,7 +105,7 @@ class RigPage(ScenePage):
         with gui.add_folder("Shown"):
             for label, nodes, shown in (
                 ("boards", mocap, boards),
-                ("looks", bodies.looks, True),
+                ("looks", bodies.visuals, True),
                 ("collision primitives", bodies.colliders, False),
             ):
                 if nodes:

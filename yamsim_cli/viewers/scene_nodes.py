@@ -33,7 +33,7 @@ class BodyNodes:
     """
 
     frames: dict[int, viser.FrameHandle]
-    looks: tuple[viser.FrameHandle, ...]
+    visuals: tuple[viser.FrameHandle, ...]
     colliders: tuple[viser.FrameHandle, ...]
 
 

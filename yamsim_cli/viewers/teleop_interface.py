@@ -39,7 +39,7 @@ class TeleopStatus:
     obstacle: str
     gripper_open: bool
     magnet: bool | None
-    magnet_holds: bool
+    is_weld_holding: bool
     message: str
     prompt: str = ""
     goal: str = ""
@@ -76,7 +76,7 @@ class TeleopInterface(ViewedScene):
         """Open a closed gripper, or close an open one."""
 
     @abc.abstractmethod
-    def set_magnet(self, on: bool) -> None:
+    def set_weld(self, on: bool) -> None:
         """Switch the weld on or off. The weld takes an object only if the hand is near."""
 
     @abc.abstractmethod

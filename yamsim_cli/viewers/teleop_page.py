@@ -88,10 +88,10 @@ class TeleopPage(ScenePage):
             self._add_button(name, self._arm.switch_arm, icon=viser.Icon.SWITCH_HORIZONTAL)
             self._add_key(name, "T", self._arm.switch_arm)
         self._gripper = self._add_button("Close gripper", self._arm.toggle_gripper)
-        self._magnet: viser.GuiButtonHandle | None = None
+        self._weld_button: viser.GuiButtonHandle | None = None
         if self._arm.status.magnet is not None:
-            self._magnet = self._add_button("Magnet on", self._switch_magnet)
-            self._add_key("Magnet on or off", "M", self._switch_magnet)
+            self._weld_button = self._add_button("Magnet on", self._toggle_weld)
+            self._add_key("Magnet on or off", "M", self._toggle_weld)
         self._add_key("Open or close the gripper", "G", self._arm.toggle_gripper)
         self._add_button(
             "Point down", self._point_down, icon=viser.Icon.ARROW_DOWN, hint="The hand upright over the table"
@@ -133,8 +133,8 @@ class TeleopPage(ScenePage):
         if not self._server.get_clients():
             self._arm.pause_unattended()
 
-    def _switch_magnet(self) -> None:
-        self._arm.set_magnet(not self._arm.status.magnet)
+    def _toggle_weld(self) -> None:
+        self._arm.set_weld(not self._arm.status.magnet)
 
     def _move(self, shift: tuple[float, float, float], turn: float) -> None:
         target = self._arm.target
@@ -164,8 +164,8 @@ class TeleopPage(ScenePage):
         self._start.disabled = status.recording
         self._stop.disabled = self._discard.disabled = not status.recording
         self._gripper.label = "Close gripper" if status.gripper_open else "Open gripper"
-        if self._magnet is not None:
-            self._magnet.label = "Magnet off" if status.magnet else "Magnet on"
+        if self._weld_button is not None:
+            self._weld_button.label = "Magnet off" if status.magnet else "Magnet on"
         whose = f"{status.arm} arm, " if status.arm else ""
         state = f"**recording {status.seconds:.1f} s**" if status.recording else "not recording"
         if self._arm.paused:
@@ -185,7 +185,7 @@ def _notice(status: TeleopStatus) -> str:
         reasons.append(f"the target is {status.target_distance * 100:.1f} cm out of reach")
     if status.at_limit:
         reasons.append(f"{', '.join(status.at_limit)} at its stop")
-    held = ", and holds the object" if status.magnet_holds else ""
+    held = ", and holds the object" if status.is_weld_holding else ""
     text = "; ".join(reasons) or f"the hand follows{held}"
     red, green, blue = _RED if reasons else _GREEN
     style = f"color: rgb({red}, {green}, {blue}); padding: 0 1em 0.5em; font-size: 0.9em"

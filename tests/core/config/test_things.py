@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from yamsim_cli.core.config.loader import load_config, parse_config
-from yamsim_cli.core.config.objects.generated import MADE, generated_mesh_files
+from yamsim_cli.core.config.objects.generated import GENERATED_SET, generated_mesh_files
 from yamsim_cli.core.config.objects.object_config import ObjectConfig
 from yamsim_cli.core.config.objects.primitives import Capsule
 from yamsim_cli.core.config.objects.shapes import RackShape
@@ -67,7 +67,7 @@ def test_what_a_dataset_holds_needs_no_sizes_for_physics(name: str, locations: L
     item = thing(name, locations)
     text = dump_yaml(item.model_dump(mode="json"))
     assert parse_config(ObjectConfig, text, "dataset", locations, as_recorded=True) == item
-    assert {mesh.set for mesh in item.all_meshes} == {MADE}
+    assert {mesh.set for mesh in item.all_meshes} == {GENERATED_SET}
     assert item.mesh_sets == ()
 
 

@@ -39,9 +39,9 @@ def test_in_motion_commands_lead_and_records_have_the_path(scene: CompiledScene)
     joints = np.linspace([0.2, 1.5, 1.2, -1.0, 0.1, 0.3], [0.3, 1.6, 1.3, -0.9, 0.2, 0.4], 5)
     plain, loaded = (path_actions(scene, [path_of(joints, torque)]) for torque in (0.0, 2.0))
     middles = (joints[1:] + joints[:-1]) / 2
-    lead = scene.arm.kv / scene.arm.kp * (joints[1] - joints[0]) / 0.032
+    lead = scene.arm.velocity_gain / scene.arm.position_gain * (joints[1] - joints[0]) / 0.032
     np.testing.assert_allclose(plain.ctrl[:, scene.arm.arm_ctrl], middles + lead)
-    np.testing.assert_allclose(loaded.ctrl[:, scene.arm.arm_ctrl], middles + lead + 2.0 / scene.arm.kp)
+    np.testing.assert_allclose(loaded.ctrl[:, scene.arm.arm_ctrl], middles + lead + 2.0 / scene.arm.position_gain)
     np.testing.assert_allclose(plain.joints[:, 0, :6], joints[1:])
     np.testing.assert_array_equal(plain.joints, loaded.joints)
 

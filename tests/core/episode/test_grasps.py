@@ -15,7 +15,7 @@ from tests.programs import FOLD, first_attempt, session_of
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.session import Session
 from yamsim_cli.core.episode.episode import Episode
-from yamsim_cli.core.episode.episode_rules import MAGNET_REACH, EpisodeRules
+from yamsim_cli.core.episode.episode_rules import WELD_REACH, EpisodeRules
 from yamsim_cli.core.episode.expert import arm_sides
 from yamsim_cli.core.episode.grasps import (
     ClothGraspSimulator,
@@ -70,7 +70,7 @@ def test_the_grasp_follows_from_the_scene(simulator: Simulator, friction: Simula
 
 def test_a_magnet_takes_what_is_near_and_lets_go_of_it(simulator: Simulator) -> None:
     scene, data = simulator.scene, at_hand(simulator, 0.02)
-    (arm, weld), grasp = weld_of(scene), make_grasp_simulator(scene, MAGNET_REACH)
+    (arm, weld), grasp = weld_of(scene), make_grasp_simulator(scene, WELD_REACH)
     ctrl = data.ctrl.copy()
     assert list(grasp.update(data, ctrl, OFF)) == [False] and not is_weld_active(data, arm)
     assert list(grasp.update(data, ctrl, ON)) == [True] and is_weld_active(data, arm)
@@ -78,7 +78,7 @@ def test_a_magnet_takes_what_is_near_and_lets_go_of_it(simulator: Simulator) -> 
     assert list(grasp.update(data, ctrl, OFF)) == [False] and not is_weld_active(data, arm)
 
 
-@pytest.mark.parametrize(("reach", "takes"), [(MAGNET_REACH, False), (None, True), (0.5, True)])
+@pytest.mark.parametrize(("reach", "takes"), [(WELD_REACH, False), (None, True), (0.5, True)])
 def test_a_magnet_takes_nothing_out_of_its_reach(simulator: Simulator, reach: float | None, takes: bool) -> None:
     scene, data = simulator.scene, at_hand(simulator, 0.12)
     assert list(make_grasp_simulator(scene, reach).update(data, data.ctrl, ON)) == [takes]
@@ -157,7 +157,7 @@ def test_cloth_is_held_by_fingers_that_press_on_it_and_let_go_when_they_open(tmp
         flat = points - points[0]
         along, across = flat[8] / np.linalg.norm(flat[8]), flat[72] / np.linalg.norm(flat[72])
         placed = site.xpos + np.outer(flat @ along, turned[:, 0]) + np.outer(flat @ across, turned[:, 2])
-        start[cloth.qpos] = placed - cloth.rest
+        start[cloth.qpos] = placed - cloth.flat_points
         episode = Episode(scene, start, config.task.timing, arm_sides(config), None)
         # It is taken before it falls.
         for opening, ticks, holds in ((0.004, 1, False), (-0.004, 10, True), (0.02, 5, False)):

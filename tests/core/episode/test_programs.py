@@ -186,8 +186,8 @@ def test_things_come_in_sizes_that_the_record_tells(tmp_path: Path) -> None:
 
 
 def _height(simulator: Simulator, attempt: Attempt) -> tuple[float, float]:
-    simulator.replica.show(attempt.start)  # type: ignore[arg-type]
-    world = SimWorld(simulator.scene.model, simulator.replica.data, simulator.scene.arms, ("right",), ["cube"])
+    simulator.state_replay.set_state(attempt.start)  # type: ignore[arg-type]
+    world = SimWorld(simulator.scene.model, simulator.state_replay.data, simulator.scene.arms, ("right",), ["cube"])
     low, high = world.aabb("cube")
     return float(low[2]), float(high[2])
 

@@ -240,7 +240,7 @@ def test_a_distractor_is_seen_where_it_was_put(visual: Simulator, config: Record
         place = (0.6, y, config.table.top, 0.0)
         moved = replace(done.attempt, variation=replace(done.attempt.variation, distractors={"apple": place}))
         images.append(render_cameras(visual, moved, qpos, ["scene_camera"])["scene_camera"].astype(int))
-        numbers = visual.renderer.segment(visual.replica.data, "scene_camera")
+        numbers = visual.renderer.segment(visual.state_replay.data, "scene_camera")
         columns = np.nonzero(np.isin(numbers, np.flatnonzero(model.geom_bodyid == model.body("apple").id)))[1]
         # The camera looks back at the arm, so that +y is on its right.
         assert len(columns) > 10

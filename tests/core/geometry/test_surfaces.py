@@ -77,7 +77,7 @@ def test_water_stands_in_a_cup_up_to_its_rim_and_runs_through_a_hoop() -> None:
     grid = compute_height_map(revolve(shell_profile(inside, 0.004), 64), 48)
     depth = np.where(np.isfinite(grid.top), water_level(grid.top) - np.where(np.isfinite(grid.top), grid.top, 0), 0)
     assert depth.max() == pytest.approx(0.0965, abs=0.003)
-    assert depth.sum() * grid.cell**2 == pytest.approx(math.pi * 0.05**2 * 0.096, rel=0.06)
+    assert depth.sum() * grid.cell_size**2 == pytest.approx(math.pi * 0.05**2 * 0.096, rel=0.06)
     angle = 2 * np.pi * np.arange(48) / 48
     hoop = loft_closed([np.column_stack([r * np.cos(angle), r * np.sin(angle), np.full(48, z)])
                  for r, z in ((0.04, 0.0), (0.05, 0.0), (0.05, 0.05), (0.04, 0.05))])  # fmt: skip

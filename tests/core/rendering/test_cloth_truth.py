@@ -34,9 +34,9 @@ class NapkinScene:
 
     def truth(self, qpos: Array | None = None, camera: str = CAMERA) -> FrameTruth:
         simulator = self.simulator
-        simulator.replica.show(self.start if qpos is None else qpos)
+        simulator.state_replay.set_state(self.start if qpos is None else qpos)
         T = simulator.scene.T_base_in_world
-        return measure_frame(simulator.replica.data, camera, simulator.renderer, simulator.labels, T)
+        return measure_frame(simulator.state_replay.data, camera, simulator.renderer, simulator.labels, T)
 
     def corners(self, truth: FrameTruth) -> dict[str, int]:
         """Corner -> index among the keypoints."""
@@ -49,7 +49,7 @@ class NapkinScene:
     def moved(self, points: Array) -> Array:
         """MuJoCo's positions with the napkin's points (9, 9, 3) there in `world`."""
         cloth, qpos = self.simulator.scene.cloths["napkin"], self.start.copy()
-        qpos[cloth.qpos] = points.reshape(-1, 3) - cloth.rest
+        qpos[cloth.qpos] = points.reshape(-1, 3) - cloth.flat_points
         return qpos
 
     @property
@@ -86,16 +86,16 @@ def test_of_a_flat_napkin_every_point_and_corner_is_seen_from_above(stage: Napki
 
     k = names.objects.index("napkin")
     T = truth.arrays["T_cam_in_base"] @ truth.arrays["T_object_in_cam"][k]
-    np.testing.assert_allclose(T, stage.simulator.replica.T_object_in_base("napkin"), atol=1e-9)
+    np.testing.assert_allclose(T, stage.simulator.state_replay.T_object_in_base("napkin"), atol=1e-9)
     assert truth.arrays["pixels"][names.instances.index("napkin")] == len(seen)
 
 
 def test_files_hold_what_their_labels_say(stage: NapkinScene) -> None:
     simulator = stage.simulator
     truth = GroundTruthCollector(simulator.labels, [CAMERA], simulator.scene.T_base_in_world)
-    simulator.replica.show(stage.start)
+    simulator.state_replay.set_state(stage.start)
     for _ in range(2):
-        truth.add(simulator.replica.data, CAMERA, simulator.renderer)
+        truth.add(simulator.state_replay.data, CAMERA, simulator.renderer)
     labels = from_json(TruthLabels, truth.files[TRUTH_LABELS], TRUTH_LABELS)
     arrays = load_truth(truth.files[truth_name(CAMERA)])
     assert not array_faults(arrays, labels, 2)
@@ -139,10 +139,10 @@ def test_the_drawn_sides_are_those_that_the_renderer_draws(stage: NapkinScene) -
     """A sheet bent at random, against the triangles that MuJoCo hands to OpenGL."""
     cloth, qpos = stage.simulator.scene.cloths["napkin"], stage.start.copy()
     qpos[cloth.qpos] += np.random.default_rng(0).normal(size=cloth.qpos.shape) * 0.01
-    stage.simulator.replica.show(qpos)
+    stage.simulator.state_replay.set_state(qpos)
     model, scene = stage.simulator.scene.model, mujoco.MjvScene(stage.simulator.scene.model, 1000)
     everything = mujoco.mjtCatBit.mjCAT_ALL.value
-    data = stage.simulator.replica.data
+    data = stage.simulator.state_replay.data
     mujoco.mjv_updateScene(model, data, mujoco.MjvOption(), None, mujoco.MjvCamera(), everything, scene)
     drawn = np.array(scene.flexface[: 9 * scene.flexfaceused[0]]).reshape(-1, 3)
     for side in drawn_sides(cloth.points(qpos), grid_triangles(*cloth.grid), cloth.radius):

@@ -46,7 +46,7 @@ class TruthScene:
         qpos, arm = self.start.copy(), self.replica.scene.arm
         qpos[arm.joint_qpos] = joints
         qpos[arm.fingers.qpos] = 0.0375 * arm.fingers.sign
-        self.replica.show(qpos)
+        self.replica.set_state(qpos)
 
     def truth(self, camera: str = CAMERA) -> FrameTruth:
         scene = self.replica.scene
@@ -82,7 +82,7 @@ def stage(make_config: Callable[..., RecordConfig], locations: Locations) -> Ite
     model = simulator.scene.model
     labels = scene_labels(model, config.rig, ("banana", "plate"), boards=True)
     with SceneRenderer(model, SIZE) as renderer:
-        stage = TruthScene(simulator.replica, renderer, labels, config, start_of(simulator))
+        stage = TruthScene(simulator.state_replay, renderer, labels, config, start_of(simulator))
         stage.pose(POSES[0])
         yield stage
 
@@ -237,7 +237,7 @@ def test_what_something_hides_is_hidden(stage: TruthScene) -> None:
     at = scene.object_qpos["plate"]
     board = data.geom("base_board").xpos
     qpos[at : at + 3] = board + 0.2 * (stage.T_cam_in_world()[:3, 3] - board)
-    stage.replica.show(qpos)
+    stage.replica.set_state(qpos)
     assert (stage.truth().arrays["visibility"][corners] == Visibility.HIDDEN).all()
     # The wrist camera looks elsewhere.
     assert (stage.truth(WRIST).arrays["visibility"][corners] == Visibility.OUTSIDE).all()

@@ -54,8 +54,8 @@ def replica(simulator: Simulator) -> StateReplay:
 
 def replica_of(simulator: Simulator) -> StateReplay:
     """The scene with objects where a seed puts them, ready to be drawn."""
-    simulator.replica.show(start_of(simulator))
-    return simulator.replica
+    simulator.state_replay.set_state(start_of(simulator))
+    return simulator.state_replay
 
 
 def test_images_have_the_size_asked_for(renderer: SceneRenderer, replica: StateReplay, scene: CompiledScene) -> None:

@@ -14,7 +14,7 @@ from tests.meshes import volume
 from tests.plane_frame import PlaneFrame, bent, compliance
 from yamsim_cli.core.files.writing import sha256_bytes
 from yamsim_cli.core.geometry.stl import read_stl
-from yamsim_cli.core.robots.finray.finger import couplings, hinge_stiffness, slip_arms, slip_stiffness
+from yamsim_cli.core.robots.finray.finger import couplings, hinge_stiffness, slip_jacobian, slip_stiffness
 from yamsim_cli.core.robots.finray.finger_meshes import finger_mesh_files
 
 # Where things are held: from the middle to the last rib, m.
@@ -48,7 +48,7 @@ def test_pushed_in_the_tip_turns_towards_what_pushes_and_without_its_back_wall_a
 
 
 def test_couplings_are_the_slips_springs() -> None:
-    rows, arms = couplings(finger()), slip_arms(finger())
+    rows, arms = couplings(finger()), slip_jacobian(finger())
     np.testing.assert_allclose(rows.T @ rows, arms.T @ slip_stiffness(finger()) @ arms, rtol=1e-9, atol=1e-12)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from yamsim_cli.core.config.loader import load_config
-from yamsim_cli.core.config.objects.generated import MADE
+from yamsim_cli.core.config.objects.generated import GENERATED_SET
 from yamsim_cli.core.config.objects.object_config import ObjectConfig
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.files.resources import Locations
@@ -76,7 +76,7 @@ def test_primitives_fit_their_scan(name: str, locations: Locations) -> None:
 
 
 def test_every_object_is_tested(locations: Locations) -> None:
-    scanned = {name for name in locations.config_names("objects") if load(name, locations).mesh.set != MADE}
+    scanned = {name for name in locations.config_names("objects") if load(name, locations).mesh.set != GENERATED_SET}
     assert scanned == FITS.keys() | OTHERS
 
 

@@ -17,7 +17,7 @@ from yamsim_cli.core.config.session import Session
 from yamsim_cli.core.errors import ResourceError
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.geometry.stl import stl_bytes
-from yamsim_cli.core.scene.build import build_scene, state_meshes
+from yamsim_cli.core.scene.build import build_scene, with_mesh_descriptions
 
 Make = Callable[..., RecordConfig]
 ARM, GRIPPER, YCB, SMALL = "i2rt_yam_crank", "i2rt_yam_linear_4310", "ycb", "ycb_small"
@@ -26,7 +26,7 @@ ARM, GRIPPER, YCB, SMALL = "i2rt_yam_crank", "i2rt_yam_linear_4310", "ycb", "ycb
 @pytest.fixture
 def drawn(locations: Locations) -> Callable[..., dict[str, str]]:
     def of(config: RecordConfig, meshes: dict[str, Path | None]) -> dict[str, str]:
-        said = state_meshes(Session(config, replace(locations, meshes=meshes))).config.meshes
+        said = with_mesh_descriptions(Session(config, replace(locations, meshes=meshes))).config.meshes
         assert said is not None
         for text in said.values():
             assert re.fullmatch(PATTERN, text)

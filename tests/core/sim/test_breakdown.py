@@ -17,7 +17,7 @@ from yamsim_cli.core.config.session import Session
 from yamsim_cli.core.episode.episode_rules import EndReason
 from yamsim_cli.core.episode.simulator import Simulator
 from yamsim_cli.core.files.resources import Locations
-from yamsim_cli.core.scene.compilation import keep_warnings_quiet, physics_failure
+from yamsim_cli.core.scene.compilation import silence_mujoco_warnings, physics_failure
 
 # Joints in degrees, past the check that refuses them: the arm starts many turns beyond its stops.
 ABSURD = """
@@ -72,7 +72,7 @@ def test_each_fatal_warning_is_told_in_mujocos_words(
     falling: tuple[mujoco.MjModel, mujoco.MjData], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    keep_warnings_quiet()
+    silence_mujoco_warnings()
     model, data = falling
     assert physics_failure(data) is None
     data.qvel[2] = 1e20
@@ -91,7 +91,7 @@ def test_a_program_that_listens_itself_goes_on_hearing(
     hear: Callable[[str], None] = heard.append
     mujoco.set_mju_user_warning(hear)
     try:
-        keep_warnings_quiet()
+        silence_mujoco_warnings()
         model, data = falling
         data.qvel[0] = 1e20
         mujoco.mj_step(model, data)

@@ -36,7 +36,7 @@ def test_cloth_starts_flat_and_turned_on_the_table_and_at_rest(tmp_path: Path) -
         world = make_sim_world(scene, data, arm_sides(simulator.config))
         points = world.cloth_points("napkin")
         assert points.shape == (9, 9, 3)
-        assert world.touching("napkin", "table") and not world.holding_sides("napkin")
+        assert world.are_touching("napkin", "table") and not world.holding_sides("napkin")
         # It sinks in by less than a tenth of its thickness.
         assert np.allclose(points[..., 2], simulator.config.table.top + 0.0025, atol=5e-4)
         along = points[0, -1] - points[0, 0]
@@ -122,7 +122,7 @@ def test_a_point_that_is_led_takes_the_cloth_along(tmp_path: Path) -> None:
         masses, inertias = model.body_mass.copy(), model.dof_M0.copy()
         corner, ends = np.array([0]), grid_edges(*cloth.grid)
         at, most = cloth.points(data.qpos)[corner], 0.0
-        rest = np.linalg.norm(np.diff(cloth.rest[ends], axis=1)[:, 0], axis=1)
+        rest = np.linalg.norm(np.diff(cloth.flat_points[ends], axis=1)[:, 0], axis=1)
         with moving_points(model, data, cloth, corner) as lead:
             for _ in range(250):
                 at[:, 2] += 0.3 * model.opt.timestep

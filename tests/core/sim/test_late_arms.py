@@ -74,7 +74,7 @@ def test_an_arm_sags_by_what_its_gravity_compensation_lacks() -> None:
 
     weight = data.qfrc_gravcomp[scene.arm.joint_dof[1]]
     sag = data.qpos[scene.arm.joint_qpos[1]] - start
-    assert sag == pytest.approx(-0.2 * weight / scene.arm.kp[1], rel=0.02)
+    assert sag == pytest.approx(-0.2 * weight / scene.arm.position_gain[1], rel=0.02)
     assert abs(sag) > 0.01
 
 

@@ -78,12 +78,12 @@ class PlacedScene:
     def bench(self) -> PlanningContext:
         """What skills find."""
         stands = list(start_postures(self._simulator.config))
-        return self._simulator.expert_tools.planning_context(self.world, stands, np.random.default_rng(0))
+        return self._simulator.expert_planner.planning_context(self.world, stands, np.random.default_rng(0))
 
     def put(self, name: str, at: tuple[float, float, float], R: Array | None = None) -> None:
         """Put a thing's origin so in `world`."""
         data = self.world.data
-        self.scene.put(data.qpos, name, pose(at, np.eye(3) if R is None else R))
+        self.scene.set_object_pose(data.qpos, name, pose(at, np.eye(3) if R is None else R))
         mujoco.mj_kinematics(self.scene.model, data)
 
     def open(self, thing: str, part: str, to: float) -> None:
@@ -214,7 +214,7 @@ def test_the_volume_of_a_thing_moves_with_its_parts(placed: PlacedScene) -> None
     np.testing.assert_allclose(low, [-0.26, -0.12, 0.0], atol=1e-6)
     inside = placed.world.volume_fraction_in_box("cabinet", "cabinet")
     assert inside == 1 and high[2] == pytest.approx(0.11)
-    points = np.concatenate([points for points, _ in placed.world._filled("cabinet")])
+    points = np.concatenate([points for points, _ in placed.world._volume_samples("cabinet")])
     assert points[:, 0].min() < 1.0 - 0.25
 
 

@@ -22,7 +22,7 @@ def picture() -> np.ndarray:
 def test_motion_spreads_a_point_evenly_along_a_line(motion: tuple[float, float]) -> None:
     point = np.zeros((61, 61), np.float32)
     point[30, 30] = 1.0
-    seen = BlurKernel(0.7, motion).blurred(point)
+    seen = BlurKernel(0.7, motion).apply(point)
     assert seen.sum() == pytest.approx(1.0, abs=1e-4)
     y, x = np.mgrid[-30:31, -30:31]
     assert (seen * x).sum() == pytest.approx(0.0, abs=1e-3)
@@ -34,10 +34,10 @@ def test_motion_spreads_a_point_evenly_along_a_line(motion: tuple[float, float])
 
 def test_derivatives_by_the_motion_are_those_of_small_steps() -> None:
     sharp, motion, step = picture(), np.array([5.0, -3.0]), 0.05
-    slopes = BlurKernel(1.0, (5.0, -3.0)).by_motion(sharp)
+    slopes = BlurKernel(1.0, (5.0, -3.0)).motion_derivatives(sharp)
     for k in (0, 1):
         by = step * np.eye(2)[k]
-        ahead, back = (BlurKernel(1.0, tuple((motion + sign * by).tolist())).blurred(sharp) for sign in (1, -1))
+        ahead, back = (BlurKernel(1.0, tuple((motion + sign * by).tolist())).apply(sharp) for sign in (1, -1))
         numeric = (ahead - back) / (2 * step)
         inner = np.s_[10:-10, 10:-10]
         assert np.corrcoef(numeric[inner].ravel(), slopes[k][inner].ravel())[0, 1] > 0.97

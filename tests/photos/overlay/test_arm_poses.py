@@ -131,7 +131,7 @@ def test_a_board_is_looked_for_where_the_photo_before_had_it(russet: RigConfig) 
         russet, PHOTO, grey, PhotoCamera.from_calibration(CAMERA, "file"), trust_margin=False, before=before
     )
     arm = result.arms[0]
-    assert arm.status == "ok", arm.sighting
+    assert arm.status == "ok", arm.detection
     assert arm.T_base_in_cam @ russet.arms[0].T_board_in_base == pytest.approx(T, abs=1e-3)
 
 
@@ -168,7 +168,7 @@ def test_a_print_that_is_not_as_the_rig_says_is_told(russet: RigConfig) -> None:
     far_off = found(russet, photograph(CAMERA, [(replace(board, gap=2 * board.gap), T), other]))
     assert [arm.status for arm in far_off.arms] == ["uncertain", "ok"]
     assert set(far_off.bases) == {1}
-    refused = far_off.arms[0].sighting
+    refused = far_off.arms[0].detection
     assert (
         "px off a flat print's: a crease, a bent plate, another lens, or other measures than the rig's"
         in refused.reason
@@ -202,9 +202,9 @@ def test_a_print_of_another_size_is_told_by_the_other_board(russet: RigConfig, s
         assert result.bases == {}
         for arm in result.arms:
             assert arm.status == "poor_fit"
-            told = re.search(r"is ([\d.]+) % as large", arm.sighting.reason)
+            told = re.search(r"is ([\d.]+) % as large", arm.detection.reason)
             assert float(told[1]) == pytest.approx(100 * scale, abs=0.15)
-            assert "measure both" in arm.sighting.reason
+            assert "measure both" in arm.detection.reason
 
 
 def test_arms_that_stand_elsewhere_have_no_print_of_another_size(russet: RigConfig) -> None:

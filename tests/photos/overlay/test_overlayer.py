@@ -172,7 +172,7 @@ def test_refining_keeps_a_good_pose_and_what_the_margin_promises(
         mm, degrees = off(T[k], russet_shot.T_base_in_cam(k))
         assert mm < 1.5
         assert degrees < 0.3
-        sighting = report.results[0].arms[k].sighting
+        sighting = report.results[0].arms[k].detection
         # The board moved with its arm, and the figure is that of the pose as it now is.
         T_board = russet_shot.rig.arms[k].T_board_in_base
         assert sighting.T_board_in_cam == pytest.approx(T[k] @ T_board, abs=1e-9)

@@ -61,7 +61,7 @@ def test_every_joint_is_excited_in_every_third_of_it() -> None:
     log = ArmLog("log", found.times, found.commands, found.commands, None)
 
     for start in (0.0, 20.0, 40.0):
-        check_usable([log.clipped(start, start + 20)], _rig("single").arms[0].robot.joint_names)
+        check_usable([log.slice_time(start, start + 20)], _rig("single").arms[0].robot.joint_names)
 
 
 def test_a_motion_starts_and_ends_at_rest_in_one_pose_and_follows_from_its_seed() -> None:

@@ -27,7 +27,7 @@ def loop(
     served = serve_arms(Session(make_config({("rig",): "yam_v1+linear_4310"}), locations))
     bus = UnixBus(tmp_path / "buses", "can0")
     request.addfinalizer(bus.close)
-    return ServeLoop(served.plant, [bus], 571e-6)
+    return ServeLoop(served.motor_simulation, [bus], 571e-6)
 
 
 def beside(loop: ServeLoop, seconds: float, work: Callable[[socket.socket], None], folder: Path) -> None:

@@ -48,8 +48,8 @@ def next_shot(source: RenderProcess, after: int = -1) -> CameraFrames:
     while time.monotonic() < until:
         source.flush()
         source.handle(set(select.select(source.readers, [], [], 0.01)[0]))
-        if source.shot is not None and source.shot.number > after:
-            return source.shot
+        if source.newest_frames is not None and source.newest_frames.number > after:
+            return source.newest_frames
     raise AssertionError("no shot came")
 
 
@@ -57,20 +57,20 @@ def test_it_draws_what_is_there_now(source: RenderProcess, served: ServedArms, s
     first = next_shot(source)
     assert (first.number, first.time_ns, first.sim_time) == (0, 1, 0.0)
     np.testing.assert_equal(first.joints[0], served.followers[0].joint_pos())
-    at_home = served.plant.data.qpos.copy()
+    at_home = served.motor_simulation.data.qpos.copy()
     with Simulator(session) as simulator:
         own = render_cameras(simulator, Attempt(AttemptJob(0, 0)), at_home, ("top", "left"))
-        pose = simulator.replica.T_cam_in_base("left")
+        pose = simulator.state_replay.T_cam_in_base("left")
     for name, picture in own.items():
         np.testing.assert_equal(first.pictures[name], picture)
     np.testing.assert_allclose(first.T_cam_in_base["left"], pose)
     assert np.array(source.K["top"]).shape == (3, 3)
     before = first.pictures["left"].copy()
     for _ in range(100):
-        served.plant.step()
+        served.motor_simulation.step()
     # The next but one was asked for after that.
     later = next_shot(source, after=2)
-    assert later.sim_time == pytest.approx(served.plant.now)
+    assert later.sim_time == pytest.approx(served.motor_simulation.now)
     assert (later.pictures["left"] != before).any()
 
 

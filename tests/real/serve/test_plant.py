@@ -40,17 +40,17 @@ def positions(motors: tuple[Motor, ...]) -> np.ndarray:
 
 def test_without_power_it_rests_on_its_stops_and_falls_from_elsewhere(serve: Serve) -> None:
     served = serve()
-    run(served.plant, 2)
-    assert np.abs(positions(served.plant.buses[0].motors)[:3]).max() < 0.01
+    run(served.motor_simulation, 2)
+    assert np.abs(positions(served.motor_simulation.buses[0].motors)[:3]).max() < 0.01
     served = serve(start="home")
-    before = positions(served.plant.buses[0].motors)
-    run(served.plant, 1)
-    assert np.abs(positions(served.plant.buses[0].motors) - before).max() > 0.5
+    before = positions(served.motor_simulation.buses[0].motors)
+    run(served.motor_simulation, 1)
+    assert np.abs(positions(served.motor_simulation.buses[0].motors) - before).max() > 0.5
 
 
 def test_it_floats_on_the_torques_that_hold_it(serve: Serve) -> None:
     """Neither gains nor damping: the friction of the joints is all there is besides."""
-    plant = serve(start="task").plant
+    plant = serve(start="task").motor_simulation
     motors = plant.buses[0].motors
     before = positions(motors)
 
@@ -64,7 +64,7 @@ def test_it_floats_on_the_torques_that_hold_it(serve: Serve) -> None:
 
 def test_each_motor_follows_its_own_gains(serve: Serve) -> None:
     """A joint that turns freely is off by what holds it, over its gain."""
-    plant = serve(start="task").plant
+    plant = serve(start="task").motor_simulation
     motors = plant.buses[0].motors
     start = positions(motors)
 
@@ -82,7 +82,7 @@ def test_each_motor_follows_its_own_gains(serve: Serve) -> None:
 
 
 def test_a_torque_finds_both_ends_of_the_gripper(serve: Serve) -> None:
-    plant = serve().plant
+    plant = serve().motor_simulation
     motor = plant.buses[0].motors[-1]
     ends = []
     for torque in (0.5, -0.5):
@@ -93,7 +93,7 @@ def test_a_torque_finds_both_ends_of_the_gripper(serve: Serve) -> None:
 
 
 def test_a_stuck_gripper_stays(serve: Serve) -> None:
-    plant = serve(faults=[BusFault("stuck")]).plant
+    plant = serve(faults=[BusFault("stuck")]).motor_simulation
     motor = plant.buses[0].motors[-1]
     run(plant, 0.1)
     run(plant, 0.5, lambda: motor.drive(MitCommand(-6.0, 0, 20.0, 0.5, 0), plant.now))
@@ -106,13 +106,13 @@ def test_a_follower_goes_where_it_is_told_and_presses_no_harder_than_it_may(serv
     follower = served.followers[0]
     target = np.array([0.3, 1.2, 1.2, -0.2, 0.1, 0.2, 1.0])
     follower.command_joint_pos(target)
-    run(served.plant, 3, follower.tick)
+    run(served.motor_simulation, 3, follower.tick)
     assert follower.joint_pos() == pytest.approx(target, abs=0.01)
     follower.command_joint_pos(np.append(target[:6], 0.0))
-    run(served.plant, 3, follower.tick)
+    run(served.motor_simulation, 3, follower.tick)
     # Closed on nothing: at the stop, with the force of the maker's limit.
     assert follower.joint_pos()[-1] == pytest.approx(0.0, abs=0.01)
-    assert abs(served.plant.buses[0].motors[-1].torque) < 1.05
+    assert abs(served.motor_simulation.buses[0].motors[-1].torque) < 1.05
 
 
 @pytest.mark.parametrize(
@@ -131,7 +131,7 @@ def test_a_follower_refuses_what_is_no_command(serve: Serve, told: object) -> No
 def test_two_arms_are_on_two_buses(serve: Serve) -> None:
     served = serve("yam_station_linear_4310_d405", faults=[BusFault("lost", channel="can_right", motor=3)])
     assert served.sides == ("left", "right")
-    assert [bus.channel for bus in served.plant.buses] == ["can_left", "can_right"]
+    assert [bus.channel for bus in served.motor_simulation.buses] == ["can_left", "can_right"]
     for follower in served.followers:
         follower.command_joint_pos(np.array([0.0, 0.5, 0.5, 0.0, 0.0, 0.0, 0.5]))
 
@@ -139,11 +139,11 @@ def test_two_arms_are_on_two_buses(serve: Serve) -> None:
         for follower in served.followers:
             follower.tick()
 
-    run(served.plant, 1.5, tell)
+    run(served.motor_simulation, 1.5, tell)
     left, right = served.followers
     assert left.joint_pos()[2] == pytest.approx(0.5, abs=0.01)
     assert right.joint_pos()[2] < 0.3
-    assert served.plant.buses[0].motors[2].status is Status.ENABLED
+    assert served.motor_simulation.buses[0].motors[2].status is Status.ENABLED
 
 
 @pytest.mark.parametrize(

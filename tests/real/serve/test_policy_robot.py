@@ -32,11 +32,11 @@ class Driven:
         self.robot: PolicyRobot = make_policy_robot(session, self.served, self.shots)  # type: ignore[arg-type]
 
     def run(self, seconds: float) -> None:
-        for _ in range(round(seconds / self.served.plant.timestep)):
+        for _ in range(round(seconds / self.served.motor_simulation.timestep)):
             self.robot.tick()
             for follower in self.served.followers:
                 follower.tick()
-            self.served.plant.step()
+            self.served.motor_simulation.step()
 
     def row(self) -> np.ndarray:
         return np.concatenate([follower.joint_pos() for follower in self.served.followers])
@@ -45,7 +45,7 @@ class Driven:
         self.shots._joints = tuple(follower.joint_pos() for follower in self.served.followers)
         self.shots.take(number)
         assert self.shots.shot is not None
-        return dict(self.robot.observed(self.shots.shot).proprios)
+        return dict(self.robot.observe(self.shots.shot).proprios)
 
 
 @pytest.fixture
@@ -119,7 +119,7 @@ def test_cameras_have_raidens_names_and_squares(driven: Driven, session: Session
     assert driven.robot.metadata["cameras"] == ["top", "left_wrist_camera"]
     driven.see()
     assert driven.shots.shot is not None
-    view = driven.robot.observed(driven.shots.shot).views["left_wrist_camera"]
+    view = driven.robot.observe(driven.shots.shot).views["left_wrist_camera"]
     assert view.picture.shape == (384, 384, 3)
     width, height = driven.shots.size
     np.testing.assert_allclose(np.diag(view.K), [7 * 384 / width, 7 * 384 / height, 1])

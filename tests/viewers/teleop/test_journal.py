@@ -95,7 +95,7 @@ def test_the_file_goes_with_its_recording(config: RecordConfig, locations: Locat
     # Handed in, and not yet in the dataset.
     journal = RecordingJournal(tmp_path)
     assert len(journal.unfinished()) == 1
-    journal.drop(0)
+    journal.delete(0)
     assert list(tmp_path.iterdir()) == []
 
 

@@ -36,7 +36,7 @@ from yamsim_cli.core.episode.simulator import Simulator
 from yamsim_cli.core.errors import ConfigError
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.geometry.se3 import Array, pose, quat_from_rotation
-from yamsim_cli.core.scene.build import state_meshes
+from yamsim_cli.core.scene.build import with_mesh_descriptions
 from yamsim_cli.viewers.teleop.attempt_writer import AttemptWriter, TeleopAttemptRenderer
 from yamsim_cli.viewers.teleop.command_stream import StreamPlayer, read_stream
 from yamsim_cli.viewers.teleop.teleop_scene import TeleopScene
@@ -145,9 +145,9 @@ def test_the_arm_stops_before_the_table_and_says_so(driven: TeleopScene, config:
 
 
 def test_the_magnet_holds_only_what_the_hand_is_at(driven: TeleopScene) -> None:
-    driven.set_magnet(True)
+    driven.set_weld(True)
     run(driven, 0.1)
-    assert not driven.status.magnet_holds
+    assert not driven.status.is_weld_holding
     assert not driven.status.magnet
     assert driven.message == "the magnet found nothing within its reach"
 
@@ -197,7 +197,7 @@ def test_a_stop_lets_go_and_waits_whatever_is_asked_meanwhile(
         assert not tray.attempts
         driven.set_joint_target(np.zeros(6))
         driven.toggle_gripper()
-        driven.set_magnet(True)
+        driven.set_weld(True)
         driven.tick()
     assert not driven.recording
     actions = tray.actions
@@ -462,7 +462,9 @@ def test_what_a_broken_line_said_is_lost_and_nothing_else(
 ) -> None:
     """A demonstration cannot be made again; its line says so from then on."""
     out = tmp_path / "out"
-    with DatasetWriter(out, state_meshes(Session(config, locations)).config.data_config(), OpenMode.NEW) as writer:
+    with DatasetWriter(
+        out, with_mesh_descriptions(Session(config, locations)).config.data_config(), OpenMode.NEW
+    ) as writer:
         for k in range(3):
             writer.log(failed_attempt(k))
     lines = (out / "attempts.jsonl").read_bytes().splitlines(keepends=True)

@@ -42,7 +42,7 @@ def test_one_arm_is_driven_and_then_the_other(driven: TeleopScene) -> None:
         np.testing.assert_allclose(wanted[:3, 3], start[number], atol=0.005)
         wanted[2, 3] += 0.06
         driven.set_target_pose(wanted)
-        driven.set_magnet(False)
+        driven.set_weld(False)
         driven.switch_arm()
         # What it was told, it goes on to do.
         for _ in range(60):

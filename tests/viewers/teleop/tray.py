@@ -17,8 +17,8 @@ class CollectingReceiver:
     def next_attempt(self) -> int:
         return len(self.attempts)
 
-    def submit(self, driven: SimulatedAttempt) -> None:
-        self.attempts.append(driven)
+    def submit(self, simulated: SimulatedAttempt) -> None:
+        self.attempts.append(simulated)
 
     @property
     def actions(self) -> ActionSequence:

@@ -43,7 +43,7 @@ PROGRAM = "program"  # the `kind` of tasks
 GraspKind = Literal["weld", "contact", "cloth_constraint"]
 # The first arm is `RecordConfig.arm`; the second is the other arm.
 Turn = Literal["first", "second"]
-Attitude = Literal["upright", "lying", "upside_down"]
+StartOrientation = Literal["upright", "lying", "upside_down"]
 
 _PLACEHOLDER = re.compile(r"\{([^{}]*)\}")
 _Lift = Annotated[FiniteFloat, Field(ge=0.1, le=0.8)]  # drop height of a cloth, as a share of its half diagonal
@@ -119,7 +119,7 @@ class Start(Config):
     x: ReachRange
     y: ReachRange
     yaw_deg: HeadingRange = (-180, 180)
-    attitudes: Annotated[tuple[Attitude, ...], Field(min_length=1)] = ("upright",)
+    attitudes: Annotated[tuple[StartOrientation, ...], Field(min_length=1)] = ("upright",)
     apart: Distance = 0.02
     open: Mapping[Name, tuple[Share, Share]] = Field(default_factory=dict)
     crumpled: Annotated[tuple[_Lift, _Lift] | None, OMIT_NONE] = None
@@ -136,7 +136,7 @@ class Start(Config):
             )
         return self
 
-    def moved(self, y: float) -> Start:
+    def to_world(self, y: float) -> Start:
         """Return the start with its range of y converted to `world`, given the world `y` (m) of the arm `from_arm`."""
         return self.model_copy(update={"from_arm": None, "y": (self.y[0] + y, self.y[1] + y)})
 
@@ -171,7 +171,7 @@ class Phrasings(Config):
             raise ConflictError(f"{shared[0]!r} is said in training too, so it is not held out", ("held_out",))
         return self
 
-    def filled(self, fill: Callable[[str], str]) -> Phrasings:
+    def fill(self, fill: Callable[[str], str]) -> Phrasings:
         """Return the phrasings with every instruction replaced by `fill(instruction)`."""
         return Phrasings.model_construct(
             training=tuple(map(fill, self.training)), held_out=tuple(map(fill, self.held_out))
@@ -302,7 +302,7 @@ class ProgramTask(Config):
                 where = ("goal", *path, *argument.split("."))
                 if role not in (known := names | {TABLE}):
                     raise ConflictError(f"unknown role {role!r}; {suggest(role, known)}", where)
-                if predicate.OF_CLOTH and not self.of_cloth(role):
+                if predicate.OF_CLOTH and not self.may_be_cloth(role):
                     raise ConflictError(f"the {role} is no cloth; give a role that cloth plays", where)
         return self
 
@@ -320,16 +320,16 @@ class ProgramTask(Config):
     @model_validator(mode="after")
     def _cloth_starts_as_cloth_can(self) -> ProgramTask:
         for role, start in self.starts.items():
-            if self.of_cloth(role) and set(start.attitudes) != {"upright"}:
+            if self.may_be_cloth(role) and set(start.attitudes) != {"upright"}:
                 raise ConflictError(
                     f"the {role} is cloth, which starts flat or `crumpled`; remove `attitudes`",
                     ("starts", role, "attitudes"),
                 )
-            if start.crumpled is not None and not self.of_cloth(role):
+            if start.crumpled is not None and not self.may_be_cloth(role):
                 raise ConflictError(
                     f"the {role} is no cloth, so it does not crumple; remove `crumpled`", ("starts", role, "crumpled")
                 )
-            if self.of_cloth(start.on):
+            if self.may_be_cloth(start.on):
                 raise ConflictError(f"nothing starts on cloth, and the {start.on} is cloth", ("starts", role, "on"))
         return self
 
@@ -356,7 +356,7 @@ class ProgramTask(Config):
 
     @model_validator(mode="after")
     def _placeholders_are_known(self, info: ValidationInfo) -> ProgramTask:
-        known = self._words(self.typical_roles)
+        known = self._placeholder_texts(self.typical_roles)
         texts: dict[tuple[str | int, ...], str] = {("language_task",): self.language_task}
         for key in ("training", "held_out"):
             texts |= {("phrasings", key, k): text for k, text in enumerate(getattr(self.phrasings, key))}
@@ -386,7 +386,7 @@ class ProgramTask(Config):
                         )
         return self
 
-    def of_cloth(self, name: str) -> bool:
+    def may_be_cloth(self, name: str) -> bool:
         """Return whether the role or the object called `name` may be cloth."""
         names = {thing: role for role in self.things for thing in (role, *self.possible_names(role))}
         return name in names and any(item.cloth is not None for item in self.things[names[name]].of)
@@ -399,7 +399,9 @@ class ProgramTask(Config):
     @property
     def language_prompt(self) -> str:
         """The first training instruction, with the first object config of each role as its placeholders' values."""
-        return _filled(self.phrasings.training[0], _without_underscores(self._words(self.typical_roles)))
+        return _replace_placeholders(
+            self.phrasings.training[0], _without_underscores(self._placeholder_texts(self.typical_roles))
+        )
 
     @property
     def valid_grasps(self) -> tuple[GraspKind, ...]:
@@ -409,7 +411,7 @@ class ProgramTask(Config):
     @property
     def target_predicate(self) -> On | None:
         """The goal's first predicate `on` with a radius, which measures the distance from the target; None if none."""
-        return next((on for _, on in self._scored()), None)
+        return next((on for _, on in self._on_predicates_with_radius()), None)
 
     @property
     def radius_path(self) -> tuple[str | int, ...]:
@@ -417,13 +419,13 @@ class ProgramTask(Config):
 
         Raises ConflictError if the goal has no `on` with a radius.
         """
-        for path, _ in self._scored():
+        for path, _ in self._on_predicates_with_radius():
             return ("goal", *path, "radius")
         raise ConflictError(
             f"task {self.name!r} has no `on` with a `radius` in its goal, so no distance counts", ("goal",)
         )
 
-    def _scored(self) -> Iterator[tuple[tuple[str | int, ...], On]]:
+    def _on_predicates_with_radius(self) -> Iterator[tuple[tuple[str | int, ...], On]]:
         """Yield the key path and the predicate for each `on` with a radius in the goal."""
         for path, predicate in self.goal.predicates():
             if isinstance(predicate, On) and predicate.radius is not None:
@@ -481,7 +483,7 @@ class ProgramTask(Config):
         count = self.things[role].count
         return (role,) if count == 1 else tuple(f"{role}_{k + 1}" for k in range(count))
 
-    def _words(self, roles: RoleAssignment) -> dict[str, str]:
+    def _placeholder_texts(self, roles: RoleAssignment) -> dict[str, str]:
         """Return each placeholder of the instructions -> the text that replaces it."""
         words = {"first_arm": "right", "second_arm": "left"}
         for role, one in self.things.items():
@@ -494,17 +496,17 @@ class ProgramTask(Config):
     def with_arm_sides(self, first: str, second: str) -> ProgramTask:
         """Return the task with the sides of its arms, "left" or "right", in its phrasings and its name."""
         words = {"first_arm": first, "second_arm": second}
-        return self._filled(words, words)
+        return self._fill_placeholders(words, words)
 
-    def _filled(self, prompt_words: Mapping[str, str], name_words: Mapping[str, str]) -> ProgramTask:
-        phrasings = self.phrasings.filled(lambda text: _filled(text, prompt_words))
+    def _fill_placeholders(self, prompt_words: Mapping[str, str], name_words: Mapping[str, str]) -> ProgramTask:
+        phrasings = self.phrasings.fill(lambda text: _replace_placeholders(text, prompt_words))
         return self.model_copy(
-            update={"phrasings": phrasings, "language_task": _filled(self.language_task, name_words)}
+            update={"phrasings": phrasings, "language_task": _replace_placeholders(self.language_task, name_words)}
         )
 
     def with_objects_of(self, roles: RoleAssignment) -> ProgramTask:
         """Return the task with only the objects of a role assignment, scaled and named as assigned."""
-        words = self._words(roles)
+        words = self._placeholder_texts(roles)
         things = {}
         for role, one in self.things.items():
             kinds = {item.name: item for item in one.of}
@@ -513,10 +515,10 @@ class ProgramTask(Config):
                 for name in roles.objects_of(role)
             )
             things[role] = one.model_copy(update={"of": items})
-        return self._filled(_without_underscores(words), words).model_copy(update={"things": things})
+        return self._fill_placeholders(_without_underscores(words), words).model_copy(update={"things": things})
 
 
-def _filled(text: str, words: Mapping[str, str]) -> str:
+def _replace_placeholders(text: str, words: Mapping[str, str]) -> str:
     return _PLACEHOLDER.sub(lambda found: words.get(found[1], found[0]), text)
 
 

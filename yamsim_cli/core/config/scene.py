@@ -26,7 +26,7 @@ class Table(Config):
         """Height of the surface in `world`, m."""
         return self.position[2] + self.half_size[2]
 
-    def widened(self, by: float) -> Table:
+    def widen(self, by: float) -> Table:
         """Return the table with its full width along world y increased by `by` metres."""
         x, y, z = self.half_size
         return self.model_copy(update={"half_size": (x, y + by / 2, z)})
@@ -63,7 +63,7 @@ class FixedCamera(Config):
             raise ValueError("position and look_at are the same point")
         return self
 
-    def moved_back(self, by: float) -> FixedCamera:
+    def move_back(self, by: float) -> FixedCamera:
         """Return the camera, `by` metres farther from `look_at`."""
         away = 1 + by / math.dist(self.position, self.look_at)
         x, y, z = (at + away * (p - at) for p, at in zip(self.position, self.look_at, strict=True))
@@ -107,7 +107,7 @@ class SceneConfig(Config):
             return self
         return self.model_copy(
             update={
-                "table": self.table and self.table.widened(span),
-                "scene_camera": self.scene_camera and self.scene_camera.moved_back(_STEP_BACK * span),
+                "table": self.table and self.table.widen(span),
+                "scene_camera": self.scene_camera and self.scene_camera.move_back(_STEP_BACK * span),
             }
         )

@@ -47,14 +47,14 @@ class RecordedEpisode:
         except OSError as error:
             raise DatasetError(f"{self.directory / name} cannot be read: {error.strerror or error}") from error
 
-    def altered_files(self, name: str, data: bytes) -> bool:
+    def is_altered(self, name: str, data: bytes) -> bool:
         """Return whether the SHA-256 of a file's content differs from the recorded hash."""
         return sha256_bytes(data) != self.record.files.get(name)
 
     def read_verified(self, name: str) -> bytes:
         """Return the content of a file. Raise DatasetError if it is unreadable or differs from its recorded hash."""
         data = self.read(name)
-        if self.altered_files(name, data):
+        if self.is_altered(name, data):
             raise DatasetError(
                 f"{self.directory / name} is not what was recorded: its sha256 differs from that in {EPISODE}; "
                 "copy the episode anew, or record it again"
@@ -240,27 +240,29 @@ def select_episodes(dataset: Path, episodes: str | None, sample: int | None) -> 
         raise DatasetError(f"{dataset} holds no episodes (ep_NNNNNN); give the directory that `yamsim record` wrote")
     numbers = sorted(there)
     if episodes is not None:
-        numbers = _selected(episodes, dataset, numbers)
+        numbers = _parse_selection(episodes, dataset, numbers)
     elif sample is not None and sample < len(numbers):
         step = (len(numbers) - 1) / max(1, sample - 1)
         numbers = [numbers[round(k * step)] for k in range(sample)]
     return [(number, there[number]) for number in numbers]
 
 
-def _selected(text: str, dataset: Path, there: Sequence[int]) -> list[int]:
+def _parse_selection(text: str, dataset: Path, available: Sequence[int]) -> list[int]:
     chosen: set[int] = set()
     for part in text.split(","):
         match = _EPISODE_RANGE.match(part.strip())
         first, last = (int(match[1]), int(match[2] or match[1])) if match else (1, 0)
         if first > last:
             raise UsageError(
-                f"--episodes {text!r}: {part.strip()!r} is neither a number nor a range; valid: {join_ranges(there)}"
+                f"--episodes {text!r}: {part.strip()!r} is neither a number nor a range; valid: {join_ranges(available)}"
             )
         # Filter the existing numbers by the range: a list of the whole range may not fit into memory.
-        named = [number for number in there if first <= number <= last]
+        named = [number for number in available if first <= number <= last]
         if len(named) != last - first + 1:
             missing = next(number for number in range(first, last + 1) if number not in set(named))
-            raise UsageError(f"--episodes {text!r}: {dataset} has no episode {missing}; valid: {join_ranges(there)}")
+            raise UsageError(
+                f"--episodes {text!r}: {dataset} has no episode {missing}; valid: {join_ranges(available)}"
+            )
         chosen.update(named)
     return sorted(chosen)
 

@@ -49,7 +49,7 @@ class RowFormat:
     drives: tuple[str, ...]
     welds: tuple[str, ...]
     arms: int
-    full: tuple[float, ...] | None
+    full_openings: tuple[float, ...] | None
 
     @classmethod
     def from_config(cls, config: RecordConfig) -> RowFormat:
@@ -61,7 +61,7 @@ class RowFormat:
         return cls(drive_names(rig), weld_names(config), len(rig.recording_order), full if shares else None)
 
     @property
-    def actions(self) -> tuple[str, ...]:
+    def action_names(self) -> tuple[str, ...]:
         """Names of the elements of an action row: drive commands, then weld states."""
         return self.drives + self.welds
 
@@ -78,10 +78,10 @@ class RowFormat:
         """Convert an action row to commands (arms, drives), rad and m, and weld states (arms,)."""
         count = len(self.drives)
         ctrl = np.array(row[:count], dtype=np.float64).reshape(self.arms, -1)
-        if self.full is not None:
-            ctrl[:, -1] *= self.full
+        if self.full_openings is not None:
+            ctrl[:, -1] *= self.full_openings
         welds = row[count:] > 0.5 if self.welds else np.zeros(self.arms, bool)
         return ctrl, np.asarray(welds, bool)
 
     def _with_shares(self, values: Array) -> Array:
-        return values if self.full is None else with_opening_shares(values, self.full)
+        return values if self.full_openings is None else with_opening_shares(values, self.full_openings)

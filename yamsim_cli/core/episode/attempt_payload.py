@@ -31,7 +31,7 @@ from .simulator import Simulator
 
 # Version of the rendering, raised when the same config gives other images: 2 since the table and the posts cast
 # shadows. A recording that states no version has `FIRST_LOOKS`.
-LOOKS, FIRST_LOOKS = "2", "1"
+APPEARANCE_REVISION, FIRST_APPEARANCE_REVISION = "2", "1"
 
 # Version of the engine, raised when the same config and seed give other actions. 2: all tasks are programs of skills,
 # with analytic inverse kinematics. 3: waypoints may tilt, containers take objects beside each other, and starts with
@@ -42,9 +42,12 @@ ENGINE, FIRST_ENGINE = "3", "1"
 def library_versions() -> dict[str, str]:
     """Return name -> version of all software that determines an episode's files; `looks` affects only its images."""
     packages = {name: name for name in ("mujoco", "mink", "daqp", "numpy")} | {"opencv": "opencv-python-headless"}
-    return {"yamsim": __version__, "python": platform.python_version(), "looks": LOOKS, "engine": ENGINE} | {
-        key: version(name) for key, name in packages.items()
-    }
+    return {
+        "yamsim": __version__,
+        "python": platform.python_version(),
+        "looks": APPEARANCE_REVISION,
+        "engine": ENGINE,
+    } | {key: version(name) for key, name in packages.items()}
 
 
 def build_payload(simulator: Simulator, simulated: SimulatedAttempt) -> AttemptPayload:
@@ -81,14 +84,16 @@ def frame_records(simulator: Simulator, attempt: Attempt, states: Sequence[StepS
 
 
 def _joints(simulator: Simulator) -> dict[str, Array]:
-    return {item.name: simulator.replica.object_joints(item) for item in simulator.config.task.objects if item.links}
+    return {
+        item.name: simulator.state_replay.object_joints(item) for item in simulator.config.task.objects if item.links
+    }
 
 
 def _frame(simulator: Simulator, attempt: Attempt, state: StepState, tick: int) -> dict[str, Any]:
-    config, scene, replica = simulator.config, simulator.set_variation(attempt), simulator.replica
+    config, scene, replica = simulator.config, simulator.set_variation(attempt), simulator.state_replay
     task, acting = config.task, state.actions
-    replica.show(state.qpos)
-    joints = replica.joints() if state.sensed is None else state.sensed
+    replica.set_state(state.qpos)
+    joints = replica.joints() if state.encoder_readings is None else state.encoder_readings
     bases = [arm.T_base_in_world for arm in scene.arms]
     return frame_data(
         joints=encoder_readings(scene, joints, attempt.job, tick),
@@ -124,8 +129,8 @@ def render_cameras(simulator: Simulator, attempt: Attempt, qpos: Array, cameras:
         ResourceError: no OpenGL context could be made.
     """
     renderer = _renderer(simulator, attempt)
-    simulator.replica.show(qpos)
-    return {camera: renderer.render(simulator.replica.data, camera) for camera in cameras}
+    simulator.state_replay.set_state(qpos)
+    return {camera: renderer.render(simulator.state_replay.data, camera) for camera in cameras}
 
 
 def recorded_pictures(
@@ -142,9 +147,9 @@ def recorded_pictures(
     image = np.empty((height, width, 3), np.uint8)
     renderer = _renderer(simulator, attempt)
     for k, qpos in enumerate(positions):
-        simulator.replica.show(qpos)
+        simulator.state_replay.set_state(qpos)
         for number, camera in enumerate(simulator.scene.cameras):
-            renderer.render(simulator.replica.data, camera, image)
+            renderer.render(simulator.state_replay.data, camera, image)
             simulator.randomized.finish(attempt, image, k, number)
             yield k, camera, image
 
@@ -162,7 +167,7 @@ def encode_images(simulator: Simulator, attempt: Attempt, positions: Iterable[Ar
     for k, camera, image in recorded_pictures(simulator, attempt, positions):
         files[image_name(camera, k)] = encode_jpeg(image, simulator.config.image.jpeg_quality)
         if truth:
-            truth.add(simulator.replica.data, camera, simulator.renderer)
+            truth.add(simulator.state_replay.data, camera, simulator.renderer)
     return files | (truth.files if truth else {})
 
 
@@ -174,10 +179,10 @@ def render_depth(simulator: Simulator, attempt: Attempt, qpos: Array, camera: st
     """
     assert simulator.labels is not None, "depth is part of truth"
     renderer = _renderer(simulator, attempt)
-    simulator.replica.show(qpos)
+    simulator.state_replay.set_state(qpos)
     # Pixels without a label, such as the sky, get no depth, as in recorded ground truth.
     labels = simulator.labels
-    return depth_in_mm(renderer.label(simulator.replica.data, camera, labels.of_geom, labels.of_flex)[1])
+    return depth_in_mm(renderer.label(simulator.state_replay.data, camera, labels.of_geom, labels.of_flex)[1])
 
 
 def _renderer(simulator: Simulator, attempt: Attempt) -> SceneRenderer:

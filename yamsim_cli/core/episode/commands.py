@@ -19,7 +19,7 @@ def drive_commands(arm: ArmAddresses, path: JointPath) -> Array:
     the planned torque over `kp` the inertia and the weight. The arm then has neither lag nor overshoot.
     """
     references = (path.joints[:-1] + path.joints[1:]) / 2
-    command = references + (arm.kv * path.velocities + path.torques) / arm.kp
+    command = references + (arm.velocity_gain * path.velocities + path.torques) / arm.position_gain
     clipped: Array = np.clip(command, arm.ctrl_range[:, 0], arm.ctrl_range[:, 1])
     return clipped
 

@@ -130,12 +130,12 @@ class Episode:
         scene.reset(self.data, start)
         self.world = make_sim_world(scene, self.data, sides) if world is None else world(self.data)
         self.world.store_start()
-        self._grasp = make_grasp_simulator(scene, self._rules.magnet_reach)
+        self._grasp = make_grasp_simulator(scene, self._rules.weld_reach)
         self._monitor = StepMonitor(scene, timing.physics_steps_per_tick)
         self._held_monitor = HeldObjectMonitor(scene, self.world)
         self._T_at_start = self._poses()
         self._ctrl: list[Array] = []
-        self._magnet: list[Sequence[bool]] = []
+        self._weld_on: list[Sequence[bool]] = []
         self._joints: list[Array] = []
         self._frames: list[tuple[float, Array, Array | None]] = []
         self._low, self._high = scene.model.actuator_ctrlrange.T
@@ -177,7 +177,7 @@ class Episode:
     @property
     def actions(self) -> ActionSequence:
         """The actions of all control ticks that have passed."""
-        return ActionSequence(np.array(self._ctrl), np.array(self._magnet), np.array(self._joints))
+        return ActionSequence(np.array(self._ctrl), np.array(self._weld_on), np.array(self._joints))
 
     @property
     def status(self) -> str:
@@ -238,7 +238,7 @@ class Episode:
             collision=self._monitor.collision,
             T_at_start=self._T_at_start,
             T_at_end=self._poses(),
-            speeds={name: self.world.speed(name) for name in self.scene.things},
+            speeds={name: self.world.speed(name) for name in self.scene.object_names},
         )
 
     @property
@@ -252,7 +252,7 @@ class Episode:
         ctrl = np.clip(ctrl, self._low, self._high)
         if self.ticks % timing.ticks_per_frame == 0:
             self._frames.append((data.time, data.qpos.copy(), delayed_positions(scene, data)))
-        self._magnet.append(self._grasp.update(data, ctrl, magnet))
+        self._weld_on.append(self._grasp.update(data, ctrl, magnet))
         self._ctrl.append(ctrl)
         self._joints.append(ctrl[scene.drives] if joints is None else joints)
         data.ctrl[:] = ctrl
@@ -316,7 +316,7 @@ class Episode:
         )
 
     def _poses(self) -> dict[str, Array]:
-        return {name: self.world.pose(name) for name in self.scene.things}
+        return {name: self.world.pose(name) for name in self.scene.object_names}
 
     def _states(self) -> tuple[StepState, ...]:
         ticks, actions = self._timing.ticks_per_frame, self.actions

@@ -7,7 +7,7 @@ from enum import StrEnum
 
 from ..attempt_data import FailureCause
 
-MAGNET_REACH = 0.06  # m, largest distance from a hand's pinch point to an object's surface at which a weld holds it
+WELD_REACH = 0.06  # m, largest distance from a hand's pinch point to an object's surface at which a weld holds it
 
 
 class EndRule(StrEnum):
@@ -46,14 +46,14 @@ class EpisodeRules:
     end: EndRule = EndRule.ACTOR
     strict: bool = False
     max_ticks: int | None = None
-    magnet_reach: float | None = MAGNET_REACH
+    weld_reach: float | None = WELD_REACH
 
 
 #: The rules of demonstrations by a task's expert and of their replays.
-EXPERT_RULES = EpisodeRules(EndRule.ACTOR, strict=True, magnet_reach=None)
+EXPERT_RULES = EpisodeRules(EndRule.ACTOR, strict=True, weld_reach=None)
 
 #: The rules of replays of a person's recorded actions.
-REPLAY_RULES = EpisodeRules(EndRule.ACTOR, magnet_reach=None)
+REPLAY_RULES = EpisodeRules(EndRule.ACTOR, weld_reach=None)
 
 
 @dataclass(frozen=True)

@@ -34,12 +34,12 @@ class SimulatedAttempt:
 
     attempt: Attempt
     outcome: Outcome
-    played: EpisodeResult | None
+    result: EpisodeResult | None
 
     @property
     def states(self) -> tuple[StepState, ...]:
         """The state of every recorded frame; empty if nothing moved."""
-        return self.played.states if self.played else ()
+        return self.result.states if self.result else ()
 
 
 def demonstrate(simulator: Simulator, attempt: Attempt, *, grips: bool = True) -> SimulatedAttempt:
@@ -55,7 +55,7 @@ def demonstrate(simulator: Simulator, attempt: Attempt, *, grips: bool = True) -
     task = simulator.config.task
     episode = open_episode(simulator, attempt, EXPERT_RULES)
     rng = random_generator(attempt.job, Stream.SEARCH)
-    context = simulator.expert_tools.planning_context(episode.world, list(start_postures(simulator.config)), rng)
+    context = simulator.expert_planner.planning_context(episode.world, list(start_postures(simulator.config)), rng)
     log, recoveries = RecoveryLog(), list[Recovery]()
 
     def note_recoveries() -> None:
@@ -116,22 +116,22 @@ def run_actions(
 
 
 def build_outcome(
-    simulator: Simulator, played: EpisodeResult, failure: tuple[FailureCause, str] | None = None
+    simulator: Simulator, result: EpisodeResult, failure: tuple[FailureCause, str] | None = None
 ) -> Outcome:
     """Return the outcome of an episode.
 
     Args:
         failure: cause and details of an expert's failure; None without one.
     """
-    end = played.end
+    end = result.end
     cause, detail = end.cause, end.detail
     if failure is not None and end.reason not in (EndReason.UNSTABLE, EndReason.FORBIDDEN):
         cause, detail = failure
-    elif end.cause is FailureCause.GOAL and _misses_its_target(simulator, played):
+    elif end.cause is FailureCause.GOAL and _is_off_target(simulator, result):
         cause = FailureCause.OFF_TARGET
-    dxy, dz, speed = _final_distances(simulator, played)
-    measures = played.verdict.measures if played.verdict else ()
-    return Outcome(cause is None, cause, detail, dxy, dz, speed, margins=played.margins, measures=measures)
+    dxy, dz, speed = _final_distances(simulator, result)
+    measures = result.verdict.measures if result.verdict else ()
+    return Outcome(cause is None, cause, detail, dxy, dz, speed, margins=result.margins, measures=measures)
 
 
 def with_distractors(simulator: Simulator, attempt: Attempt, states: Sequence[StepState]) -> Attempt:
@@ -142,7 +142,7 @@ def with_distractors(simulator: Simulator, attempt: Attempt, states: Sequence[St
     """
     if simulator.placer is None:
         return attempt
-    places = simulator.placer.places(attempt.job, [state.qpos for state in states])
+    places = simulator.placer.sample_poses(attempt.job, [state.qpos for state in states])
     return replace(attempt, variation=replace(attempt.variation, distractors=places))
 
 
@@ -154,16 +154,16 @@ def with_reserved_distractors(simulator: Simulator, attempt: Attempt) -> Attempt
     return attempt if simulator.placer is None else demonstrate(simulator, attempt).attempt
 
 
-def _misses_its_target(simulator: Simulator, played: EpisodeResult) -> bool:
+def _is_off_target(simulator: Simulator, result: EpisodeResult) -> bool:
     """Return whether the first predicate that fails is the one whose distance scores the task."""
     target = simulator.config.task.target_predicate
-    if target is None or played.verdict is None or played.verdict.reached:
+    if target is None or result.verdict is None or result.verdict.reached:
         return False
-    worst, roles = played.verdict.worst, simulator.roles
+    worst, roles = result.verdict.worst, simulator.roles
     return worst.unit == "m" and worst.what == f"on({roles.object_of(target.thing)}, {roles.object_of(target.surface)})"
 
 
-def _final_distances(simulator: Simulator, played: EpisodeResult) -> tuple[float | None, float | None, float | None]:
+def _final_distances(simulator: Simulator, result: EpisodeResult) -> tuple[float | None, float | None, float | None]:
     """Return an object's final distance from its target, horizontal and vertical, m; and the object's speed, m/s.
 
     All are None for a goal that measures no distance from a target.
@@ -173,8 +173,8 @@ def _final_distances(simulator: Simulator, played: EpisodeResult) -> tuple[float
     if target is None:
         return None, None, None
     thing, surface = roles.object_of(target.thing), roles.object_of(target.surface)
-    apart = played.T_at_end[thing][:3, 3] - played.T_at_end[surface][:3, 3]
-    return math.hypot(apart[0], apart[1]), float(apart[2]), played.speeds[thing]
+    apart = result.T_at_end[thing][:3, 3] - result.T_at_end[surface][:3, 3]
+    return math.hypot(apart[0], apart[1]), float(apart[2]), result.speeds[thing]
 
 
 def _with_fingers(scene: CompiledScene, actions: ActionSequence, grips: bool) -> ActionSequence:

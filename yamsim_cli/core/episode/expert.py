@@ -19,9 +19,9 @@ from ..scene.compiled import CompiledScene, GeomOwner
 from ..sim.sim_world import SimWorld
 
 # Orientations of the hand that are tried to reach a point.
-LEANS = tuple(math.radians(angle) for angle in (0, 30, 60))  # rad, tilts from straight down
-LEAN_DIRECTIONS = tuple(math.radians(angle) for angle in range(0, 360, 60))  # rad, horizontal directions of the tilt
-TURNS = tuple(math.radians(angle) for angle in (0, 90, 45, -45))  # rad, turns about the hand's own axis
+TILT_ANGLES = tuple(math.radians(angle) for angle in (0, 30, 60))  # rad, tilts from straight down
+TILT_DIRECTIONS = tuple(math.radians(angle) for angle in range(0, 360, 60))  # rad, horizontal directions of the tilt
+ROLL_ANGLES = tuple(math.radians(angle) for angle in (0, 90, 45, -45))  # rad, turns about the hand's own axis
 
 # m and rad, largest errors of the hand at a reachable point; joints may be right at their limits
 _REACH_TOLERANCE = Tolerance(3e-3, math.radians(4.0), margin=0.0)
@@ -37,7 +37,9 @@ class ExpertPlanner:
             np.flatnonzero((scene.geom_arm == k) & np.isin(scene.geom_kind, fingers)) for k in range(len(scene.arms))
         ]
         distractors = [item.name for item in config.randomization.extras]
-        self._collision_checker = CollisionChecker(scene.model, scene.arms, list(scene.things), geoms, distractors)
+        self._collision_checker = CollisionChecker(
+            scene.model, scene.arms, list(scene.object_names), geoms, distractors
+        )
 
     def is_place_reachable(self, place: Array) -> bool:
         """Return whether an acting hand reaches a place (3,) in `world`, m, regardless of contacts."""
@@ -77,8 +79,8 @@ def arm_sides(config: RecordConfig) -> tuple[str, ...]:
 
 def _hand_poses(place: Array) -> Iterator[Array]:
     down = rotation_from_vector([math.pi, 0.0, 0.0])
-    for tilt in LEANS:
-        for direction in LEAN_DIRECTIONS if tilt else LEAN_DIRECTIONS[:1]:
+    for tilt in TILT_ANGLES:
+        for direction in TILT_DIRECTIONS if tilt else TILT_DIRECTIONS[:1]:
             tilted = rotation_from_vector([tilt * math.cos(direction), tilt * math.sin(direction), 0.0])
-            for turn in TURNS:
+            for turn in ROLL_ANGLES:
                 yield pose(place, tilted @ rotation_z(turn) @ down)

@@ -11,7 +11,7 @@ import numpy as np
 from ..attempt_data import WeldStates
 from ..geometry.se3 import Array
 from ..scene.compiled import ArmAddresses, CompiledScene
-from ..sim.cloth import ClothGrips
+from ..sim.cloth import ClothConstraints
 
 
 class GraspSimulator(Protocol):
@@ -89,11 +89,11 @@ class ClothGraspSimulator:
     """Constraints hold points of cloth between closed fingers, see `sim.cloth`; friction holds rigid objects."""
 
     def __init__(self, scene: CompiledScene) -> None:
-        self._cloth_grips = ClothGrips(scene)
+        self._cloth_constraints = ClothConstraints(scene)
 
     def update(self, data: mujoco.MjData, ctrl: Array, magnet: Sequence[bool] | WeldStates) -> Sequence[bool]:
         """Switch the constraints of cloth by the fingers' commands, and return whether hands hold cloth (arms,)."""
-        return self._cloth_grips.update(data, ctrl)
+        return self._cloth_constraints.update(data, ctrl)
 
 
 def make_grasp_simulator(scene: CompiledScene, magnet_reach: float | None) -> GraspSimulator:

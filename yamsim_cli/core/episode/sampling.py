@@ -54,7 +54,7 @@ def sample_attempt(simulator: Simulator, job: AttemptJob) -> Attempt:
         start = _crumple_cloths(simulator, settled.qpos, random_generator(job, Stream.CRUMPLES, number))
         episode = open_episode(simulator, replace(attempt, start=start), EpisodeRules())
         if episode.verdict is not None and not episode.verdict.reached:
-            poses = {name: episode.world.pose(name) for name in scene.things}
+            poses = {name: episode.world.pose(name) for name in scene.object_names}
             with_start = replace(attempt, layout=Layout(poses, upright=False), start=start)
             if settled.speed <= _MAX_START_SPEED:
                 return with_start
@@ -84,14 +84,14 @@ def _variation(config: RecordConfig, job: AttemptJob) -> Variation:
 
 
 def _local_box_function(simulator: Simulator) -> BoundsOf:
-    scene, replica = simulator.scene, simulator.replica
+    scene, replica = simulator.scene, simulator.state_replay
     world = make_sim_world(scene, replica.data, arm_sides(simulator.config))
 
     @functools.cache
     def block(name: str, opened: tuple[tuple[str, float], ...]) -> Array:
         qpos = scene.model.qpos0.copy()
         _set_openings(scene, qpos, name, dict(opened))
-        replica.show(qpos)
+        replica.set_state(qpos)
         return world.local_box(name)
 
     return lambda name, opened: block(name, tuple(opened.items()))
@@ -117,8 +117,8 @@ def _drop_objects(simulator: Simulator, places: Mapping[str, ObjectPlacement]) -
             T[2, 3] = top + scene.cloths[name].radius + SPAWN_GAP
         else:
             T[2, 3] = top + DROP_HEIGHT
-            T[2, 3] = simulator.expert_tools.rest_height(qpos, name, T, top - DROP_HEIGHT) + SPAWN_GAP
-        scene.put(qpos, name, T)
+            T[2, 3] = simulator.expert_planner.rest_height(qpos, name, T, top - DROP_HEIGHT) + SPAWN_GAP
+        scene.set_object_pose(qpos, name, T)
     return qpos
 
 

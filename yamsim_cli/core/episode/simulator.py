@@ -70,18 +70,18 @@ class Simulator(Closable):
         return self.randomized.apply(attempt)
 
     @functools.cached_property
-    def replica(self) -> StateReplay:
+    def state_replay(self) -> StateReplay:
         """A second state of the scene, which can be set to any recorded state."""
         return StateReplay(self.scene)
 
     @functools.cached_property
-    def expert_tools(self) -> ExpertPlanner:
+    def expert_planner(self) -> ExpertPlanner:
         """The expert's planner, made at the first use, which reads files."""
         return ExpertPlanner(self.config, self.scene, self._tools())
 
     def prepare(self) -> None:
         """Make the expert's planner now, because it reads files that may be gone at the first attempt."""
-        _ = self.expert_tools
+        _ = self.expert_planner
 
     @property
     def renderer(self) -> SceneRenderer:

@@ -231,10 +231,10 @@ def staged_directory(final: Path, *, overwrite: bool = False) -> Iterator[Staged
         return path
 
     with _locked_folder(make) as path:
-        yield from _filled(StagedDirectory(path), final, overwrite=overwrite)
+        yield from _sync_and_rename(StagedDirectory(path), final, overwrite=overwrite)
 
 
-def _filled(stage: StagedDirectory, final: Path, *, overwrite: bool) -> Iterator[StagedDirectory]:
+def _sync_and_rename(stage: StagedDirectory, final: Path, *, overwrite: bool) -> Iterator[StagedDirectory]:
     try:
         yield stage
         _fsync_tree(stage.path)

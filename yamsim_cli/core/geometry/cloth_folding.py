@@ -48,11 +48,11 @@ def fold_plans(kind: Fold, rows: int, columns: int) -> list[FoldPlan]:
         if (plan := _FOLDS[kind](*size)) is None:
             continue
         ends = itertools.product((False, True), (False, True) if diagonal else (False,))
-        found += [_mapped(plan, size, low, left, transposed) for low, left in ends]
+        found += [_transform_plan(plan, size, low, left, transposed) for low, left in ends]
     return found
 
 
-def _mapped(plan: FoldPlan, size: tuple[int, int], low: bool, left: bool, transposed: bool) -> FoldPlan:
+def _transform_plan(plan: FoldPlan, size: tuple[int, int], low: bool, left: bool, transposed: bool) -> FoldPlan:
     """Return the fold with its rows reversed (`low`), its columns reversed (`left`), or rows and columns exchanged."""
 
     def points(given: NDArray[np.int_]) -> NDArray[np.int_]:
@@ -71,7 +71,7 @@ def _mapped(plan: FoldPlan, size: tuple[int, int], low: bool, left: bool, transp
 def _half(rows: int, columns: int) -> FoldPlan:
     upper = _grid(range(rows // 2), range(columns))
     first_row_over = tuple(((0, column), (rows - 1, column)) for column in (0, columns - 1))
-    return FoldPlan((first_row_over,), ((upper, _mirrored(upper, rows - 1)),), 1 / 2)
+    return FoldPlan((first_row_over,), ((upper, _mirror_rows(upper, rows - 1)),), 1 / 2)
 
 
 def _diagonal(rows: int, columns: int) -> FoldPlan | None:
@@ -94,13 +94,13 @@ def _thirds(rows: int, columns: int) -> FoldPlan | None:
     lowest = _grid(range(first), range(columns))
     highest = _grid(range(first + third + 1, rows), range(columns))
     # Part of the middle third, on which the first third lies and which the last third covers.
-    under = _mirrored(lowest, 2 * first)
+    under = _mirror_rows(lowest, 2 * first)
     return FoldPlan(
         (inside, over),
         (
             (lowest, under),
-            (highest, _mirrored(highest, 2 * (first + third))),
-            (_mirrored(under, 2 * (first + third)), lowest),
+            (highest, _mirror_rows(highest, 2 * (first + third))),
+            (_mirror_rows(under, 2 * (first + third)), lowest),
         ),
         third / cells,
     )
@@ -113,7 +113,7 @@ def _grid(rows: range, columns: range) -> NDArray[np.int_]:
     return np.array([(row, column) for row in rows for column in columns])
 
 
-def _mirrored(points: NDArray[np.int_], both: int) -> NDArray[np.int_]:
+def _mirror_rows(points: NDArray[np.int_], both: int) -> NDArray[np.int_]:
     """Mirror the rows of points (n, 2); each row and its mirror image add up to `both`."""
     return np.column_stack([both - points[:, 0], points[:, 1]])
 
@@ -138,7 +138,7 @@ def outline_area(places: Array) -> float:
     for points in (ordered, ordered[::-1]):
         side: list[Array] = []
         for place in points:
-            while len(side) > 1 and _turn(side[-2], side[-1], place) <= 0:
+            while len(side) > 1 and _cross_product(side[-2], side[-1], place) <= 0:
                 side.pop()
             side.append(place)
         outline += side[:-1]
@@ -146,5 +146,5 @@ def outline_area(places: Array) -> float:
     return float(abs(x @ np.roll(y, -1) - y @ np.roll(x, -1)) / 2)
 
 
-def _turn(a: Array, b: Array, c: Array) -> float:
+def _cross_product(a: Array, b: Array, c: Array) -> float:
     return float((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]))

@@ -26,7 +26,7 @@ class HeightMap:
     top: Array
 
     @property
-    def cell(self) -> float:
+    def cell_size(self) -> float:
         """Distance between neighbouring columns, m."""
         return float(self.x[1] - self.x[0])
 

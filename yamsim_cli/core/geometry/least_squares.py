@@ -73,13 +73,13 @@ class LeastSquares(ABC, Generic[S, L]):
         return there if better else here
 
 
-def solve_least_squares(problem: LeastSquares[S, L], state: S, most_steps: int) -> tuple[S, L] | None:
+def solve_least_squares(problem: LeastSquares[S, L], state: S, max_steps: int) -> tuple[S, L] | None:
     """Return the best state within `most_steps`, and its linearized problem; None if undefined at the start."""
     known = problem.linearize(state, None)
     if known is None:
         return None
     damping = np.full(np.shape(known.cost), _START_DAMPING)
-    for _ in range(most_steps):
+    for _ in range(max_steps):
         step = _damped_step(known.normal, known.gradient, damping)
         there = problem.apply_step(state, step)
         trial = problem.linearize(there, known)

@@ -92,7 +92,7 @@ def _import_av() -> Any:
     return av
 
 
-def film_frames(file: Path, begin: float, count: int, tolerance: float) -> Iterator[Image]:
+def read_video_frames(file: Path, begin: float, count: int, tolerance: float) -> Iterator[Image]:
     """Yield RGB frames (height, width, 3) of a video file from a given time on.
 
     Args:
@@ -121,7 +121,7 @@ def film_frames(file: Path, begin: float, count: int, tolerance: float) -> Itera
         raise DatasetError(f"{file} cannot be read as a film: {error}") from error
 
 
-def packet_frames(packets: Iterable[bytes], codec: str, source: str) -> Iterator[Image]:
+def decode_packets(packets: Iterable[bytes], codec: str, source: str) -> Iterator[Image]:
     """Yield the RGB frames (height, width, 3) of encoded packets of one frame each; `source` names them in errors.
 
     Raises:
@@ -145,7 +145,7 @@ def packet_frames(packets: Iterable[bytes], codec: str, source: str) -> Iterator
 
 # These options give 43.7 dB for 57 recorded frames at 640 x 480; the preset medium gains 0.4 dB. With mbtree, equal
 # images sometimes give different bytes: 3 of 60 encodings at 224 x 224, 20 of 100 at 24 x 16. Without mbtree, never.
-ENCODER = {"preset": "veryfast", "crf": "21", "bf": "0", "mbtree": "0"}
+H264_OPTIONS = {"preset": "veryfast", "crf": "21", "bf": "0", "mbtree": "0"}
 
 # sRGB has the primaries of BT.709 and nearly its transfer curve. Source of the codes: ITU-T H.273, tables 2 and 3.
 _BT709 = 1
@@ -237,7 +237,9 @@ class VideoWriter:
 
         # With faststart, the index comes first, and a browser can play the file while it loads.
         container = av.open(str(self._part), "w", format="mp4", options={"movflags": "+faststart"})
-        stream = container.add_stream("libx264", rate=1 / self._period, options=ENCODER | {"g": str(self._interval)})
+        stream = container.add_stream(
+            "libx264", rate=1 / self._period, options=H264_OPTIONS | {"g": str(self._interval)}
+        )
         stream.width, stream.height, stream.pix_fmt = width + width % 2, height + height % 2, "yuv420p"
         context = stream.codec_context
         context.time_base = self._period

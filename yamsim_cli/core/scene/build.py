@@ -18,9 +18,9 @@ from ..config.session import Session
 from ..files.resources import Locations
 from ..files.writing import sha256_bytes
 from ..robots.models import Fingers
-from .assets.mesh_reduction import REPORT
+from .assets.mesh_reduction import REPORT_FILE
 from .blueprint import Blueprint, TaskPhysics, recording_blueprint
-from .cloth import flat_points, grip_name
+from .cloth import flat_points, cloth_constraint_name
 from .compilation import compile_spec
 from .compiled import ArmAddresses, ClothAddresses, CompiledScene, FingerAddresses, GeomOwner, Ids
 from .compose import READING, WELD, compose, visual_mesh_sets
@@ -104,12 +104,12 @@ def describe_meshes(session: Session) -> dict[str, str]:
 def _describe_mesh_set(folder: Path | None, files: Mapping[str, bytes]) -> str:
     if not files:
         return PRIMITIVES
-    kind = REDUCED if folder is not None and (folder / REPORT).is_file() else FULL
+    kind = REDUCED if folder is not None and (folder / REPORT_FILE).is_file() else FULL
     listed = "".join(f"{name} {sha256_bytes(files[name])}\n" for name in sorted(files))
     return f"{kind} {sha256_bytes(listed.encode())}"
 
 
-def state_meshes(session: Session) -> Session:
+def with_mesh_descriptions(session: Session) -> Session:
     """Return a copy of the session whose config has the result of `describe_meshes` in its field `meshes`."""
     return session.with_values(meshes=describe_meshes(session))
 
@@ -126,8 +126,8 @@ def _arm_addresses(model: mujoco.MjModel, rig: RigConfig, number: int, *, welds:
         joint_qpos=np.array([joint.qposadr[0] for joint in joints]),
         joint_dof=np.array([joint.dofadr[0] for joint in joints]),
         arm_ctrl=drives,
-        kp=model.actuator_gainprm[drives, 0].copy(),
-        kv=-model.actuator_biasprm[drives, 2],
+        position_gain=model.actuator_gainprm[drives, 0].copy(),
+        velocity_gain=-model.actuator_biasprm[drives, 2],
         ctrl_range=model.actuator_ctrlrange[drives].copy(),
         weld=model.equality(arm.prefix + WELD).id if welds else None,
         T_base_in_world=rig.T_base_in_world(number),
@@ -170,11 +170,14 @@ def _cloth_addresses(model: mujoco.MjModel, config: RecordConfig, item: ObjectCo
     return ClothAddresses(
         flex=int(mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_FLEX, name)),
         grid=cloth.grid,
-        rest=rest,
+        flat_points=rest,
         qpos=np.array([[joint.qposadr[0] for joint in axes] for axes in joints]),
         dof=np.array([[joint.dofadr[0] for joint in axes] for axes in joints]),
-        grips=np.array(
-            [[model.equality(grip_name(prefix, name, k)).id for k in range(len(rest))] for prefix in prefixes]
+        constraints=np.array(
+            [
+                [model.equality(cloth_constraint_name(prefix, name, k)).id for k in range(len(rest))]
+                for prefix in prefixes
+            ]
         ),
         radius=cloth.radius,
         spacing=cloth.spacing,
@@ -192,8 +195,8 @@ def _finger_addresses(model: mujoco.MjModel, arm: ArmConfig, fingers: Fingers) -
         gain=float(drive.gainprm[0]),
         ctrl_range=drive.ctrlrange.copy(),
         opening_limits=fingers.range,
-        stroke=fingers.full_opening,
-        pads=fingers.pads,
+        full_opening=fingers.full_opening,
+        has_pads=fingers.pads,
     )
 
 

@@ -10,7 +10,7 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
-from ..config.objects.generated import MADE, generated_mesh_files
+from ..config.objects.generated import GENERATED_SET, generated_mesh_files
 from ..config.objects.object_config import ObjectConfig
 from ..errors import ResourceError
 from ..files.writing import sha256_bytes, write_file
@@ -50,7 +50,7 @@ def inputs_hash(item: ObjectConfig, lock: AssetLock) -> str:
         )
     if item.shape is not None:
         made = generated_mesh_files(item.name, item.shape)
-        files |= {f"{MADE}/{name}": sha256_bytes(data) for name, data in made.items()}
+        files |= {f"{GENERATED_SET}/{name}": sha256_bytes(data) for name, data in made.items()}
     inputs = {"checks": _CHECKS_VERSION, "config": item.model_dump(mode="json"), "files": files}
     return sha256_bytes(json.dumps(inputs, sort_keys=True).encode())
 

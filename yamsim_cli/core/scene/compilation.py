@@ -25,7 +25,7 @@ def compile_spec(spec: mujoco.MjSpec, called: str = "", refused: type[YamsimErro
         called: subject of the error message; by default the scene with its name.
         refused: type of the error that is raised if MuJoCo rejects the spec.
     """
-    keep_warnings_quiet()
+    silence_mujoco_warnings()
     try:
         return spec.compile()
     except ValueError as error:
@@ -33,7 +33,7 @@ def compile_spec(spec: mujoco.MjSpec, called: str = "", refused: type[YamsimErro
         raise refused(f"{called} does not compile: {' '.join(str(error).split())}") from error
 
 
-def keep_warnings_quiet() -> None:
+def silence_mujoco_warnings() -> None:
     """Silence MuJoCo's warnings in this process, unless a handler is set. `physics_failure` reports fatal ones."""
     if mujoco.get_mju_user_warning() is None:
         mujoco.set_mju_user_warning(lambda text: None)

@@ -56,8 +56,8 @@ class FingerAddresses:
     gain: float
     ctrl_range: Array
     opening_limits: tuple[float, float]
-    stroke: float
-    pads: bool
+    full_opening: float
+    has_pads: bool
 
 
 @dataclass(frozen=True)
@@ -90,8 +90,8 @@ class ArmAddresses:
     joint_qpos: Ids
     joint_dof: Ids
     arm_ctrl: Ids
-    kp: Array
-    kv: Array
+    position_gain: Array
+    velocity_gain: Array
     ctrl_range: Array
     weld: int | None
     T_base_in_world: Array
@@ -99,7 +99,7 @@ class ArmAddresses:
     motor_speed: Array
     max_torque: Array
     fingers: FingerAddresses | None
-    gravity: Array | None = None
+    gravity_error: Array | None = None
     offset: Array | float = 0.0
     sensors: Ids | None = None
     command_delay: float = 0.0
@@ -150,10 +150,10 @@ class ClothAddresses:
 
     flex: int
     grid: tuple[int, int]
-    rest: Array
+    flat_points: Array
     qpos: Ids
     dof: Ids
-    grips: Ids
+    constraints: Ids
     radius: float
     spacing: float
     held_by_layers: bool
@@ -163,20 +163,20 @@ class ClothAddresses:
         """Distance between two layers, m."""
         return 2 * self.radius
 
-    def put_flat(self, qpos: Array, T_in_world: Array) -> None:
+    def set_flat_pose(self, qpos: Array, T_in_world: Array) -> None:
         """Write the positions of the flat cloth at a pose (4, 4) into `qpos` (nq,)."""
-        qpos[self.qpos] = self.rest @ T_in_world[:3, :3].T + T_in_world[:3, 3] - self.rest
+        qpos[self.qpos] = self.flat_points @ T_in_world[:3, :3].T + T_in_world[:3, 3] - self.flat_points
 
     def points(self, qpos: Array) -> Array:
         """Return the points (n, 3) in `world` at `qpos` (nq,), m."""
-        found: Array = self.rest + qpos[self.qpos]
+        found: Array = self.flat_points + qpos[self.qpos]
         return found
 
     def pose(self, qpos: Array) -> Array:
         """Return the pose (4, 4) in `world` of an upright frame at the centroid of the points, with their mean yaw."""
         points = self.points(qpos)
         middle = points.mean(axis=0)
-        shared = self.rest[:, :2].T @ (points - middle)[:, :2]
+        shared = self.flat_points[:, :2].T @ (points - middle)[:, :2]
         turn = math.atan2(shared[0, 1] - shared[1, 0], shared[0, 0] + shared[1, 1])
         return pose(middle, rotation_z(turn))
 
@@ -210,7 +210,7 @@ class CompiledScene:
         return self.arms[0]
 
     @property
-    def things(self) -> tuple[str, ...]:
+    def object_names(self) -> tuple[str, ...]:
         """Names of all objects, cloths last."""
         return (*self.object_qpos, *self.cloths)
 
@@ -244,13 +244,13 @@ class CompiledScene:
             if arm.fingers is not None:
                 qpos[arm.fingers.qpos] = posture.opening * arm.fingers.sign
         for name, T in layout.T_in_world.items():
-            self.put(qpos, name, T)
+            self.set_object_pose(qpos, name, T)
         return qpos
 
-    def put(self, qpos: Array, name: str, T_in_world: Array) -> None:
+    def set_object_pose(self, qpos: Array, name: str, T_in_world: Array) -> None:
         """Write the positions of an object at a pose (4, 4) into `qpos` (nq,); a cloth lies flat."""
         if name in self.cloths:
-            self.cloths[name].put_flat(qpos, T_in_world)
+            self.cloths[name].set_flat_pose(qpos, T_in_world)
             return
         address = self.object_qpos[name]
         qpos[address : address + 3] = T_in_world[:3, 3]
@@ -292,7 +292,7 @@ class CompiledScene:
 
     @functools.cached_property
     def _gravity_errors(self) -> list[tuple[Ids, Array]]:
-        return [(arm.joint_dof, arm.gravity) for arm in self.arms if arm.gravity is not None]
+        return [(arm.joint_dof, arm.gravity_error) for arm in self.arms if arm.gravity_error is not None]
 
 
 def _fill_commands(model: mujoco.MjModel, data: mujoco.MjData, drive: int, command: float) -> None:

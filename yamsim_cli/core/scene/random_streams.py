@@ -21,14 +21,14 @@ class Stream(IntEnum):
     CAMERA = 15
     TABLE = 16
     FLOOR = 17
-    LOOKS = 18
+    APPEARANCE = 18
     DISTRACTORS = 19
     TONE = 20
     NOISE = 21
     SALT_PEPPER = 22
     READINGS = 23
     ARMS = 24
-    CAST = 30
+    ROLES = 30
     PHRASING = 31
     PLACES = 32
     SEARCH = 33

@@ -50,7 +50,9 @@ def sample_variation(
         else None,
         table=_sample_surface(config.table, rng(Stream.TABLE)) if config.table else None,
         floor=_sample_surface(config.floor, rng(Stream.FLOOR)) if config.floor else None,
-        looks=_sample_looks(config.objects, (*objects, *config.extras), rng(Stream.LOOKS)) if config.objects else {},
+        looks=_sample_looks(config.objects, (*objects, *config.extras), rng(Stream.APPEARANCE))
+        if config.objects
+        else {},
         noise=uniform(Stream.NOISE, *picture.noise) if picture else None,
         salt_pepper=uniform(Stream.SALT_PEPPER, *picture.salt_pepper) if picture else None,
         arm_dynamics=_sample_arms(config.arm_dynamics, dofs, rng(Stream.ARMS)) if config.arm_dynamics else (),

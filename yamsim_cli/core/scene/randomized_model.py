@@ -250,10 +250,10 @@ class RandomizedArms:
 
 
 def _randomized_arm(arm: ArmAddresses, by: ArmVariation) -> ArmAddresses:
-    gravity = by.gravity if arm.gravity is None else arm.gravity + by.gravity
+    gravity = by.gravity if arm.gravity_error is None else arm.gravity_error + by.gravity
     return replace(
         arm,
-        gravity=np.array(gravity) if np.any(gravity) else None,
+        gravity_error=np.array(gravity) if np.any(gravity) else None,
         command_delay=arm.command_delay + by.command_delay_ms / 1000,
         sensor_delay=arm.sensor_delay + by.sensor_delay_ms / 1000,
         sensor_noise=arm.sensor_noise + by.sensor_noise_rad,

@@ -12,7 +12,7 @@ import numpy as np
 from ..attempt_data import AttemptJob
 from ..config.goals.role_assignment import RoleAssignment
 from ..config.goals.world import TABLE
-from ..config.program_task import Attitude, ProgramTask, Start
+from ..config.program_task import StartOrientation, ProgramTask, Start
 from ..config.scene import Table
 from ..geometry.se3 import Array, pose, rotation_from_vector, rotation_z
 from .random_streams import Stream, random_generator
@@ -40,7 +40,7 @@ class ObjectPlacement:
 
 def sample_roles(task: ProgramTask, job: AttemptJob) -> RoleAssignment:
     """Sample which objects play which roles in an attempt, and the sizes of these objects."""
-    rng, drawn, sizes = random_generator(job, Stream.CAST), dict[str, tuple[int, ...]](), dict[str, float]()
+    rng, drawn, sizes = random_generator(job, Stream.ROLES), dict[str, tuple[int, ...]](), dict[str, float]()
     for role, one in task.things.items():
         numbers: list[int] = []
         while len(numbers) < one.count:
@@ -140,8 +140,8 @@ def _sample_placement(
     return None
 
 
-def _start_rotation(attitude: Attitude, roll: float) -> Array:
-    match attitude:
+def _start_rotation(orientation: StartOrientation, roll: float) -> Array:
+    match orientation:
         case "lying":
             return rotation_from_vector([0.0, math.pi / 2, 0.0]) @ rotation_z(roll)
         case "upside_down":

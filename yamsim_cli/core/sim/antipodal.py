@@ -44,7 +44,9 @@ class AntipodalPair:
     steepness: float
 
 
-def find_antipodal_pairs(model: mujoco.MjModel, data: mujoco.MjData, body: int, widest: float) -> list[AntipodalPair]:
+def find_antipodal_pairs(
+    model: mujoco.MjModel, data: mujoco.MjData, body: int, max_width: float
+) -> list[AntipodalPair]:
     """Return the antipodal pairs of a body at most `widest` m apart, those near the centre of mass first.
 
     Among equally near pairs, those on faces perpendicular to the line come first.
@@ -56,7 +58,7 @@ def find_antipodal_pairs(model: mujoco.MjModel, data: mujoco.MjData, body: int, 
     found = []
     for point, direction in itertools.product((centre, *points), _DIRECTIONS):
         pair = _measure_pair(model, data, geoms, T, point, direction)
-        if pair is not None and pair.width <= widest and pair.steepness <= _MAX_SLOPE:
+        if pair is not None and pair.width <= max_width and pair.steepness <= _MAX_SLOPE:
             found.append(pair)
     return sorted(found, key=lambda pair: float(np.linalg.norm(pair.middle - centre)) + 0.05 * pair.steepness)
 

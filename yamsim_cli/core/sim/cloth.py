@@ -84,7 +84,7 @@ class ClothState:
     @property
     def local_box(self) -> Array:
         """Lowest and highest corner (2, 3) of the flat cloth's bounding box in the cloth's frame, m."""
-        rest, radius = self._cloth.rest, self._cloth.radius
+        rest, radius = self._cloth.flat_points, self._cloth.radius
         return np.array([rest.min(axis=0) - radius, rest.max(axis=0) + radius])
 
     @property
@@ -100,10 +100,10 @@ class ClothState:
 
     def held(self, arm: int) -> bool:
         """Return whether the hand of arm number `arm` holds a point of the cloth."""
-        return bool(self._data.eq_active[self._cloth.grips[arm]].any())
+        return bool(self._data.eq_active[self._cloth.constraints[arm]].any())
 
 
-class ClothGrips:
+class ClothConstraints:
     """Switches the constraints that hold cloth in hands, because friction does not hold a grid of points.
 
     A hand grasps every point between its pads when both fingers are closed, touch the cloth and press. The hand
@@ -133,12 +133,12 @@ class ClothGrips:
             return False
         opening = float(data.qpos[fingers.qpos[0]] * fingers.sign[0])
         commanded = float(ctrl[fingers.ctrl])
-        held = [cloth for cloth in self._scene.cloths.values() if data.eq_active[cloth.grips[number]].any()]
+        held = [cloth for cloth in self._scene.cloths.values() if data.eq_active[cloth.constraints[number]].any()]
         if held:
             if commanded <= opening + _RELEASE_OPENING:
                 return True
             for cloth in held:
-                data.eq_active[cloth.grips[number]] = False
+                data.eq_active[cloth.constraints[number]] = False
             return False
         if opening > _CLOSED_OPENING or (opening - commanded) * fingers.gain < 2 * _MIN_FORCE:
             return False
@@ -157,8 +157,8 @@ class ClothGrips:
         for k in gripped:
             # Anchors: the origin of the point's body, and the same position in the hand's frame.
             there = hand.xmat.reshape(3, 3).T @ (points[k] - hand.xpos)
-            self._scene.model.eq_data[cloth.grips[number, k], :6] = [0.0, 0.0, 0.0, *there]
-            data.eq_active[cloth.grips[number, k]] = True
+            self._scene.model.eq_data[cloth.constraints[number, k], :6] = [0.0, 0.0, 0.0, *there]
+            data.eq_active[cloth.constraints[number, k]] = True
         return len(gripped) > 0
 
 
@@ -193,7 +193,7 @@ def moving_points(
     masses, inertias = model.body_mass[bodies].copy(), model.dof_M0[dof].copy()
 
     def step(at: Array) -> None:
-        qpos = at - cloth.rest[points]
+        qpos = at - cloth.flat_points[points]
         data.qvel[dof] = (qpos - data.qpos[cloth.qpos[points]]) / model.opt.timestep
         mujoco.mj_step(model, data)
         data.qpos[cloth.qpos[points]] = qpos

@@ -45,13 +45,13 @@ class Interior:
         self._low, self._high = surface[0].min(axis=0), surface[0].max(axis=0)
         grids = [compute_height_map((surface[0] @ R.T, surface[1]), _CELLS) for R in _VIEWS]
         self._first = np.array([(grid.x[0], grid.y[0]) for grid in grids])
-        self._cell = np.array([grid.cell for grid in grids])
+        self._cell = np.array([grid.cell_size for grid in grids])
         # Coordinate, m, of the last hit along each ray of each direction; -inf for no hit, as for rays at the edges.
         self._reach = np.full((len(grids), *np.max([grid.top.shape for grid in grids], axis=0)), -np.inf)
         for reach, grid in zip(self._reach, grids, strict=True):
             reach[: len(grid.x), : len(grid.y)] = grid.top
 
-    def holds(self, points: Array) -> NDArray[np.bool_]:
+    def contains(self, points: Array) -> NDArray[np.bool_]:
         """Return whether each point (n, 3) lies inside, as (n,)."""
         held: NDArray[np.bool_] = ((points >= self._low) & (points <= self._high)).all(axis=1)
         if held.any():

@@ -33,9 +33,9 @@ class DistractorPlacer:
         self._distractors = config.randomization.distractors
         self._table = config.table
         self._model = copy.copy(scene.model)
-        self._varied = RandomizedModel(self._model, config.randomization, config.scene)
+        self._randomized_model = RandomizedModel(self._model, config.randomization, config.scene)
 
-    def places(self, job: AttemptJob, positions: Sequence[Array]) -> dict[str, UprightPose]:
+    def sample_poses(self, job: AttemptJob, positions: Sequence[Array]) -> dict[str, UprightPose]:
         """Return distractor -> place `[x, y, z, yaw]` in `world`, m and rad, sampled for an attempt.
 
         Distractors are placed after the motion is known. They never move and nothing comes near them, so they do not
@@ -48,7 +48,7 @@ class DistractorPlacer:
         if config is None:
             return {}
         for item in config.objects:
-            self._varied.place_distractor(item.name, None)
+            self._randomized_model.place_distractor(item.name, None)
         rng = random_generator(job, Stream.DISTRACTORS)
         wanted = int(rng.integers(config.count[0], config.count[1] + 1))
         order = rng.permutation(len(config.objects))[:wanted]
@@ -64,12 +64,12 @@ class DistractorPlacer:
                 ):
                     continue
                 place = (float(x), float(y), self._table.top + item.rest_height, float(yaw))
-                self._varied.place_distractor(item.name, place)
+                self._randomized_model.place_distractor(item.name, place)
                 if self._is_clear(data, item.name, config.clearance, positions):
                     placed[item.name] = place
                     discs.append(disc)
                     break
-                self._varied.place_distractor(item.name, None)
+                self._randomized_model.place_distractor(item.name, None)
         return placed
 
     def _is_clear(self, data: mujoco.MjData, name: str, clearance: float, positions: Sequence[Array]) -> bool:

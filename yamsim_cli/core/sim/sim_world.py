@@ -31,7 +31,7 @@ class ContainerRegion:
     """
 
     thing: str
-    T_in_thing: Array
+    T_in_object: Array
     size: Array
 
     @property
@@ -62,7 +62,7 @@ class SimWorld:
         cloths: Mapping[str, ClothAddresses] | None = None,
     ) -> None:
         self._model, self._data = model, data
-        self.arms, self.sides, self.things = tuple(arms), tuple(sides), tuple(things)
+        self.arms, self.sides, self.object_names = tuple(arms), tuple(sides), tuple(things)
         self._regions = regions or {}
         self._cloths = {name: ClothState(cloth, data) for name, cloth in (cloths or {}).items()}
         root = model.body_rootid[model.geom_bodyid]
@@ -93,7 +93,7 @@ class SimWorld:
     def pose(self, thing: str) -> Array:
         """Return the pose (4, 4) in `world` of an object, a region or a cloth."""
         if region := self._regions.get(thing):
-            return self.pose(region.thing) @ region.T_in_thing
+            return self.pose(region.thing) @ region.T_in_object
         if cloth := self._cloths.get(thing):
             return cloth.pose
         body = self._data.body(self._check(thing))
@@ -110,9 +110,9 @@ class SimWorld:
 
     def store_start(self) -> None:
         """Store the poses of all objects at the start of an attempt, and clear the records of holders and handovers."""
-        self._starts = {name: self.pose(name) for name in self.things}
-        self._hands = {name: [] for name in self.things}
-        self._handovers = {name: [] for name in self.things}
+        self._starts = {name: self.pose(name) for name in self.object_names}
+        self._hands = {name: [] for name in self.object_names}
+        self._handovers = {name: [] for name in self.object_names}
 
     def aabb(self, thing: str) -> tuple[Array, Array]:
         """Return the lowest and highest corner (3,) of the bounding box of all collision geoms in `world`, m."""
@@ -138,7 +138,7 @@ class SimWorld:
         dof = self._model.joint(self._check(thing)).dofadr[0]
         return float(np.linalg.norm(self._data.qvel[dof : dof + 3]))
 
-    def touching(self, one: str, other: str) -> bool:
+    def are_touching(self, one: str, other: str) -> bool:
         """Return whether two objects touch. A contact with an object counts for all its regions."""
         one, other = (self._regions[name].thing if name in self._regions else name for name in (one, other))
         first, second = (self._in_contact(name) for name in (one, other))
@@ -168,11 +168,11 @@ class SimWorld:
         pairs = self._data.contact.geom
         things, fingers = self._geom_object[pairs], self._geom_finger[pairs]
         # Whether each object touches each finger, two per arm; the last row and column stand for other geoms.
-        pressed = np.zeros((len(self.things) + 1, 2 * len(self.arms) + 1), bool)
+        pressed = np.zeros((len(self.object_names) + 1, 2 * len(self.arms) + 1), bool)
         pressed[things[:, 0], fingers[:, 1]] = pressed[things[:, 1], fingers[:, 0]] = True
         gripped = (pressed[:, :-1:2] & pressed[:, 1::2]).tolist()
         found = {}
-        for k, name in enumerate(self.things):
+        for k, name in enumerate(self.object_names):
             if cloth := self._cloths.get(name):
                 found[name] = frozenset(side for arm, side in enumerate(self.sides) if cloth.held(arm))
             else:
@@ -218,7 +218,9 @@ class SimWorld:
 
     def _fraction(self, thing: str, held: Callable[[Array], NDArray[np.bool_]]) -> float:
         """Return the fraction of an object's volume whose points (n, 3) in `world` satisfy `held` -> (n,)."""
-        shares, volumes = zip(*((held(points).mean(), volume) for points, volume in self._filled(thing)), strict=True)
+        shares, volumes = zip(
+            *((held(points).mean(), volume) for points, volume in self._volume_samples(thing)), strict=True
+        )
         return float(np.average(shares, weights=volumes))
 
     def _in_local_box(self, container: str, points: Array) -> NDArray[np.bool_]:
@@ -236,7 +238,7 @@ class SimWorld:
             if body not in self._interiors:
                 self._interiors[body] = Interior(body_surface(self._model, geoms))
             T = self._body_pose(body)
-            held |= self._interiors[body].holds((points - T[:3, 3]) @ T[:3, :3])
+            held |= self._interiors[body].contains((points - T[:3, 3]) @ T[:3, :3])
         return held
 
     def joint_opening(self, thing: str, joint: str) -> float:
@@ -270,7 +272,7 @@ class SimWorld:
         return holding_sides_by_object
 
     def _supported(self, thing: str) -> bool:
-        return any(self.touching(thing, other) for other in (TABLE, *self.things) if other != thing)
+        return any(self.are_touching(thing, other) for other in (TABLE, *self.object_names) if other != thing)
 
     def _check(self, thing: str) -> str:
         if thing not in self._geoms:
@@ -301,7 +303,7 @@ class SimWorld:
     def _body_pose(self, body: int) -> Array:
         return pose(self._data.xpos[body], self._data.xmat[body].reshape(3, 3))
 
-    def _filled(self, thing: str) -> Iterator[tuple[Array, float]]:
+    def _volume_samples(self, thing: str) -> Iterator[tuple[Array, float]]:
         """Yield, for each body of an object, evenly spread points (n, 3) in `world`, m, and the volume, m3."""
         if cloth := self._cloths.get(thing):
             yield cloth.points, 1.0
@@ -332,4 +334,4 @@ def _finger_geoms(model: mujoco.MjModel, arm: ArmAddresses) -> tuple[NDArray[np.
 
 def make_sim_world(scene: CompiledScene, data: mujoco.MjData, sides: Sequence[str]) -> SimWorld:
     """Return the `SimWorld` of a scene and a state; `sides` are the arms' sides, "left" or "right"."""
-    return SimWorld(scene.model, data, scene.arms, sides, scene.things, cloths=scene.cloths)
+    return SimWorld(scene.model, data, scene.arms, sides, scene.object_names, cloths=scene.cloths)

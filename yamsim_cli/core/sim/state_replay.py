@@ -24,7 +24,7 @@ class StateReplay:
         self._cloths = {name: ClothState(cloth, self.data) for name, cloth in scene.cloths.items()}
         self._fixed = np.flatnonzero(scene.model.body_mocapid >= 0)
 
-    def show(self, qpos: Array) -> None:
+    def set_state(self, qpos: Array) -> None:
         """Set the state to positions `qpos` (nq,), and compute the poses of bodies, cameras and lights."""
         model = self.scene.model
         self.data.qpos[:] = qpos

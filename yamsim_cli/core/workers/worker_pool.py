@@ -58,7 +58,7 @@ class WorkerCrashed:
 class WorkerDied:
     """The worker has ended; `how` completes a sentence that begins with "its worker"."""
 
-    how: str
+    cause: str
 
 
 Event = WorkerReady | JobFinished[R] | JobFailed | WorkerCrashed | WorkerDied

@@ -106,18 +106,20 @@ def _duplicates(episodes: Sequence[EpisodeFacts]) -> list[DatasetProblem]:
 
 def _note_mixed_settings(episodes: Sequence[EpisodeFacts], problems: ProblemCollector) -> None:
     cameras = (", ".join(f"{name} {w}x{h}" for name, (w, h) in sorted(e.cameras.items())) for e in episodes)
-    _differ("cameras", (text for text in cameras if text), problems)
+    _note_differences("cameras", (text for text in cameras if text), problems)
     records = [episode.record for episode in episodes if episode.record]
     for key in ("source", "rig", "scene", "task", "grasp", "frame_period_s", "renderer"):
-        _differ(key, (str(getattr(record, key)) for record in records), problems)
+        _note_differences(key, (str(getattr(record, key)) for record in records), problems)
     drawn = [record.meshes for record in records]
     for name in sorted({name for meshes in drawn if meshes for name in meshes}):
-        _differ(f"meshes {name}", ("not told" if m is None else describe(m.get(name)) for m in drawn), problems)
+        _note_differences(
+            f"meshes {name}", ("not told" if m is None else describe(m.get(name)) for m in drawn), problems
+        )
     for package in sorted({package for record in records for package in record.versions}):
-        _differ(package, (record.versions.get(package, "none") for record in records), problems)
+        _note_differences(package, (record.versions.get(package, "none") for record in records), problems)
 
 
-def _differ(what: str, values: Iterable[str], problems: ProblemCollector) -> None:
+def _note_differences(what: str, values: Iterable[str], problems: ProblemCollector) -> None:
     counts = Counter(values)
     if len(counts) > 1:
         problems.add("dataset.mixed", "", f"{what}: " + "; ".join(f"{n} x {text}" for text, n in counts.most_common()))
@@ -179,13 +181,13 @@ def compare_ledger(
     found = []
     for episode in recorded:
         own = ProblemCollector(episode.name)
-        if (attempt := logged.get(episode.number)) and (differing := _differing(attempt, episode)):
+        if (attempt := logged.get(episode.number)) and (differing := _find_difference(attempt, episode)):
             own.add("ledger.differs", EPISODE, differing[0], differing[1])
         found += own.list()
     return found
 
 
-def _differing(attempt: AttemptRecord, episode: EpisodeFacts) -> tuple[str, str] | None:
+def _find_difference(attempt: AttemptRecord, episode: EpisodeFacts) -> tuple[str, str] | None:
     """Return the first differing value, in the episode and in the ledger; None if all agree."""
     record = episode.record
     assert record is not None

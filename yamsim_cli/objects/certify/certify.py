@@ -22,7 +22,7 @@ CheckDone = Callable[[int, int, str], None]
 
 
 @dataclass(frozen=True)
-class ThingCheck:
+class ObjectCheck:
     """One check of a certificate.
 
     Attributes:
@@ -44,34 +44,34 @@ _SURFACES = ("size.implausible", "mesh.open", "mesh.inverted")
 _MASS = ("size.implausible", "mass.density", "mass.centre", "inertia.impossible")
 
 _ALL = (
-    ThingCheck("size.implausible", "it is not as large as things are", "give the unit that its file is in",
+    ObjectCheck("size.implausible", "it is not as large as things are", "give the unit that its file is in",
                static.check_size),
-    ThingCheck("mesh.open", "a surface has holes", "close it in the program that made it", static.check_closed,
+    ObjectCheck("mesh.open", "a surface has holes", "close it in the program that made it", static.check_closed,
                _SURFACES[:1]),
-    ThingCheck("mesh.inverted", "a surface is inside out", "turn its faces round where it was made",
+    ObjectCheck("mesh.inverted", "a surface is inside out", "turn its faces round where it was made",
                static.check_normals, _SURFACES[:2]),
-    ThingCheck("mass.density", "nothing is so heavy, or so light", "give its mass in kg", static.check_density,
+    ObjectCheck("mass.density", "nothing is so heavy, or so light", "give its mass in kg", static.check_density,
                _SURFACES),
-    ThingCheck("mass.centre", "its centre of mass is outside of it", "mend `inertia.centre`, m",
+    ObjectCheck("mass.centre", "its centre of mass is outside of it", "mend `inertia.centre`, m",
                static.check_centre_of_mass, _SURFACES[:1]),
-    ThingCheck("inertia.impossible", "no body has such moments of inertia", "leave them out when it is imported, or "
+    ObjectCheck("inertia.impossible", "no body has such moments of inertia", "leave them out when it is imported, or "
                "mend `inertia.diagonal`, kg m2", static.check_inertia,
                ("size.implausible", "mass.density", "mass.centre")),
-    ThingCheck("collision.differs", "what touches is not what is seen", "import it with another `--collision`",
+    ObjectCheck("collision.differs", "what touches is not what is seen", "import it with another `--collision`",
                static.check_collision_geometry, _SURFACES),
-    ThingCheck("rest.moves", "it does not lie still", "flatten what it stands on, or give it rolling friction",
+    ObjectCheck("rest.moves", "it does not lie still", "flatten what it stands on, or give it rolling friction",
                physics.check_rest, _MASS),
-    ThingCheck("drop.breaks", "it goes through the ground, or blows up", "thicken its collision parts",
+    ObjectCheck("drop.breaks", "it goes through the ground, or blows up", "thicken its collision parts",
                physics.check_drop, _MASS),
-    ThingCheck("hollow.filled", "a ball dropped into it does not stay in", "import it with `--collision decompose`",
+    ObjectCheck("hollow.filled", "a ball dropped into it does not stay in", "import it with `--collision decompose`",
                physics.check_ball, (*_MASS, "mesh.open", "mesh.inverted")),
-    ThingCheck("joint.jams", "a joint does not move from stop to stop", "look what its parts touch on their way",
+    ObjectCheck("joint.jams", "a joint does not move from stop to stop", "look what its parts touch on their way",
                physics.check_articulation, _MASS),
-    ThingCheck("grasp.slips", "a hand does not take it from a table and hold it", "mend `grasp`, or leave it out",
+    ObjectCheck("grasp.slips", "a hand does not take it from a table and hold it", "mend `grasp`, or leave it out",
                grasp.check_grasp, _MASS),
 )  # fmt: skip
 
-CHECKS: Mapping[str, ThingCheck] = {check.code: check for check in _ALL}
+CHECKS: Mapping[str, ObjectCheck] = {check.code: check for check in _ALL}
 
 
 @dataclass(frozen=True)

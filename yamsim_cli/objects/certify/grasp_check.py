@@ -74,7 +74,7 @@ def _check_hold(hand: _GripperRig, taken: PickedGrasp, clearance: float) -> Chec
     gravity = hand.model.opt.gravity.copy()
     # Gravity is off until the pads press.
     hand.model.opt.gravity[:] = 0.0
-    hand.put(T, min(taken.opening + clearance, _full_opening(hand.subject.locations)))
+    hand.reset(T, min(taken.opening + clearance, _full_opening(hand.subject.locations)))
     for share in np.linspace(0, 1, round(_CLOSE_TIME / 2 / _COMMAND_PERIOD)):
         hand.squeeze(taken.opening + clearance * (1 - share))
         hand.run(_COMMAND_PERIOD)
@@ -195,7 +195,7 @@ class _GripperRig:
         model = compile_or_raise(spec)
         return cls(tested_object, robot, model, mujoco.MjData(model), np.eye(4))
 
-    def put(self, T_pinch: Array, opening: float) -> None:
+    def reset(self, T_pinch: Array, opening: float) -> None:
         """Put the hand at rest at a pinch pose (4, 4) and a finger opening (m), and the object at the origin."""
         body = self.model.body(_BASE)
         body.pos, body.quat = T_pinch[:3, 3], quat_from_rotation(T_pinch[:3, :3])

@@ -62,7 +62,7 @@ class _TestScene:
         model = compile_or_raise(spec)
         return cls(tested_object, model, mujoco.MjData(model))
 
-    def put(self, turn: Array, gap: float) -> None:
+    def reset(self, turn: Array, gap: float) -> None:
         """Put the object at rest, rotated by (3, 3), with its lowest point `gap` (m) over the slab."""
         mujoco.mj_resetData(self.model, self.data)
         low = float((self.subject.collision_points @ turn.T)[:, 2].min())
@@ -112,7 +112,7 @@ def check_rest(tested_object: TestedObject) -> CheckOutcome:
     views, faults = list[CheckView](), list[str]()
     for number, face in enumerate(faces):
         try:
-            found = _measure_rest(world, face, stands=number == 0)
+            found = _measure_rest(world, face, must_stay=number == 0)
         except ArithmeticError as error:
             return CheckOutcome(
                 False, {"faces": len(faces)}, f"physics broke down on face {number}: {error}", tuple(views)
@@ -126,15 +126,15 @@ def check_rest(tested_object: TestedObject) -> CheckOutcome:
     return CheckOutcome(not faults, figures, "; ".join(faults), tuple(views))
 
 
-def _measure_rest(world: _TestScene, face: StablePose, *, stands: bool) -> dict[str, float]:
+def _measure_rest(world: _TestScene, face: StablePose, *, must_stay: bool) -> dict[str, float]:
     """Return the tilt, drift and penetration of the object on a face.
 
     Args:
         stands: whether the object must stay in the pose in which it is put; otherwise the object settles first.
     """
-    world.put(face.rotation, 0.0)
+    world.reset(face.rotation, 0.0)
     before = world.T
-    if not stands:
+    if not must_stay:
         world.settle()
         before = world.T
     middle = np.array([*world.subject.item.inertia.centre, 1.0])
@@ -157,7 +157,7 @@ def check_drop(tested_object: TestedObject) -> CheckOutcome:
     for number in range(_DROPS):
         quat = rng.normal(size=4)
         turn = _rotation(quat / np.linalg.norm(quat))
-        world.put(turn, _DROP_HEIGHT)
+        world.reset(turn, _DROP_HEIGHT)
         start = float(world.data.energy.sum())
         fall = max(tested_object.item.inertia.mass * 9.81 * _DROP_HEIGHT, _MIN_FALL_ENERGY)
         try:
@@ -218,7 +218,7 @@ def find_hollow(tested_object: TestedObject) -> Hollow | None:
     if depth.max(initial=0.0) < _MIN_DEPTH:
         return None
     block = float(np.prod(np.ptp(tested_object.surface[0], axis=0)))
-    if depth.sum() * grid.cell**2 < _MIN_HOLLOW_SHARE * block:
+    if depth.sum() * grid.cell_size**2 < _MIN_HOLLOW_SHARE * block:
         return None
     i, j = np.unravel_index(int(depth.argmax()), depth.shape)
     water = level[i, j]
@@ -226,7 +226,7 @@ def find_hollow(tested_object: TestedObject) -> Hollow | None:
     x, y = np.meshgrid(grid.x, grid.y, indexing="ij")
     dry = np.column_stack([x[~deep], y[~deep]])
     wet = np.column_stack([x[deep], y[deep]])
-    room = np.sqrt(((wet[:, None] - dry[None]) ** 2).sum(axis=2).min(axis=1)) - grid.cell / 2
+    room = np.sqrt(((wet[:, None] - dry[None]) ** 2).sum(axis=2).min(axis=1)) - grid.cell_size / 2
     best = int(room.argmax())
     if room[best] < _MIN_ROOM:
         return None
@@ -336,8 +336,8 @@ def _push_effort(model: mujoco.MjModel, data: mujoco.MjData, link: Link, name: s
     joint = link.joint
     body = model.body(name).id
     weight = float(model.body_subtreemass[body]) * 9.81
-    if joint.turns:
+    if joint.is_revolute:
         reach = float(np.linalg.norm(model.geom_pos[model.geom_bodyid == body], axis=1).max(initial=0.02)) + 0.02
         weight *= reach
     detent_effort = max((detent.effort for detent in joint.detents), default=0.0)
-    return max(_EFFORT_FACTOR * (joint.friction + detent_effort + weight), _MIN_EFFORT[joint.turns])
+    return max(_EFFORT_FACTOR * (joint.friction + detent_effort + weight), _MIN_EFFORT[joint.is_revolute])

@@ -96,13 +96,11 @@ def reachable_grasp_points(item: ObjectConfig, locations: Locations) -> tuple[Gr
     leans = np.full(len(points), np.inf)
     for heading in _HEADINGS:
         with _pick_setup(item, locations, heading) as setup:
-            leans = np.minimum(
-                leans, [_least_tilt(setup.context, item.with_grasp_points((point,))) for point in points]
-            )
+            leans = np.minimum(leans, [_min_tilt(setup.context, item.with_grasp_points((point,))) for point in points])
     return tuple(points[k] for k in np.argsort(leans, kind="stable") if np.isfinite(leans[k]))
 
 
-def _least_tilt(context: PlanningContext, item: ObjectConfig) -> float:
+def _min_tilt(context: PlanningContext, item: ObjectConfig) -> float:
     """Return the hand's least tilt from straight down at usable grasp points, in whole degrees, or infinity."""
     pick, hand = Pick(thing=_ROLE), context.hands[0]
     for candidate in friction_candidates(item):
@@ -133,7 +131,7 @@ def _pick_setup(item: ObjectConfig, locations: Locations, heading: float) -> Ite
             raise SkillFailedError(FailureCause.NO_LAYOUT, describe_missing_start(simulator, attempt))
         episode = open_episode(simulator, attempt, EpisodeRules())
         postures, rng = list(start_postures(session.config)), random_generator(_JOB, Stream.SEARCH)
-        context = simulator.expert_tools.planning_context(episode.world, postures, rng)
+        context = simulator.expert_planner.planning_context(episode.world, postures, rng)
         yield _PickSetup(simulator.scene, episode, context, build_program(task, roles), roles)
 
 

@@ -31,7 +31,7 @@ class ImportedObjectFile:
 
     path: Path
     config: ObjectConfig
-    made: BuiltObject
+    built_object: BuiltObject
 
 
 def object_name_of(path: Path) -> str:

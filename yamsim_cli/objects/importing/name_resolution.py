@@ -26,8 +26,8 @@ def import_if_file(name: str, locations: Locations, notify: Callable[[str], None
     from .file_import import import_directly
 
     imported = import_directly(Path(name), locations)
-    if imported.made.mass_is_guessed:
+    if imported.built_object.mass_is_guessed:
         notify(
-            f"{name}: {imported.made.mass * 1000:.3g} g is a guess: `yamsim assets import {name} --mass KG` says more."
+            f"{name}: {imported.built_object.mass * 1000:.3g} g is a guess: `yamsim assets import {name} --mass KG` says more."
         )
     return str(imported.path)

@@ -26,7 +26,7 @@ class LinkDescription:
     name: str
     T: Array
     weight: MassProperties | None = None
-    looks: list[Surface] = field(default_factory=list)
+    visual_surfaces: list[Surface] = field(default_factory=list)
     shapes: list[Mapping[str, Any] | Surface] = field(default_factory=list)
     handles: list[Mapping[str, Any]] = field(default_factory=list)
 
@@ -77,7 +77,7 @@ def build_parts(
             parent=None,
             T_in_parent=np.eye(4),
             weight=link.weight,
-            looks=tuple(link.looks),
+            looks=tuple(link.visual_surfaces),
             shapes=tuple(link.shapes) or None,
             handles=tuple(link.handles),
         )
@@ -133,7 +133,7 @@ def _breadth_first(root: str, joints: Sequence[JointDescription]) -> list[JointD
 
 def _merge(parent: LinkDescription, link: LinkDescription) -> None:
     T = inverse(parent.T) @ link.T
-    parent.looks += [surface.moved(T) for surface in link.looks]
+    parent.visual_surfaces += [surface.transform(T) for surface in link.visual_surfaces]
     parent.shapes += [transform_shape(shape, T) for shape in link.shapes]
     parent.handles += [_moved_handle(handle, T) for handle in link.handles]
     if link.weight is not None:
@@ -151,7 +151,7 @@ def transform_shape(shape: Mapping[str, Any] | Surface, T: Array) -> Mapping[str
     from .primitive_shapes import collision_shape
 
     if isinstance(shape, Surface):
-        return shape.moved(T)
+        return shape.transform(T)
     at = np.eye(4)
     match shape["type"]:
         case "capsule":

@@ -20,22 +20,22 @@ _PLY_BYTES = {
 }
 
 
-def check_header(data: bytes, suffix: str, most_faces: int) -> None:
+def check_header(data: bytes, suffix: str, max_faces: int) -> None:
     """Raise `RefusedError` if a header states more elements than the file can hold, or more than `most_faces`."""
     if not data:
         raise RefusedError("empty", "it has no bytes")
     match suffix:
         case ".stl":
-            _stl(data, most_faces)
+            _stl(data, max_faces)
         case ".ply":
-            _ply(data, most_faces)
+            _ply(data, max_faces)
         case ".glb":
-            _glb(data, most_faces)
+            _glb(data, max_faces)
         case ".gltf":
-            _check_gltf_tree(_json(data), None, most_faces)
+            _check_gltf_tree(_json(data), None, max_faces)
         case ".obj":
-            if len(re.findall(rb"^f\s", data, re.MULTILINE)) > most_faces:
-                raise _too_many_faces(most_faces)
+            if len(re.findall(rb"^f\s", data, re.MULTILINE)) > max_faces:
+                raise _too_many_faces(max_faces)
 
 
 def _too_many_faces(maximum: int) -> RefusedError:

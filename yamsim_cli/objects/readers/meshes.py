@@ -21,7 +21,7 @@ from .mesh_headers import check_header
 from .object_parts import GREY, Rgba, Surface, SurfaceMaterial
 from .textures import bake_colours, encode_png_texture, open_image
 
-MOST_FACES = 2_000_000  # of a file: more than any scan needs; users must reduce larger meshes
+MAX_FACES = 2_000_000  # of a file: more than any scan needs; users must reduce larger meshes
 
 # Ending -> trimesh's file type, unit (m) and up axis; None if the format does not define them.
 FORMATS: dict[str, tuple[str, float | None, str | None]] = {
@@ -90,7 +90,7 @@ def read_mesh(data: bytes, suffix: str, folder: ConfinedFolder, base: Path) -> M
     """
     if suffix not in FORMATS:
         raise RefusedError("unknown-kind", f"{suffix or 'no ending'} is none of {', '.join(FORMATS)}")
-    check_header(data, suffix, MOST_FACES)
+    check_header(data, suffix, MAX_FACES)
     kind, unit, up = FORMATS[suffix]
     if suffix == ".stl" and is_binary_stl(data):
         return MeshFile((_binary_stl(data),), unit, up)
@@ -122,8 +122,8 @@ def read_mesh(data: bytes, suffix: str, folder: ConfinedFolder, base: Path) -> M
     surfaces = tuple(surface for mesh, T in meshes if (surface := _surface(mesh, T)) is not None)
     if not surfaces:
         raise RefusedError("empty", "it has no triangles")
-    if sum(len(surface.faces) for surface in surfaces) > MOST_FACES:
-        raise RefusedError("too-many-faces", f"it has more than {MOST_FACES:,} faces: reduce it first")
+    if sum(len(surface.faces) for surface in surfaces) > MAX_FACES:
+        raise RefusedError("too-many-faces", f"it has more than {MAX_FACES:,} faces: reduce it first")
     return MeshFile(surfaces, unit, up)
 
 
@@ -153,8 +153,8 @@ def _meshes(scene: Any) -> list[tuple[Any, Array]]:
         if isinstance(mesh, trimesh.Trimesh) and len(mesh.faces):
             faces += len(mesh.faces)
             # A small file can use one mesh a million times.
-            if faces > MOST_FACES:
-                raise RefusedError("too-many-faces", f"it has more than {MOST_FACES:,} faces: reduce it first")
+            if faces > MAX_FACES:
+                raise RefusedError("too-many-faces", f"it has more than {MAX_FACES:,} faces: reduce it first")
             found.append((mesh, np.asarray(T, np.float64)))
     return found
 
@@ -192,7 +192,7 @@ def _surface(mesh: Any, T: Array) -> Surface | None:
     if colours is not None:
         uv, texture = bake_colours(vertices, triangles, colours)
         material = (1.0, 1.0, 1.0, 1.0)
-    return Surface(vertices, triangles, SurfaceMaterial(material, texture), uv).moved(T)
+    return Surface(vertices, triangles, SurfaceMaterial(material, texture), uv).transform(T)
 
 
 def _textured(material: Any) -> tuple[Rgba, Any]:
@@ -258,7 +258,7 @@ def mesh_surfaces(
     path = folder.find(uri, base)
     mesh = read_mesh(folder.read(uri, base), path.suffix.lower(), folder, path.parent)
     T = np.diag([*(np.array(scale) * (mesh.unit_m or 1.0)), 1.0])
-    surfaces = [surface.moved(T) for surface in mesh.surfaces]
+    surfaces = [surface.transform(T) for surface in mesh.surfaces]
     if material is None:
         return surfaces
     return [_with_material(surface, material) for surface in surfaces]

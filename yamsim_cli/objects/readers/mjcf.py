@@ -29,7 +29,7 @@ from .kinematic_tree import (
     make_mass_properties,
 )
 from .mesh_headers import check_header
-from .meshes import MOST_FACES
+from .meshes import MAX_FACES
 from .object_parts import ObjectDescription, Surface, SurfaceMaterial
 from .primitive_shapes import collision_shape, visual_surface
 from .textures import encode_png_texture, open_image
@@ -94,7 +94,7 @@ def _take_files(root: Element, folder: ConfinedFolder, base: Path) -> dict[str, 
             if element.tag == "mesh":
                 if suffix not in (".stl", ".obj", ".msh"):
                     raise RefusedError("unknown-kind", f"MuJoCo reads no mesh that ends in {suffix!r}: {named}")
-                check_header(data, suffix, MOST_FACES)
+                check_header(data, suffix, MAX_FACES)
                 element.attrib.setdefault("name", PurePosixPath(named).stem)
             elif element.tag == "texture":
                 data, suffix = encode_png_texture(open_image(data, named), named), ".png"
@@ -151,9 +151,9 @@ def _link(model: mujoco.MjModel, body: int, name: str, notes: list[str]) -> Link
         size = model.geom_size[geom, : _SIZES[kind]].copy() if kind else np.zeros(0)
         if geom in only_seen or not only_seen:
             surface = visual_surface(kind, size, _material(model, geom)) if kind else _mesh(model, geom)
-            link.looks.append(surface.moved(T))
+            link.visual_surfaces.append(surface.transform(T))
         if touch:
-            link.shapes.append(collision_shape(kind, size, T) if kind else _mesh(model, geom, convex=True).moved(T))
+            link.shapes.append(collision_shape(kind, size, T) if kind else _mesh(model, geom, convex=True).transform(T))
     for site in range(model.nsite):
         label = model.site(site).name
         if model.site_bodyid[site] == body and label.lower().startswith("handle"):

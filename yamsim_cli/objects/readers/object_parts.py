@@ -45,7 +45,7 @@ class Surface:
     uv: Array | None = None
     convex: bool = False
 
-    def moved(self, T: Array) -> Surface:
+    def transform(self, T: Array) -> Surface:
         """Return the surface transformed by an affine map (4, 4); a reflection reverses the triangles."""
         vertices = self.vertices @ T[:3, :3].T + T[:3, 3]
         if np.linalg.det(T[:3, :3]) >= 0:

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from yamsim_cli.core.errors import ResourceError, UsageError
-from yamsim_cli.core.files.untrusted.confined_folder import MOST_BYTES
+from yamsim_cli.core.files.untrusted.confined_folder import MAX_BYTES
 from yamsim_cli.core.files.untrusted.refusals import RefusedError
 from yamsim_cli.core.files.writing import scratch_directory
 from yamsim_cli.core.geometry.se3 import Array, pose
@@ -73,8 +73,8 @@ def _read_as_is(path: Path) -> ObjectDescription:
         raise RefusedError("missing", f"it cannot be read: {error.strerror}") from error
     if not stat.S_ISREG(status.st_mode):
         raise RefusedError("not-a-file", "it is no regular file")
-    if status.st_size > MOST_BYTES:
-        raise RefusedError("too-large", f"it has {status.st_size / 1e6:.0f} MB; at most {MOST_BYTES // 10**6}")
+    if status.st_size > MAX_BYTES:
+        raise RefusedError("too-large", f"it has {status.st_size / 1e6:.0f} MB; at most {MAX_BYTES // 10**6}")
     seconds = _CPU_SECONDS + _CPU_SECONDS_PER_MB * status.st_size / 1e6
     with scratch_directory("yamsim-read-") as scratch:
         return _read_in_child(path.resolve(), scratch, seconds)
@@ -121,7 +121,7 @@ def in_metres(thing: ObjectDescription, units: UnitOptions) -> ObjectDescription
         raise RefusedError("up", "it does not say which way is up: give --up z, --up y or --up x")
     metre = (UNITS[units.unit] if units.unit else thing.unit_m or 1.0) * units.scale
     _check_size(size * metre, units)
-    return _converted(thing, metre, _rotation_to_z(units.up or thing.up or "z"))
+    return _convert_units(thing, metre, _rotation_to_z(units.up or thing.up or "z"))
 
 
 def _check_size(size: Array, units: UnitOptions) -> None:
@@ -146,7 +146,7 @@ def _format_size(size: Array) -> str:
 
 def _extent(thing: ObjectDescription) -> Array:
     poses = zip(thing.parts, thing.poses(), strict=True)
-    corners = [surface.moved(T).vertices for part, T in poses for surface in part.looks]
+    corners = [surface.transform(T).vertices for part, T in poses for surface in part.looks]
     if not corners:
         raise RefusedError("empty", "it has no visible surface")
     points = np.concatenate(corners)
@@ -163,13 +163,13 @@ def _rotation_to_z(up: str) -> Array:
     return np.eye(3)
 
 
-def _converted(thing: ObjectDescription, metre: float, turn: Array) -> ObjectDescription:
+def _convert_units(thing: ObjectDescription, metre: float, turn: Array) -> ObjectDescription:
     """Return the object with all lengths scaled, and with the base's shapes and child parts rotated."""
     if metre == 1.0 and np.array_equal(turn, np.eye(3)):
         return thing
     base, *others = thing.parts
     if not others and not base.shapes and not base.weight:
-        looks = tuple(surface.moved(pose(rotation=metre * turn)) for surface in base.looks)
+        looks = tuple(surface.transform(pose(rotation=metre * turn)) for surface in base.looks)
         return replace(thing, parts=(replace(base, looks=looks),), unit_m=1.0, up="z")
     if metre != 1.0:
         raise RefusedError("size", "a description says its own lengths: --unit and --scale are for mesh files")
@@ -178,7 +178,7 @@ def _converted(thing: ObjectDescription, metre: float, turn: Array) -> ObjectDes
     T = pose(rotation=turn)
     turned = replace(
         base,
-        looks=tuple(surface.moved(T) for surface in base.looks),
+        looks=tuple(surface.transform(T) for surface in base.looks),
         shapes=None if base.shapes is None else tuple(transform_shape(shape, T) for shape in base.shapes),
         weight=None if base.weight is None else transform_mass_properties(base.weight, T),
     )

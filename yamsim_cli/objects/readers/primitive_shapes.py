@@ -64,7 +64,7 @@ def collision_shape(kind: str, size: Array, T: Array) -> Mapping[str, Any] | Sur
             yaw = math.degrees(math.atan2(R[1, first], R[0, first]))
             half = [float(size[k]) for k in (first, (up + 2) % 3, up)]
             return {"type": "box", "centre": centre, "half_size": half, "yaw_deg": round(yaw, 6)}
-    return visual_surface(kind, size, SurfaceMaterial()).moved(T)
+    return visual_surface(kind, size, SurfaceMaterial()).transform(T)
 
 
 def visual_surface(kind: str, size: Array, material: SurfaceMaterial) -> Surface:

@@ -16,13 +16,13 @@ from typing import Any
 
 import numpy as np
 
-from yamsim_cli.core.files.untrusted.confined_folder import MOST_BYTES, ConfinedFolder
+from yamsim_cli.core.files.untrusted.confined_folder import MAX_BYTES, ConfinedFolder
 from yamsim_cli.core.files.untrusted.refusals import RefusedError
 
 from .object_parts import MassProperties, ObjectDescription, RigidPart, Surface, SurfaceMaterial
 
 REFUSED = "refused.json"
-_THING, _ARRAYS = "thing.json", "arrays.npz"
+_DESCRIPTION_FILE, _ARRAYS = "thing.json", "arrays.npz"
 
 _BASE_BYTES = 3_000_000_000  # address space of Python and its libraries, most of it only reserved
 _MEMORY_FACTOR = 60  # further address space over the file's size
@@ -64,8 +64,8 @@ def _refuse(out: str, code: str, text: str) -> None:
 def read_file(path: Path, root: Path) -> ObjectDescription:
     """Return the object in a file, which may name files below `root`. Raises `RefusedError`."""
     folder, base, suffix = ConfinedFolder(root), path.parent.resolve(), path.suffix.lower()
-    if path.stat().st_size > MOST_BYTES:
-        raise RefusedError("too-large", f"it has more than {MOST_BYTES // 10**6} MB")
+    if path.stat().st_size > MAX_BYTES:
+        raise RefusedError("too-large", f"it has more than {MAX_BYTES // 10**6} MB")
     data = folder.read(path.name, base)
     if suffix in (".sdf", ".urdf", ".xml", ".mjcf"):
         return _description(data, folder, base)
@@ -116,7 +116,7 @@ def _write_object(thing: ObjectDescription, folder: Path) -> None:
     for data, name in pictures.items():
         (folder / name).write_bytes(data)
     np.savez(folder / _ARRAYS, **arrays)
-    (folder / _THING).write_text(text)
+    (folder / _DESCRIPTION_FILE).write_text(text)
 
 
 def read_written(folder: Path) -> ObjectDescription:
@@ -125,7 +125,7 @@ def read_written(folder: Path) -> ObjectDescription:
     Raises:
         OSError, ValueError, KeyError, TypeError: the files are missing, incomplete or invalid.
     """
-    data = json.loads((folder / _THING).read_bytes())
+    data = json.loads((folder / _DESCRIPTION_FILE).read_bytes())
     with np.load(folder / _ARRAYS, allow_pickle=False) as stored:
         arrays = {name: stored[name] for name in stored.files}
     data["parts"] = tuple(_part(entry, arrays, folder) for entry in data["parts"])

@@ -105,7 +105,7 @@ class _Reader:
         link.weight = _weight(element.find("inertial"))
         for visual in element.findall("visual"):
             surfaces = self._surfaces(visual, self._material(visual))
-            link.looks += [surface.moved(_pose_of(visual)) for surface in surfaces]
+            link.visual_surfaces += [surface.transform(_pose_of(visual)) for surface in surfaces]
         for collision in element.findall("collision"):
             link.shapes += self._shapes(collision)
             mu = collision.findtext("surface/friction/ode/mu")
@@ -139,7 +139,7 @@ class _Reader:
             return []
         mesh = geometry.find("mesh")
         if mesh is not None:
-            return [surface.moved(T) for surface in self._mesh(mesh, None)]
+            return [surface.transform(T) for surface in self._mesh(mesh, None)]
         found = _primitive(geometry)
         return [] if found is None else [collision_shape(*found, T)]
 

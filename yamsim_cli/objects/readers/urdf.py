@@ -92,11 +92,13 @@ def _link(
         material = None
         if named is not None:
             material = _colour(named, folder, base) or palette.get(named.get("name", ""))
-        link.looks += [surface.moved(_origin(visual)) for surface in _surfaces(visual, folder, base, material)]
+        link.visual_surfaces += [
+            surface.transform(_origin(visual)) for surface in _surfaces(visual, folder, base, material)
+        ]
     for collision in element.findall("collision"):
         found = _primitive(collision)
         if found is None:
-            link.shapes += [s.moved(_origin(collision)) for s in _surfaces(collision, folder, base, None)]
+            link.shapes += [s.transform(_origin(collision)) for s in _surfaces(collision, folder, base, None)]
         else:
             link.shapes.append(collision_shape(*found, _origin(collision)))
     return link

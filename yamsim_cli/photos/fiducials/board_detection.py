@@ -276,12 +276,12 @@ def suggest_photo_improvements(grey: Grey) -> tuple[str, ...]:
     found = []
     if high - low < _MIN_GREY_RANGE:
         found.append(f"more light or contrast (grey levels are {low:.0f} to {high:.0f} of 255)")
-    if (blur := _least_blur(grey, float(high - low))) > _MAX_EDGE_SIGMA:
+    if (blur := _min_blur(grey, float(high - low))) > _MAX_EDGE_SIGMA:
         found.append(f"focus or hold still (no edge is sharper than {blur:.1f} px)")
     return tuple(found) or ("bring the whole board into the photo, or come closer",)
 
 
-def _least_blur(grey: Grey, contrast: float) -> float:
+def _min_blur(grey: Grey, contrast: float) -> float:
     """Return the approximate sigma (px) of a photo's sharpest edges, from their gradient."""
     smooth = cv2.GaussianBlur(grey.astype(np.float32), (0, 0), _SMOOTHING_SIGMA)
     across, down = cv2.Scharr(smooth, cv2.CV_32F, 1, 0) / 32, cv2.Scharr(smooth, cv2.CV_32F, 0, 1) / 32

@@ -78,7 +78,7 @@ def locate_boards(
     for k, seen in enumerate(sightings):
         if seen.status is not BoardStatus.OK and not seen.is_duplicated:
             was = [T] if k < len(before) and (T := before[k]) is not None else []
-            sightings[k] = recognizer.sighting(
+            sightings[k] = recognizer.detect_again(
                 seen, _poses_by_other_boards(k, sightings, T_boards_in_ref), was, anywhere=True
             )
     # Boards that the loop above recognized only now predict the poses of boards before them in the list.
@@ -88,19 +88,19 @@ def locate_boards(
                 one if not was else replace(one, T_board_in_cam=None)
                 for one, was in zip(sightings, located, strict=True)
             ]
-            sightings[k] = recognizer.sighting(seen, _poses_by_other_boards(k, new, T_boards_in_ref))
+            sightings[k] = recognizer.detect_again(seen, _poses_by_other_boards(k, new, T_boards_in_ref))
     return sightings, markers
 
 
 def _poses_by_other_boards(
-    k: int, sightings: Sequence[BoardDetection], T_boards_in_ref: Sequence[Array]
+    k: int, detections: Sequence[BoardDetection], T_boards_in_ref: Sequence[Array]
 ) -> list[Array]:
     """Return the k-th board's pose (4, 4) in the camera frame as predicted by each other located board."""
     if not T_boards_in_ref:
         return []
     return [
         T @ inverse(T_boards_in_ref[j]) @ T_boards_in_ref[k]
-        for j, other in enumerate(sightings)
+        for j, other in enumerate(detections)
         if j != k and other.status is BoardStatus.OK and (T := other.T_board_in_cam) is not None
     ]
 
@@ -168,7 +168,7 @@ def with_pose(grey: Grey, camera: CameraModel, seen: BoardDetection, T_board_in_
 
 
 def locate_together(
-    grey: Grey, camera: CameraModel, sightings: Sequence[BoardDetection], T_boards_in_ref: Sequence[Array]
+    grey: Grey, camera: CameraModel, detections: Sequence[BoardDetection], T_boards_in_ref: Sequence[Array]
 ) -> list[BoardDetection] | None:
     """Fit one pose to boards with known relative poses. Boards far apart determine their common tilt better.
 
@@ -181,14 +181,14 @@ def locate_together(
     """
     pieces = [
         PrintPiece(seen.board, T, tuple(seen.board.ids.index(number) for number in seen.markers))
-        for seen, T in zip(sightings, T_boards_in_ref, strict=True)
+        for seen, T in zip(detections, T_boards_in_ref, strict=True)
     ]
     # The board with the most certain pose gives the start pose of `ref`.
-    best = min(range(len(pieces)), key=lambda k: sightings[k].position_sigma or math.inf)
-    T_board_in_cam, kernel = sightings[best].T_board_in_cam, sightings[best].blur or USUAL_BLUR
+    best = min(range(len(pieces)), key=lambda k: detections[k].position_sigma or math.inf)
+    T_board_in_cam, kernel = detections[best].T_board_in_cam, detections[best].blur or USUAL_BLUR
     assert T_board_in_cam is not None
     # The print size is fitted too: a fixed size with an error of 0.25 % would tilt the boards by 0.2 degrees.
-    scale_prior = LogScalePrior(0.0, PRINT_SIGMA / INFLATION, _common_log_scale(sightings, T_boards_in_ref))
+    scale_prior = LogScalePrior(0.0, PRINT_SIGMA / INFLATION, _common_log_scale(detections, T_boards_in_ref))
     T_start = T_board_in_cam.copy()
     T_start[:3, 3] *= math.exp(scale_prior.start)
     T_start = T_start @ inverse(T_boards_in_ref[best])
@@ -198,7 +198,7 @@ def locate_together(
         return None
     alignment = marginalize_shape(photo, camera, pieces, alignment, scale_prior)
     T_ref, joint = alignment.T_ref_in_cam, []
-    for k, (seen, T) in enumerate(zip(sightings, T_boards_in_ref, strict=True)):
+    for k, (seen, T) in enumerate(zip(detections, T_boards_in_ref, strict=True)):
         covariance, shared = pose_covariance(alignment, camera, T[:3, 3])
         rms = marker_shift_rms(alignment.tiles[k])
         joint.append(
@@ -209,10 +209,10 @@ def locate_together(
     return joint
 
 
-def _common_log_scale(sightings: Sequence[BoardDetection], T_boards_in_ref: Sequence[Array]) -> float:
+def _common_log_scale(detections: Sequence[BoardDetection], T_boards_in_ref: Sequence[Array]) -> float:
     """Return the log of print size over nominal size at which the boards' distances match `T_boards_in_ref`."""
     logs = []
-    for (one, T_one), (two, T_two) in itertools.combinations(zip(sightings, T_boards_in_ref, strict=True), 2):
+    for (one, T_one), (two, T_two) in itertools.combinations(zip(detections, T_boards_in_ref, strict=True), 2):
         assert one.T_board_in_cam is not None and two.T_board_in_cam is not None
         seen = float(np.linalg.norm(two.T_board_in_cam[:3, 3] - one.T_board_in_cam[:3, 3]))
         logs.append(math.log(float(np.linalg.norm(T_two[:3, 3] - T_one[:3, 3])) / seen))

@@ -193,7 +193,7 @@ def _track(results: Sequence[RigInPhoto], k: int) -> _BoardTrack | None:
     photos, boards, bases, noise = [], [], [], []
     for number, result in enumerate(results):
         arm = result.arms[k]
-        board = arm.sighting.T_board_in_cam if arm.sighting else None
+        board = arm.detection.T_board_in_cam if arm.detection else None
         if board is None or arm.T_base_in_cam is None or arm.status != BoardStatus.OK:
             continue
         photos.append(number)
@@ -207,7 +207,7 @@ def _track(results: Sequence[RigInPhoto], k: int) -> _BoardTrack | None:
 
 def _photo_noise(arm: ArmPose) -> Array:
     """Return the standard deviations (6,) of a board's pose, rad and m, without errors that all photos share."""
-    seen = arm.sighting
+    seen = arm.detection
     least = np.array([_NOISE_TURN] * 3 + [_NOISE_SHIFT] * 3)
     if seen is None or seen.covariance is None or seen.shared_errors is None:
         return least

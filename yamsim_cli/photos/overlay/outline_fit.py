@@ -32,7 +32,7 @@ _MIN_POINTS = 20  # points of an outline, below which the outline does not move 
 
 def score_outlines(result: RigInPhoto, renderer: ArmRenderer, grey: NDArray[np.uint8]) -> RigInPhoto:
     """Return the result with the median distance (px) of rendered outlines to the photo's edges, by arm and overall."""
-    flat_grey = renderer.flattened(grey)
+    flat_grey = renderer.undistort(grey)
     labels = renderer.flat_labels()
     offsets = {
         k: edge_offsets(flat_grey, mask_outline(labels == k + 1, _other_arms_mask(labels, k))) for k in result.bases
@@ -58,7 +58,7 @@ def refine_poses(
     Args:
         together: whether the arms move as one rigid body.
     """
-    flat_grey = renderer.flattened(grey)
+    flat_grey = renderer.undistort(grey)
     start = result.bases
     groups = [list(start)] if together else [[k] for k in start]
     priors = [_prior([result.arms[k] for k in group]) for group in groups]
@@ -73,9 +73,11 @@ def refine_poses(
                 continue
             move = solve_correction(equations, centre, information, step)
             step += move.step
-            poses.update({k: move.applied(poses[k]) for k in group})
+            poses.update({k: move.apply(poses[k]) for k in group})
     camera = result.lens.camera
-    arms = tuple(_moved(arm, poses[k], grey, camera) if k in poses else arm for k, arm in enumerate(result.arms))
+    arms = tuple(
+        _with_refined_pose(arm, poses[k], grey, camera) if k in poses else arm for k, arm in enumerate(result.arms)
+    )
     return replace(result, arms=arms)
 
 
@@ -92,19 +94,19 @@ def _equations(
     return edge_equations(line, depth, offsets, flat.intrinsics.K, centre, edge_sigma=grain_px(flat_grey.shape))
 
 
-def _moved(arm: ArmPose, T_base_in_cam: Array, grey: NDArray[np.uint8], camera: CameraModel) -> ArmPose:
-    seen = arm.sighting
+def _with_refined_pose(arm: ArmPose, T_base_in_cam: Array, grey: NDArray[np.uint8], camera: CameraModel) -> ArmPose:
+    seen = arm.detection
     if seen is not None and seen.T_board_in_cam is not None:
         assert arm.T_base_in_cam is not None
         T_board_in_base = inverse(arm.T_base_in_cam) @ seen.T_board_in_cam
         seen = with_pose(grey, camera, seen, T_base_in_cam @ T_board_in_base)
-    return replace(arm, T_base_in_cam=T_base_in_cam, sighting=seen)
+    return replace(arm, T_base_in_cam=T_base_in_cam, detection=seen)
 
 
 def _prior(arms: Sequence[ArmPose]) -> tuple[Array, Array]:
     """Return a point (3,) in the camera frame and the inverse covariance (6, 6) of the arms' pose about that point."""
     for arm in arms:
-        seen = arm.sighting
+        seen = arm.detection
         if seen is not None and seen.covariance is not None and seen.T_board_in_cam is not None:
             information: Array = np.linalg.inv(seen.covariance).astype(np.float64)
             return seen.T_board_in_cam[:3, 3], information

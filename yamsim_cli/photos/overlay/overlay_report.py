@@ -36,7 +36,7 @@ class OverlayReport:
     files: list[Path] = field(default_factory=list)
     failures: list[str] = field(default_factory=list)
     unreadable: list[str] = field(default_factory=list)
-    stillness: MoveReport = field(default_factory=MoveReport)
+    move_report: MoveReport = field(default_factory=MoveReport)
 
     def to_json_data(self) -> dict[str, Any]:
         """Return the report as plain data for JSON: lengths in m, angles in rad, poses (4, 4) row by row."""
@@ -45,9 +45,9 @@ class OverlayReport:
             "files": [str(path) for path in self.files],
             "failures": list(self.failures),
             "unreadable": list(self.unreadable),
-            "still": None if self.stillness.unknown else not self.stillness.moves,
-            "still_unknown": self.stillness.unknown,
-            "moved": [_plain_move(move) for move in self.stillness.moves],
+            "still": None if self.move_report.unknown else not self.move_report.moves,
+            "still_unknown": self.move_report.unknown,
+            "moved": [_plain_move(move) for move in self.move_report.moves],
         }
 
     def write(self, out: Path) -> None:
@@ -81,10 +81,10 @@ def captions(result: RigInPhoto) -> list[str]:
     lines = []
     for arm in result.arms:
         text = f"{arm.name}: {arm.status}"
-        if arm.sighting and (arm.sighting.markers or arm.status not in (INFERRED, RECORDED)):
-            text += f", {len(arm.sighting.markers)}/{len(arm.sighting.board.ids)} markers"
-            if arm.sighting.reprojection_rms is not None:
-                text += f", {arm.sighting.reprojection_rms:.2f} px"
+        if arm.detection and (arm.detection.markers or arm.status not in (INFERRED, RECORDED)):
+            text += f", {len(arm.detection.markers)}/{len(arm.detection.board.ids)} markers"
+            if arm.detection.reprojection_rms is not None:
+                text += f", {arm.detection.reprojection_rms:.2f} px"
         if arm.edge_residual is not None:
             text += f", outline {arm.edge_residual:.1f} px"
         lines.append(text)
@@ -94,7 +94,7 @@ def captions(result: RigInPhoto) -> list[str]:
     if result.lens.source == "estimated" and not focal.reason:
         within = f"within {focal.low:.0f} to {focal.high:.0f} px"
         lines.append(f"focal length estimated: {focal.camera.focal:.0f} px, {within}")
-    elif result.lens.source == "estimated" and any(arm.sighting and arm.sighting.markers for arm in result.arms):
+    elif result.lens.source == "estimated" and any(arm.detection and arm.detection.markers for arm in result.arms):
         lines.append(f"no pose: {focal.reason}")
     if result.margin is not None:
         lines.append(f"margin measured: {result.margin:.4f} m")
@@ -112,7 +112,9 @@ def _nothing_found(results: Sequence[RigInPhoto], rig: RigConfig) -> str:
     wanted = ", ".join(f"{board.board.ids[0]}-{board.board.ids[-1]} ({board.dictionary})" for board in boards)
     seen = ", ".join(map(str, first.ids)) or "none"
     focal = first.lens.focal.reason
-    refused = [f"{arm.name}: {arm.sighting.explanation}" for arm in first.arms if arm.sighting and arm.sighting.reason]
+    refused = [
+        f"{arm.name}: {arm.detection.explanation}" for arm in first.arms if arm.detection and arm.detection.reason
+    ]
     # All arms share the lens, so the message names its problem once.
     why = f"; {focal if focal else '; '.join(refused)}" if refused else ""
     more = f" (and {len(results) - 1} more photos)" if len(results) > 1 else ""
@@ -163,7 +165,7 @@ def _plain_result(result: RigInPhoto, rig: RigConfig) -> dict[str, Any]:
 
 
 def _plain_arm(arm: ArmPose) -> dict[str, Any]:
-    seen = arm.sighting
+    seen = arm.detection
     return {
         "name": arm.name,
         "board": arm.board,

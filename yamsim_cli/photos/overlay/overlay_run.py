@@ -184,9 +184,9 @@ def run_overlays(
         if not report.results:
             raise ResourceError(report.unreadable[0])
         progress(len(jobs), len(jobs))
-    report.stillness = find_moves(report.results)
+    report.move_report = find_moves(report.results)
     if request.fail_if_moved:
-        report.failures += [describe_move(move) for move in report.stillness.moves]
+        report.failures += [describe_move(move) for move in report.move_report.moves]
     if request.video:
         report.files.append(request.video)
     report.write(request.out)
@@ -220,8 +220,8 @@ def _overlay(
         labels = arms.labels
         picture = blend_arms(image, arms.colour, labels, request.opacity)
     for arm in result.arms:
-        if arm.sighting and arm.sighting.T_board_in_cam is not None:
-            draw_board(picture, camera, arm.sighting.board, arm.sighting.T_board_in_cam)
+        if arm.detection and arm.detection.T_board_in_cam is not None:
+            draw_board(picture, camera, arm.detection.board, arm.detection.T_board_in_cam)
     if job.mask is not None:
         result = replace(result, iou=_mask_overlap(labels, read_mask(job.mask), result.path))
     write_lines(picture, captions(result), _changed_pixels(picture, image))
@@ -258,11 +258,11 @@ def _write_images(paths: Sequence[Path], images: Sequence[Image]) -> Sequence[Pa
 def _failures(result: RigInPhoto, request: OverlayRequest) -> list[str]:
     found = []
     for arm in result.arms:
-        if request.max_reprojection is None or arm.board is None or not arm.sighting:
+        if request.max_reprojection is None or arm.board is None or not arm.detection:
             continue
-        rms = arm.sighting.reprojection_rms
-        if arm.sighting.status is not BoardStatus.OK:
-            found.append(f"{result.path}: {arm.name} is not located: {arm.sighting.explanation}")
+        rms = arm.detection.reprojection_rms
+        if arm.detection.status is not BoardStatus.OK:
+            found.append(f"{result.path}: {arm.name} is not located: {arm.detection.explanation}")
         elif rms is not None and rms > request.max_reprojection:
             found.append(
                 f"{result.path}: {arm.name}'s reprojection of {rms:.2f} px is above {request.max_reprojection:g}: "

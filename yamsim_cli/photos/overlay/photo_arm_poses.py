@@ -50,7 +50,7 @@ class ArmPose:
     name: str
     board: str | None
     status: str
-    sighting: BoardDetection | None = None
+    detection: BoardDetection | None = None
     T_base_in_cam: Array | None = None
     edge_residual: float | None = None
 
@@ -121,7 +121,7 @@ def find_arms(
         sightings, markers = boards_without_pose(grey, camera, boards, lens.focal.reason)
     else:
         T_boards = [_T_board_in_world(rig, k) for k, arm in enumerate(rig.arms) if arm.board]
-        seen_before = {arm.board: arm.sighting for arm in before.arms if arm.sighting} if before else {}
+        seen_before = {arm.board: arm.detection for arm in before.arms if arm.detection} if before else {}
         poses = [one.T_board_in_cam if (one := seen_before.get(board.name)) else None for board in boards]
         sightings, markers = locate_boards(grey, camera, boards, T_boards, poses, limits)
     by_board = {seen.board.name: seen for seen in sightings}
@@ -150,7 +150,9 @@ def _T_board_in_world(rig: RigConfig, k: int) -> Array:
 
 def _located_boards(arms: Sequence[ArmPose]) -> list[tuple[int, BoardDetection]]:
     """Return the index and the board detection of each arm whose own board is located."""
-    return [(k, arm.sighting) for k, arm in enumerate(arms) if arm.sighting and arm.sighting.status is BoardStatus.OK]
+    return [
+        (k, arm.detection) for k, arm in enumerate(arms) if arm.detection and arm.detection.status is BoardStatus.OK
+    ]
 
 
 def _drop_inconsistent_sizes(rig: RigConfig, arms: list[ArmPose]) -> list[ArmPose]:
@@ -165,7 +167,7 @@ def _drop_inconsistent_sizes(rig: RigConfig, arms: list[ArmPose]) -> list[ArmPos
         )
         for n, sighting in ((k, one), (j, two)):
             refused = replace(_without_pose(sighting), status=BoardStatus.POOR_FIT, reason=reason)
-            arms[n] = replace(arms[n], status=refused.status, sighting=refused, T_base_in_cam=None)
+            arms[n] = replace(arms[n], status=refused.status, detection=refused, T_base_in_cam=None)
         break
     return arms
 
@@ -210,13 +212,13 @@ def _size_ratio(one: BoardDetection, two: BoardDetection, T_one: Array, T_two: A
     return 1.0 + size_change
 
 
-def _without_pose(sighting: BoardDetection) -> BoardDetection:
-    return replace(sighting, T_board_in_cam=None, covariance=None, shared_errors=None)
+def _without_pose(detection: BoardDetection) -> BoardDetection:
+    return replace(detection, T_board_in_cam=None, covariance=None, shared_errors=None)
 
 
 def _with_other_pose(arm: ArmPose, status: str, T_base_in_cam: Array) -> ArmPose:
-    sighting = arm.sighting and _without_pose(arm.sighting)
-    return replace(arm, status=status, sighting=sighting, T_base_in_cam=T_base_in_cam)
+    sighting = arm.detection and _without_pose(arm.detection)
+    return replace(arm, status=status, detection=sighting, T_base_in_cam=T_base_in_cam)
 
 
 def _recorded(rig: RigConfig, result: RigInPhoto, T_first_base_in_cam: Array) -> RigInPhoto:
@@ -234,8 +236,8 @@ def _inconsistencies(arms: Sequence[ArmPose]) -> tuple[str, ...]:
         f"{arm.name}'s markers lie {rms:.2f} px from where its pose puts them: check the camera's distortion, and the "
         "rig's marker_length_mm and gap_mm against the print"
         for arm in arms
-        if arm.located and arm.sighting
-        if (rms := arm.sighting.reprojection_rms) is not None and rms > _MAX_REPROJECTION_PX
+        if arm.located and arm.detection
+        if (rms := arm.detection.reprojection_rms) is not None and rms > _MAX_REPROJECTION_PX
     )
 
 
@@ -265,14 +267,16 @@ def _margin_sigma(one: ArmPose, two: ArmPose, direction: Array) -> float:
     variance, scales = 0.0, []
     for arm in (one, two):
         assert (
-            arm.sighting is not None and arm.sighting.covariance is not None and arm.sighting.shared_errors is not None
+            arm.detection is not None
+            and arm.detection.covariance is not None
+            and arm.detection.shared_errors is not None
         )
-        assert arm.sighting.T_board_in_cam is not None and arm.T_base_in_cam is not None
+        assert arm.detection.T_board_in_cam is not None and arm.T_base_in_cam is not None
         # A rotation of the board about its centre moves the base.
-        lever = arm.T_base_in_cam[:3, 3] - arm.sighting.T_board_in_cam[:3, 3]
+        lever = arm.T_base_in_cam[:3, 3] - arm.detection.T_board_in_cam[:3, 3]
         along = np.concatenate([np.cross(lever, direction), direction])
-        shared = along @ arm.sighting.shared_errors
-        variance += float(along @ arm.sighting.covariance @ along - shared @ shared)
+        shared = along @ arm.detection.shared_errors
+        variance += float(along @ arm.detection.covariance @ along - shared @ shared)
         scales.append(shared)
     # Errors of the lens and of the printer are the same for both boards, so only their difference counts.
     apart = scales[1] - scales[0]
@@ -294,7 +298,7 @@ def _pose_by_trusted_margin(rig: RigConfig, result: RigInPhoto, grey: NDArray[np
     for k, arm in enumerate(result.arms):
         T = T_world_in_cam @ rig.T_base_in_world(k)
         if k in found:
-            arms.append(replace(arm, sighting=found[k], T_base_in_cam=T))
+            arms.append(replace(arm, detection=found[k], T_base_in_cam=T))
         else:
             arms.append(_with_other_pose(arm, INFERRED, T))
     return replace(result, arms=tuple(arms))

@@ -146,9 +146,9 @@ class ArmRenderer(Closable):
             self._labels = self._arm_of_geom[self._renderer.segment(self._data, _CAMERA)]
         return self._labels
 
-    def flattened(self, photo: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    def undistort(self, photo: NDArray[np.uint8]) -> NDArray[np.uint8]:
         """Return the photo with its lens distortion removed, pixel by pixel aligned with `pinhole_arms`."""
-        return self._warp.flattened(photo)
+        return self._warp.undistort(photo)
 
     def close(self) -> None:
         """Free the OpenGL context."""

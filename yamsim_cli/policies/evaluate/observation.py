@@ -151,9 +151,9 @@ class ObservationBuilder:
 
     def observe(self, episode: Episode, attempt: Attempt, renderer: ObservationRenderer) -> LazyObservation:
         """Return the observation of an episode's current state."""
-        config, scene, replica = self._simulator.config, self._simulator.scene, self._simulator.replica
+        config, scene, replica = self._simulator.config, self._simulator.scene, self._simulator.state_replay
         task = config.task
-        replica.show(episode.data.qpos)
+        replica.set_state(episode.data.qpos)
         T_base = scene.T_base_in_world
         joints = episode.readings(attempt.job)
         openings = joints[:, -1] if scene.arm.fingers is not None else replica.openings()

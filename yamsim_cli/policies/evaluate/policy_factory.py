@@ -75,19 +75,19 @@ class _ActionSequencePolicy:
 
     def __init__(self) -> None:
         self._ctrl: Array = np.zeros((0, 0))
-        self._magnet: WeldStates = np.zeros((0, 0), bool)
+        self._weld_on: WeldStates = np.zeros((0, 0), bool)
         self._tick = 0
 
     def _set_actions(self, ctrl: Array, magnet: WeldStates, scene: CompiledScene) -> None:
         """Set the commands to MuJoCo's drives (ticks, nu) and to each arm's weld (ticks, arms)."""
-        self._ctrl, self._magnet = ctrl[:, scene.drives.ravel()], magnet
+        self._ctrl, self._weld_on = ctrl[:, scene.drives.ravel()], magnet
 
     def reset(self) -> None:
         self._tick = 0
 
     def __call__(self, observation: Observation) -> Mapping[str, Any]:
         tick, self._tick = self._tick, self._tick + 1
-        return {"ctrl": self._ctrl[tick], "magnet": self._magnet[tick], "done": tick + 1 == len(self._ctrl)}
+        return {"ctrl": self._ctrl[tick], "magnet": self._weld_on[tick], "done": tick + 1 == len(self._ctrl)}
 
 
 class ExpertPolicy(_ActionSequencePolicy):

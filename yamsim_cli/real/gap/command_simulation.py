@@ -124,7 +124,7 @@ def _controls(scene: CompiledScene, motion: RecordedMotion) -> Array:
     ctrl = np.zeros((steps, scene.model.nu))
     for arm, logged in zip(scene.arms, motion.arms, strict=True):
         assert logged.commands is not None, "checked before"
-        commands = forward_filled(logged.commands, logged.joints)
+        commands = forward_fill(logged.commands, logged.joints)
         ctrl[:, arm.arm_ctrl] = _means(motion.times, np.clip(commands, *arm.ctrl_range.T), edges)
         if arm.fingers is not None:
             openings = np.clip(_commanded_openings(arm, logged), *arm.fingers.ctrl_range)
@@ -144,7 +144,7 @@ def _means(times: Array, values: Array, edges: Array) -> Array:
     return means
 
 
-def forward_filled(values: Array, before: Array) -> Array:
+def forward_fill(values: Array, before: Array) -> Array:
     """Replace each NaN in values (n, k) by the last known value, or at the start by the first known of `before`."""
     filled = values.copy()
     if np.isfinite(values).all():
@@ -172,7 +172,7 @@ def _commanded_openings(arm: ArmAddresses, logged: ArmMotion) -> Array:
         if openings is not None and np.isfinite(openings).any():
             seen = closed if logged.openings is None else logged.openings[:, None]
             before = np.where(np.isfinite(_first_known(seen)), seen, openings[:, None])
-            return forward_filled(openings[:, None], before)[:, 0]
+            return forward_fill(openings[:, None], before)[:, 0]
     return closed[:, 0]
 
 

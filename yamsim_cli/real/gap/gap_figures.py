@@ -12,7 +12,7 @@ from yamsim_cli.core.errors import DatasetError
 from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.core.recorded_motion import ArmMotion, RecordedMotion
 from yamsim_cli.core.scene.compiled import ArmAddresses, CompiledScene
-from yamsim_cli.real.gap.command_simulation import forward_filled, hand_poses, simulate_commands
+from yamsim_cli.real.gap.command_simulation import forward_fill, hand_poses, simulate_commands
 
 from .joint_curves import (
     PHASES,
@@ -196,7 +196,7 @@ def _joint_gaps(
     at, errors = times[counted], (real.joints - made.joints)[counted]
     # The command curve also uses commands between measured samples.
     inside = (times >= at[0]) & (times <= at[-1])
-    commanded = smooth_curves(times[inside], forward_filled(real.commands, real.joints)[inside], steps=True, like=at)
+    commanded = smooth_curves(times[inside], forward_fill(real.commands, real.joints)[inside], steps=True, like=at)
     measured, simulated = smooth_curves(at, real.joints[counted]), smooth_curves(at, made.joints[counted])
     resting, labels = joints_at_rest(measured, commanded), motion_phases(measured, at)
 

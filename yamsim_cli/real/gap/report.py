@@ -11,7 +11,7 @@ import numpy as np
 
 from yamsim_cli.core.errors import SimulationError
 from yamsim_cli.core.markup import page_footer, write_page
-from yamsim_cli.real.gap.command_simulation import forward_filled
+from yamsim_cli.real.gap.command_simulation import forward_fill
 
 from .gap_figures import ErrorStats, HandGap, JointGap, MotionGap, TrackingFigures, WorstError
 from .gap_page import CaptionedJpeg, JointCurves, gap_page
@@ -73,7 +73,7 @@ def build_report(gaps: Sequence[MotionGap], rig: str) -> dict[str, Any]:
     }
 
 
-def require_gap_below(report: Mapping[str, Any], most_mrad: float | None) -> None:
+def require_gap_below(report: Mapping[str, Any], max_mrad: float | None) -> None:
     """Check that no joint's RMS error exceeds a limit.
 
     Args:
@@ -83,15 +83,15 @@ def require_gap_below(report: Mapping[str, Any], most_mrad: float | None) -> Non
     Raises:
         SimulationError: a joint's error is larger.
     """
-    if most_mrad is None:
+    if max_mrad is None:
         return
-    above = [joint for joint in report["joints"] if joint["rms_rad"] * 1000 > most_mrad]
+    above = [joint for joint in report["joints"] if joint["rms_rad"] * 1000 > max_mrad]
     if above:
         worst = max(above, key=lambda joint: joint["rms_rad"])
         more = f" (and {len(above) - 1} more)" if len(above) > 1 else ""
         raise SimulationError(
             f"{display_name(worst)} is off by {worst['rms_rad'] * 1000:.3g} mrad RMS{more}: --fail-above asks for at "
-            f"most {most_mrad:g}"
+            f"most {max_mrad:g}"
         )
 
 
@@ -122,9 +122,9 @@ def _joints(rows: Sequence[JointGap]) -> dict[str, Any]:
     return {
         "arm": rows[0].arm,
         "name": rows[0].name,
-        **_mean_figures(rows, lambda row: {**_size(row.error), **_following(row.measured_vs_simulated)}),
-        "command_to_measured": _mean_figures(rows, lambda row: _following(row.measured)),
-        "command_to_simulated": _mean_figures(rows, lambda row: _following(row.simulated)),
+        **_mean_figures(rows, lambda row: {**_size(row.error), **_tracking_data(row.measured_vs_simulated)}),
+        "command_to_measured": _mean_figures(rows, lambda row: _tracking_data(row.measured)),
+        "command_to_simulated": _mean_figures(rows, lambda row: _tracking_data(row.simulated)),
         "phases": _phases([row.phases for row in rows]),
     }
 
@@ -133,7 +133,7 @@ def _size(size: ErrorStats) -> dict[str, float | None]:
     return {"rms_rad": size.rms, "p95_rad": size.p95, "max_rad": size.max}
 
 
-def _following(found: TrackingFigures) -> dict[str, float | None]:
+def _tracking_data(found: TrackingFigures) -> dict[str, float | None]:
     return {"delay_s": found.delay, "sag_rad": found.sag, "overshoot_rad": found.overshoot}
 
 
@@ -196,7 +196,7 @@ def _joint_curves(gap: MotionGap) -> list[JointCurves]:
     names = iter(gap.joints)
     for real, simulated in zip(gap.motion.arms, gap.simulated.arms, strict=True):
         assert real.commands is not None, "the simulation followed them"
-        commands = forward_filled(real.commands, real.joints)
+        commands = forward_fill(real.commands, real.joints)
         for k in range(real.joints.shape[1]):
             joint = next(names)
             marked = (joint.arm, joint.name) == (gap.worst.arm, gap.worst.joint)

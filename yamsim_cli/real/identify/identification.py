@@ -133,8 +133,8 @@ def identify(
         others = [ArmLog.from_motion(motion, motion.arms[place]) for motion in held_out]
         if not others:
             cut = 1 - _HELD_OUT
-            others = [log.clipped(cut * log.seconds, log.seconds) for log in logs]
-            logs = [log.clipped(0.0, cut * log.seconds) for log in logs]
+            others = [log.slice_time(cut * log.seconds, log.seconds) for log in logs]
+            logs = [log.slice_time(0.0, cut * log.seconds) for log in logs]
             check_usable(logs, plant.robot.joint_names, called)
         fitted = fit_parameters(
             arm, logs, _step_counter(called or arm.name, _RUNS_PER_PARAMETER * len(all_parameters(plant)), step)

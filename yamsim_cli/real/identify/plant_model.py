@@ -71,10 +71,10 @@ class ArmLog:
         assert arm.commands is not None, "motions without commands are refused before"
         known = (one for one in (arm.commanded_openings, arm.openings) if one is not None and np.isfinite(one).any())
         openings = next(known, None)
-        filled = None if openings is None else _filled(openings[:, None])[:, 0]
-        return cls(motion.name, motion.times, _filled(arm.commands), arm.joints, filled)
+        filled = None if openings is None else _forward_fill(openings[:, None])[:, 0]
+        return cls(motion.name, motion.times, _forward_fill(arm.commands), arm.joints, filled)
 
-    def clipped(self, start: float, end: float) -> ArmLog:
+    def slice_time(self, start: float, end: float) -> ArmLog:
         """Return the part between two times, s, with times that begin at 0."""
         kept = (self.times >= start) & (self.times <= end)
         openings = None if self.openings is None else self.openings[kept]
@@ -223,7 +223,7 @@ class LogSimulation:
         data.qpos[self.plant.fingers] = commands[0] * np.array(robot.finger_signs)
 
 
-def _filled(commands: Array) -> Array:
+def _forward_fill(commands: Array) -> Array:
     """Replace each NaN in commands (n, dof) by the last command before, or else by the first known command."""
     filled = commands.copy()
     for column in filled.T:

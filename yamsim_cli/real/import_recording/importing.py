@@ -162,14 +162,14 @@ def _recordings(path: Path, request: ImportRequest, locations: Locations) -> Ite
     """Yield the format and each corrected recording of a file or a folder."""
     name = request.format or detect_format(path)
     for recording in format_reader(name)(path, request.rig, request.mapping, locations):
-        made = _corrected(recording, request.corrections, request.rig)
+        made = _apply_corrections(recording, request.corrections, request.rig)
         for problem in find_faults(made.in_metres(request.rig), request.rig):
             if (flag := _CORRECTED_BY.get(problem.fault)) is not None:
                 raise DatasetError(f"{recording.motion.name}: {problem.text} If so, say {flag}")
         yield name, made
 
 
-def _corrected(recording: Recording, corrections: Corrections, rig: RigConfig) -> Recording:
+def _apply_corrections(recording: Recording, corrections: Corrections, rig: RigConfig) -> Recording:
     arms = recording.motion.arms
     if corrections.swap_arms:
         if len(arms) != 2:
@@ -191,7 +191,7 @@ def _corrected(recording: Recording, corrections: Corrections, rig: RigConfig) -
     unit = corrections.gripper or recording.gripper
     if corrections.mirrored is not None:
         numbered = zip(arms, rig.recording_order, strict=True)
-        arms = tuple(_mirrored(arm, _full_opening(rig, k, unit), corrections.mirrored) for arm, k in numbered)
+        arms = tuple(_mirror_openings(arm, _full_opening(rig, k, unit), corrections.mirrored) for arm, k in numbered)
     return replace(recording, motion=replace(recording.motion, arms=arms), gripper=unit)
 
 
@@ -200,7 +200,7 @@ def _full_opening(rig: RigConfig, arm: int, unit: GripperUnit) -> float:
     return fingers.full_opening if fingers and unit == "metres" else 1.0
 
 
-def _mirrored(arm: ArmMotion, full: float, which: str) -> ArmMotion:
+def _mirror_openings(arm: ArmMotion, full: float, which: str) -> ArmMotion:
     """Return an arm's motion with openings counted from the other end."""
     measured, commanded = arm.openings, arm.commanded_openings
     if measured is not None and which != "commanded":

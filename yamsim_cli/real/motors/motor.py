@@ -164,7 +164,7 @@ class Motor:
         self.control_law_changed = True
         self._command = _REST
         self._zero = 0.0
-        self._heard = 0.0
+        self._last_frame_time = 0.0
         self._scale = kind.scale
 
     @property
@@ -206,7 +206,7 @@ class Motor:
             self._command = frames.read_mit(frame.data, self._scale) if self.status is Status.ENABLED else _REST
         else:
             self._handle_special(order)
-        self._heard = now
+        self._last_frame_time = now
         self.control_law_changed = True
         return self._answer()
 
@@ -218,7 +218,7 @@ class Motor:
             self.status = Status.ENABLED
         if self.status is Status.ENABLED:
             self._command = command._replace(position=command.position - self._zero)
-        self._heard = now
+        self._last_frame_time = now
         self.control_law_changed = True
 
     def advance(self, now: float, seconds: float) -> None:
@@ -232,7 +232,7 @@ class Motor:
             self._fail(Status.ROTOR_TOO_HOT)
         elif self.driver_celsius > _DRIVER_LIMIT:
             self._fail(Status.DRIVER_TOO_HOT)
-        elif timeout and now - self._heard > timeout:
+        elif timeout and now - self._last_frame_time > timeout:
             self._fail(Status.LOST_COMMUNICATION)
 
     def power_off(self) -> None:

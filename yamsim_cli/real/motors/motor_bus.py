@@ -105,10 +105,10 @@ class MotorBus:
     def send(self, frame: CanFrame, now: float) -> list[CanFrame]:
         """Send a frame to all motors and return their answers."""
         self.frames_received += 1
-        if self._loses():
+        if self._drops_frame():
             return []
         answers = [answer for motor in self.motors if (answer := motor.receive(frame, now)) is not None]
-        return [answer for answer in answers if not self._loses()]
+        return [answer for answer in answers if not self._drops_frame()]
 
     def advance_to(self, now: float) -> None:
         """Advance the time to `now`, s: update temperatures and timeouts, and begin and end faults."""
@@ -129,7 +129,7 @@ class MotorBus:
             elif not motor.lost and motor.number in lost:
                 motor.power_off()
 
-    def _loses(self) -> bool:
+    def _drops_frame(self) -> bool:
         lost = self._drop_share > 0 and self._random.random() < self._drop_share
         self.dropped += lost
         return lost

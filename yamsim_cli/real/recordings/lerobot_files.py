@@ -27,7 +27,7 @@ from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.core.images.image_files import decode_image
 from yamsim_cli.core.images.jpeg import encode_jpeg
-from yamsim_cli.core.images.video import film_frames
+from yamsim_cli.core.images.video import read_video_frames
 from yamsim_cli.core.recorded_motion import RecordedMotion
 
 from .column_names import arm_columns, find_naming, named_arms
@@ -355,7 +355,7 @@ def _video_jpegs(
     """Yield the frames of an episode's video as JPEG."""
     file, begin = videos.locate(key, number, row)
     count = 0
-    for image in film_frames(file, begin, frames, 0.5 / videos.fps):
+    for image in read_video_frames(file, begin, frames, 0.5 / videos.fps):
         count += 1
         yield encode_jpeg(image, JPEG_QUALITY)
     if count != frames:

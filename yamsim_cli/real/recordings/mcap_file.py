@@ -16,7 +16,7 @@ from yamsim_cli.core.errors import ConfigError, DatasetError, ResourceError
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.core.images.jpeg import encode_jpeg
-from yamsim_cli.core.images.video import packet_frames
+from yamsim_cli.core.images.video import decode_packets
 from yamsim_cli.core.recorded_motion import ArmMotion, RecordedMotion
 
 from .column_names import KIND, arm_keys, candidate_namings
@@ -142,7 +142,7 @@ def _images(path: Path, topic: str, stamps: Samples) -> CameraImages:
 def _jpegs(path: Path, topic: str, kept: frozenset[int]) -> Iterator[bytes]:
     codec = next((str(_field(message, "format") or "") for _, _, message in _messages(path, {topic})), "")
     packets = (bytes(_field(message, "data")) for _, _, message in _messages(path, {topic}))
-    for number, image in enumerate(packet_frames(packets, codec, f"{path} {topic}")):
+    for number, image in enumerate(decode_packets(packets, codec, f"{path} {topic}")):
         if number in kept:
             yield encode_jpeg(image, JPEG_QUALITY)
 

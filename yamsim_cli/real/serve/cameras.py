@@ -43,7 +43,7 @@ class CameraServer(UnixServer):
         """Answer requests that have a newer image, and send outgoing bytes."""
         clients = self.clients
         self._requests = {client: request for client, request in self._requests.items() if client in clients}
-        shot = self._source.shot
+        shot = self._source.newest_frames
         for client, (camera, after) in list(self._requests.items()):
             if shot is not None and shot.number > after:
                 del self._requests[client]

@@ -168,7 +168,7 @@ class ChiralServer(TcpServer):
             connection.since = robot.now
         elif shot is not None and shot.sim_time >= connection.since:
             connection.pending = ""
-            connection.protocol.send_binary(_observation_message(robot.observed(shot), is_reset=is_reset))
+            connection.protocol.send_binary(_observation_message(robot.observe(shot), is_reset=is_reset))
             return True
         return False
 

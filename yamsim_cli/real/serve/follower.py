@@ -24,13 +24,13 @@ class Follower:
     Vectors (dofs,) have the joints in rad, and last the gripper, from 0 (closed) to 1 (fully open).
     """
 
-    def __init__(self, plant: MotorSimulation, number: int, arm: ArmAddresses, wiring: CanConfig) -> None:
-        self._plant, self._number, self._wiring = plant, number, wiring
+    def __init__(self, plant: MotorSimulation, number: int, arm: ArmAddresses, can_config: CanConfig) -> None:
+        self._plant, self._number, self._wiring = plant, number, can_config
         self._motors = plant.buses[number].motors
-        hand = wiring.gripper
-        turns = [float(row.direction) for row in wiring.arm.motors]
+        hand = can_config.gripper
+        turns = [float(row.direction) for row in can_config.arm.motors]
         self._ratio, self._offset = np.array(turns), np.zeros(len(turns))
-        self._kp, self._kd = np.array(arm.kp), np.array(arm.kv)
+        self._kp, self._kd = np.array(arm.position_gain), np.array(arm.velocity_gain)
         self._low, self._high = arm.joint_range[:, 0] - _LIMIT_TOLERANCE, arm.joint_range[:, 1] + _LIMIT_TOLERANCE
         self._grip_torque = 0.0
         if hand is not None and arm.fingers is not None:

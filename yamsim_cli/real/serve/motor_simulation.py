@@ -60,7 +60,7 @@ class MotorSimulation:
     """
 
     def __init__(
-        self, scene: CompiledScene, start: Array, wirings: Sequence[CanConfig], buses: Sequence[MotorBus]
+        self, scene: CompiledScene, start: Array, can_configs: Sequence[CanConfig], buses: Sequence[MotorBus]
     ) -> None:
         self._model = model = scene.model
         self.data = mujoco.MjData(model)
@@ -71,10 +71,10 @@ class MotorSimulation:
         self._fingers = [arm.fingers for arm in scene.arms]
         self._shafts = [
             shaft
-            for k, (arm, wiring, bus) in enumerate(zip(scene.arms, wirings, buses, strict=True))
-            for shaft in _shafts(k, arm, wiring, bus)
+            for k, (arm, wiring, bus) in enumerate(zip(scene.arms, can_configs, buses, strict=True))
+            for shaft in _transmissions(k, arm, wiring, bus)
         ]
-        for arm, wiring in zip(scene.arms, wirings, strict=True):
+        for arm, wiring in zip(scene.arms, can_configs, strict=True):
             if arm.fingers is not None and wiring.gripper is not None:
                 _set_gripper_motor(model, arm.fingers, wiring.gripper)
         self._armature = model.dof_armature.copy()
@@ -155,18 +155,18 @@ class MotorSimulation:
             self.data.qvel[fingers.dof] = 0.0
 
 
-def _shafts(number: int, arm: ArmAddresses, wiring: CanConfig, bus: MotorBus) -> list[_Transmission]:
+def _transmissions(number: int, arm: ArmAddresses, can_config: CanConfig, bus: MotorBus) -> list[_Transmission]:
     motors = bus.motors
     found = [
         _Transmission(number, motor, int(drive), int(qpos), int(dof), float(row.direction), 0.0, row.load)
         for row, motor, drive, qpos, dof in zip(
-            wiring.arm.motors, motors[: arm.dof], arm.arm_ctrl, arm.joint_qpos, arm.joint_dof, strict=True
+            can_config.arm.motors, motors[: arm.dof], arm.arm_ctrl, arm.joint_qpos, arm.joint_dof, strict=True
         )
     ]
-    if arm.fingers is not None and wiring.gripper is not None:
+    if arm.fingers is not None and can_config.gripper is not None:
         left = int(arm.fingers.qpos[0]), int(arm.fingers.dof[0])
-        turns = wiring.gripper.ratio * float(arm.fingers.sign[0])
-        found.append(_Transmission(number, motors[-1], arm.fingers.ctrl, *left, turns, wiring.gripper.closed, 0.0))
+        turns = can_config.gripper.ratio * float(arm.fingers.sign[0])
+        found.append(_Transmission(number, motors[-1], arm.fingers.ctrl, *left, turns, can_config.gripper.closed, 0.0))
     return found
 
 
@@ -186,10 +186,10 @@ def _weight_factors(model: mujoco.MjModel, shafts: Sequence[_Transmission]) -> A
     return factors
 
 
-def _set_gripper_motor(model: mujoco.MjModel, fingers: FingerAddresses, wiring: GripperCanConfig) -> None:
+def _set_gripper_motor(model: mujoco.MjModel, fingers: FingerAddresses, can_config: GripperCanConfig) -> None:
     """Give each finger half of its motor's armature and friction, and a joint limit where the fingers meet."""
-    model.dof_armature[fingers.dof] = wiring.armature * wiring.ratio**2 / 2
-    model.dof_frictionloss[fingers.dof] = wiring.friction * abs(wiring.ratio) / 2
+    model.dof_armature[fingers.dof] = can_config.armature * can_config.ratio**2 / 2
+    model.dof_frictionloss[fingers.dof] = can_config.friction * abs(can_config.ratio) / 2
     for dof, sign in zip(fingers.dof, fingers.sign, strict=True):
         joint = model.dof_jntid[dof]
         model.jnt_range[joint] = sorted((0.0, float(sign * max(model.jnt_range[joint] * sign))))

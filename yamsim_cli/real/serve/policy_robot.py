@@ -108,7 +108,7 @@ class _Interpolation:
     start: Array
     goal: Array
     began: float
-    lasts: float
+    duration: float
 
 
 class PolicyRobot:
@@ -165,7 +165,7 @@ class PolicyRobot:
     @property
     def is_going_home(self) -> bool:
         """Whether the arms still move home after a reset."""
-        return self._motion is not None and self._motion.lasts == _HOME_S
+        return self._motion is not None and self._motion.duration == _HOME_S
 
     @property
     def now(self) -> float:
@@ -220,12 +220,12 @@ class PolicyRobot:
         if motion is None or now < self._next_command:
             return
         self._next_command = now + _COMMAND_S
-        share = min((now - motion.began) / motion.lasts, 1.0)
+        share = min((now - motion.began) / motion.duration, 1.0)
         self._send((1 - share) * motion.start + share * motion.goal)
         if share == 1.0:
             self._motion = None
 
-    def observed(self, shot: CameraFrames) -> RobotObservation:
+    def observe(self, shot: CameraFrames) -> RobotObservation:
         """Return the observation at the time of the camera frames."""
         proprios: dict[str, Array] = {}
         for side, hand, joints in zip(self._sides, self._hands, shot.joints, strict=True):
@@ -240,7 +240,7 @@ class PolicyRobot:
     @property
     def camera_frames(self) -> CameraFrames | None:
         """Newest images of all cameras, or None before the first."""
-        return self._source.shot
+        return self._source.newest_frames
 
     def _view(self, shot: CameraFrames, camera: str) -> CameraView:
         width, height = self._source.size

@@ -85,7 +85,7 @@ class RenderProcess:
         clock: Callable[[], int],
     ) -> None:
         self.cameras, self.size, self.fps = tuple(cameras), session.config.image.size_px, fps
-        self.shot: CameraFrames | None = None
+        self.newest_frames: CameraFrames | None = None
         self._state, self._clock = state, clock
         self._requested: tuple[int, SceneState] | None = None
         self._count, self._due = 0, 0.0
@@ -136,7 +136,7 @@ class RenderProcess:
         poses = np.frombuffer(self._answer()).reshape(-1, 4, 4)
         time_ns, state = self._requested
         self._requested = None
-        self.shot = CameraFrames(
+        self.newest_frames = CameraFrames(
             self._count,
             time_ns,
             state.sim_time,
@@ -162,7 +162,7 @@ class RenderProcess:
         self._pipe.close()
         self._process.kill()
         self._process.join(_END_SECONDS)
-        self.shot = None
+        self.newest_frames = None
         self._free()
 
     def _answer(self) -> bytes:
@@ -194,7 +194,7 @@ def _render_states(
             simulator_for(session, AttemptJob(session.config.seed, 0)) as simulator,
             contextlib.suppress(EOFError, OSError),
         ):
-            replica, size = simulator.replica, session.config.image.size_px
+            replica, size = simulator.state_replay, session.config.image.size_px
             # The first image takes longest, because it uploads the scene.
             render_cameras(simulator, attempt, simulator.scene.model.qpos0, cameras)
             pipe.send_bytes(_RENDERED + np.array([replica.intrinsics(name, size).K for name in cameras]).tobytes())

@@ -37,14 +37,14 @@ class ServedArms:
         followers: follower of each arm, in the same order.
     """
 
-    plant: MotorSimulation
+    motor_simulation: MotorSimulation
     sides: tuple[str, ...]
     followers: tuple[Follower, ...]
 
     def state(self) -> SceneState:
         """Return the current state for rendering."""
         joints = tuple(follower.joint_pos() for follower in self.followers)
-        return SceneState(self.plant.data.qpos.copy(), self.plant.now, joints)
+        return SceneState(self.motor_simulation.data.qpos.copy(), self.motor_simulation.now, joints)
 
 
 def channel_names(sides: Sequence[str], given: Sequence[str]) -> tuple[str, ...]:
@@ -79,7 +79,7 @@ def make_policy_robot(session: Session, served: ServedArms, source: RenderProces
     wrists = {arm.wrist_camera_name: f"{arm.side}_wrist_camera" for arm in arms}
     names = {camera: wrists.get(camera, camera) for camera in source.cameras}
     hands = [HandKinematics(arm) for arm in arms]
-    return PolicyRobot(served.plant, served.sides, served.followers, hands, source, names)
+    return PolicyRobot(served.motor_simulation, served.sides, served.followers, hands, source, names)
 
 
 def serve_arms(

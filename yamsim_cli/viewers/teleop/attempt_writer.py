@@ -43,9 +43,9 @@ class TeleopAttemptRenderer(Closable):
         # Compile the scene now, since its files may be gone when the first attempt arrives.
         self._simulators.get(AttemptJob(session.config.seed, 0))
 
-    def run(self, driven: SimulatedAttempt) -> AttemptPayload:
+    def run(self, simulated: SimulatedAttempt) -> AttemptPayload:
         """Return the payload of an attempt: its record and, on success, its rendered files."""
-        simulator, done = self._simulators.get(driven.attempt.job), driven
+        simulator, done = self._simulators.get(simulated.attempt.job), simulated
         if done.outcome.success:
             done = replace(done, attempt=with_distractors(simulator, done.attempt, done.states))
         return build_payload(simulator, done) if self._render else payload_without_files(done)
@@ -55,7 +55,7 @@ class TeleopAttemptRenderer(Closable):
         self._simulators.close()
 
 
-DrivenExecutor = Executor[SimulatedAttempt, AttemptPayload]
+TeleopExecutor = Executor[SimulatedAttempt, AttemptPayload]
 
 
 def open_worker(session: Session) -> ProcessPool[SimulatedAttempt, AttemptPayload]:
@@ -71,7 +71,7 @@ class AttemptReceiver(Protocol):
         """The number of the next attempt."""
         ...
 
-    def submit(self, driven: SimulatedAttempt) -> None:
+    def submit(self, simulated: SimulatedAttempt) -> None:
         """Accept a finished attempt for further processing."""
         ...
 
@@ -90,7 +90,7 @@ class AttemptWriter(Closable):
         self,
         config: RecordConfig,
         sink: Sink,
-        executor: DrivenExecutor,
+        executor: TeleopExecutor,
         written: Callable[[int], None] = lambda attempt: None,
     ) -> None:
         self._config, self._sink, self._executor, self._written = config, sink, executor, written
@@ -112,10 +112,10 @@ class AttemptWriter(Closable):
         """The number of the next attempt."""
         return self._first + self._submitted
 
-    def submit(self, driven: SimulatedAttempt) -> None:
+    def submit(self, simulated: SimulatedAttempt) -> None:
         """Queue an attempt for rendering and writing."""
         self._submitted += 1
-        self._futures.append(self._thread.submit(self._process, driven))
+        self._futures.append(self._thread.submit(self._process, simulated))
 
     def next_written(self, timeout: float = 0.0) -> AttemptRecord | None:
         """Wait up to `timeout` seconds for the next written attempt. Return its record, or None if none was written.
@@ -136,11 +136,11 @@ class AttemptWriter(Closable):
         self.episodes += attempt.episode is not None
         return attempt
 
-    def _process(self, driven: SimulatedAttempt) -> AttemptRecord | None:
+    def _process(self, simulated: SimulatedAttempt) -> AttemptRecord | None:
         try:
             if self._ended.is_set():
                 return None
-            self._executor.submit(driven)
+            self._executor.submit(simulated)
             payload = self._payload()
             return None if payload is None else self._write(payload)
         except BaseException:

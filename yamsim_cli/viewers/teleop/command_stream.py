@@ -192,4 +192,4 @@ class StreamPlayer:
         if command.gripper is not None:
             scene.set_gripper(command.gripper)
         if command.magnet is not None:
-            scene.set_magnet(command.magnet)
+            scene.set_weld(command.magnet)

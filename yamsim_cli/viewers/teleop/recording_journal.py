@@ -104,9 +104,9 @@ class RecordingJournal:
     def discard(self) -> None:
         """Close the file and remove it."""
         self.end()
-        self.drop(self._attempt)
+        self.delete(self._attempt)
 
-    def drop(self, attempt: int) -> None:
+    def delete(self, attempt: int) -> None:
         """Remove the file of an attempt."""
         self._place(attempt).unlink(missing_ok=True)
         with contextlib.suppress(OSError):

@@ -41,8 +41,8 @@ class TeleopArm:
         arm = config.rig.arms[self._arm.number]
         self.side = arm.side
         self._names = arm.robot.joint_names
-        self.widest = self._arm.fingers.stroke if self._arm.fingers else 0.0
-        self._closed = min(_opening_around_object(config), self.widest)
+        self.max_opening = self._arm.fingers.full_opening if self._arm.fingers else 0.0
+        self._closed = min(_opening_around_object(config), self.max_opening)
         self._ik = IkSolver(kinematic_model(arm), self._arm.T_base_in_world)
         self._tracker = JointTracker(self._arm.motor_speed, self._arm.joint_range, config.task.timing.tick)
         self._collision_check = ArmCollisionCheck(scene, number)
@@ -50,12 +50,12 @@ class TeleopArm:
             scene.model, f"{self._arm.prefix}pinch_site", f"{self._arm.prefix}grasp_site"
         )
 
-    def reset(self, stand: ArmPosture) -> None:
+    def reset(self, posture: ArmPosture) -> None:
         """Set the reference (the joints that the commands aim at) to a posture, at rest."""
-        self._tracker.reset(stand.joints)
+        self._tracker.reset(posture.joints)
         self._joint_target: Array | None = None
-        self._target = self._ik.pose_of(stand.joints)
-        self.opening, self.magnet = stand.opening, False
+        self._target = self._ik.pose_of(posture.joints)
+        self.opening, self.magnet = posture.opening, False
         # An arm that starts with closed fingers keeps them closed until its first command.
         self._was_commanded = self.opening > 0.0
         self.target_distance, self.obstacle = 0.0, ""
@@ -99,13 +99,13 @@ class TeleopArm:
 
     def set_gripper(self, opening: float) -> None:
         """Set the opening of each finger, m, clipped to its range."""
-        self._was_commanded, self.opening = True, min(max(opening, 0.0), self.widest)
+        self._was_commanded, self.opening = True, min(max(opening, 0.0), self.max_opening)
 
     def toggle_gripper(self) -> None:
         """Open the gripper fully, or close it. With welds, the gripper closes to the opening around the object."""
-        self.set_gripper(self._closed if self.is_open else self.widest)
+        self.set_gripper(self._closed if self.is_open else self.max_opening)
 
-    def set_magnet(self, on: bool) -> None:
+    def set_weld(self, on: bool) -> None:
         """Switch the weld, which holds an object near the hand, on or off."""
         self._was_commanded, self.magnet = True, on
 
@@ -113,7 +113,7 @@ class TeleopArm:
         """Switch the weld off, open the gripper, and hold the joints."""
         self.magnet = False
         if self._was_commanded:
-            self.opening = self.widest
+            self.opening = self.max_opening
         self.halt()
 
     def halt(self) -> None:
@@ -129,12 +129,12 @@ class TeleopArm:
         before = self._tracker.joints
         velocity = self._step_reference(qpos)
         # Same formula as `core.episode.commands.drive_commands`, without the inertia term, which needs the next target.
-        command = (before + self._tracker.joints) / 2 + self._arm.kv * velocity / self._arm.kp
+        command = (before + self._tracker.joints) / 2 + self._arm.velocity_gain * velocity / self._arm.position_gain
         return self._with_opening(command)
 
-    def posture_of(self, asked: Array) -> ArmPosture:
+    def posture_of(self, reference: Array) -> ArmPosture:
         """Convert a value of `reference` (drives,) to a posture."""
-        return ArmPosture(asked[: self._arm.dof], float(asked[-1]) if self._arm.fingers else 0.0)
+        return ArmPosture(reference[: self._arm.dof], float(reference[-1]) if self._arm.fingers else 0.0)
 
     def _with_opening(self, joints: Array) -> Array:
         return joints.copy() if self._arm.fingers is None else np.append(joints, self.opening)

@@ -127,7 +127,7 @@ class TeleopScene(TeleopInterface):
         self.title = f"{config.task.name} teleop"
         self._stage = TeleopAttemptScene(session)
         self.sides = self._stage.sides
-        self.driven = config.acting_scene_arms[0]
+        self.active_arm = config.acting_scene_arms[0]
         self._recording = False
         self.message = ""
         self.episodes = self.failures = self.waiting = 0
@@ -179,7 +179,7 @@ class TeleopScene(TeleopInterface):
                 obstacle=arm.obstacle,
                 gripper_open=arm.is_open,
                 magnet=arm.magnet if self._has_welds else None,
-                magnet_holds=self._episode.held[self.driven],
+                is_weld_holding=self._episode.held[self.active_arm],
                 message=self.message,
                 prompt=self._attempt.phrasing,
                 goal=self._episode.status,
@@ -188,12 +188,12 @@ class TeleopScene(TeleopInterface):
     def switch_arm(self) -> None:
         """Teleoperate the other arm, if the rig has two."""
         with self.lock:
-            self.driven = (self.driven + 1) % len(self.sides)
+            self.active_arm = (self.active_arm + 1) % len(self.sides)
 
     def select_arm(self, side: str) -> None:
         """Teleoperate the arm of a side, "left" or "right", which must exist."""
         with self.lock:
-            self.driven = self.sides.index(side)
+            self.active_arm = self.sides.index(side)
 
     def set_target_pose(self, T_pinch_in_world: Array) -> None:
         """Set the target pose (4, 4) of the pinch frame in `world`. A target inside the table is lifted above it."""
@@ -224,9 +224,9 @@ class TeleopScene(TeleopInterface):
         """Open the gripper fully, or close it. With welds, it closes to the opening around the object."""
         self._command(lambda arm: arm.toggle_gripper())
 
-    def set_magnet(self, on: bool) -> None:
+    def set_weld(self, on: bool) -> None:
         """Switch the weld, which holds an object near the hand, on or off."""
-        self._command(lambda arm: arm.set_magnet(on))
+        self._command(lambda arm: arm.set_weld(on))
 
     def _command(self, command: Callable[[TeleopArm], None]) -> None:
         with self.lock:
@@ -281,7 +281,7 @@ class TeleopScene(TeleopInterface):
     def submit_unfinished(self, left: UnfinishedRecording) -> None:
         """Submit the recording of a killed session, after a simulation of the missing ticks after its stop."""
         with self.lock:
-            self._put(self._stage.sample(left.job, left.start), self._rules)
+            self._set_attempt(self._stage.sample(left.job, left.start), self._rules)
             for tick in left.ticks:
                 self._episode.step(tick.ctrl, tick.magnet, tick.reference)
             for k, arm in enumerate(self._arms):
@@ -345,10 +345,10 @@ class TeleopScene(TeleopInterface):
     def _begin(self, *, recording: bool = False) -> None:
         """Reset the scene to the start of the next attempt. End rule and time limit apply to recordings only."""
         attempt = self._stage.begin(AttemptJob(self._config.seed, self._receiver.next_attempt))
-        self._put(attempt, self._rules if recording else EpisodeRules())
+        self._set_attempt(attempt, self._rules if recording else EpisodeRules())
         self._recording = recording
 
-    def _put(self, attempt: Attempt, rules: EpisodeRules) -> None:
+    def _set_attempt(self, attempt: Attempt, rules: EpisodeRules) -> None:
         self._attempt = attempt
         self._episode = self._stage.set_up(attempt, rules)
         self.model, self.data = self._stage.scene.model, self._episode.data
@@ -360,7 +360,7 @@ class TeleopScene(TeleopInterface):
 
     @property
     def _arm(self) -> TeleopArm:
-        return self._arms[self.driven]
+        return self._arms[self.active_arm]
 
     def _act(self) -> None:
         ctrl = np.array([arm.step(self.data.qpos) for arm in self._arms])

@@ -18,7 +18,7 @@ from yamsim_cli.core.dataset.records import AttemptRecord
 from yamsim_cli.core.dataset.writing.directory_claim import OpenMode
 from yamsim_cli.core.dataset.writing.writer import DatasetWriter, config_for_new_episodes
 from yamsim_cli.core.errors import PartialJobError
-from yamsim_cli.core.scene.build import state_meshes
+from yamsim_cli.core.scene.build import with_mesh_descriptions
 from yamsim_cli.core.workers.stop_request import StopRequest
 
 from ..page_address import PageAddress
@@ -165,7 +165,7 @@ def open_teleop(
         UsageError, ConfigError, DatasetError, ResourceError: the dataset cannot be opened, see `DatasetWriter`.
         PartialJobError: a write to the disk failed.
     """
-    session = state_meshes(session)
+    session = with_mesh_descriptions(session)
     config = session.config
     with DatasetWriter(out, config.data_config(), mode) as writer:
         if writer.moved_aside:
@@ -181,7 +181,7 @@ def open_teleop(
             journal = RecordingJournal(writer.path)
             with (
                 open_worker(session) as worker,
-                AttemptWriter(config_for_new_episodes(config, writer), writer, worker, journal.drop) as attempts,
+                AttemptWriter(config_for_new_episodes(config, writer), writer, worker, journal.delete) as attempts,
             ):
                 scene = TeleopScene(session, attempts, journal, time_limit)
                 _submit_unfinished(scene, attempts, journal, warn)
@@ -205,7 +205,7 @@ def _submit_unfinished(
         attempt = left.job.attempt
         if attempt < attempts.next_attempt or not left.ticks:
             # The attempt is in the dataset already, or has no tick.
-            journal.drop(attempt)
+            journal.delete(attempt)
         elif attempt > attempts.next_attempt:
             warn(f"{left.path} is a recording that attempts are missing before; it stays as it is.")
         else:

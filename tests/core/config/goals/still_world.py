@@ -57,7 +57,7 @@ class StillWorld:
         middle = np.array(self.places[thing])
         return middle - SIZE / 2, middle + SIZE / 2
 
-    def touching(self, one: str, other: str) -> bool:
+    def are_touching(self, one: str, other: str) -> bool:
         return (one, other) in self.touches or (other, one) in self.touches
 
     def holding_sides(self, thing: str) -> frozenset[str]:

@@ -40,7 +40,7 @@ def test_hands_meet_side_by_side_where_they_do_not_meet_face_to_face() -> None:
         data = mujoco.MjData(simulator.scene.model)
         simulator.scene.reset(data, attempt.start)
         world = make_sim_world(simulator.scene, data, arm_sides(config))
-        bench = simulator.expert_tools.planning_context(world, list(start_postures(config)), np.random.default_rng(0))
+        bench = simulator.expert_planner.planning_context(world, list(start_postures(config)), np.random.default_rng(0))
         pick, handover, place = build_program(config.task, cast)
         assert isinstance(pick, Pick) and isinstance(handover, Handover) and isinstance(place, Place)
         [giver], banana = bench.free_hands(pick.arm), cast.object_of("object")
@@ -49,7 +49,7 @@ def test_hands_meet_side_by_side_where_they_do_not_meet_face_to_face() -> None:
             for grip in bench.grasp_candidates(banana, giver.max_opening)
         )
         first = islice((reach for reach in taken if isinstance(reach, ReachableGrasp)), 12)
-        held = ((inverse(reach.grip.T_pinch_in_thing), reach.at) for reach in first)
+        held = ((inverse(reach.candidate.T_pinch_in_thing), reach.grasp_joints) for reach in first)
         assert any(handover.infeasibility(bench, cast, giver, banana, T, at, [place]) is None for T, at in held)
         outcome = demonstrate(simulator, attempt).outcome
     assert outcome.success, outcome.detail

@@ -12,7 +12,7 @@ from yamsim_cli.core.geometry.stl import read_stl, stl_bytes
 from yamsim_cli.core.geometry.surface_distance import hausdorff_distance
 from yamsim_cli.core.scene.assets import LockedFile, Reduction, find_reduced, make_reduced
 from yamsim_cli.core.scene.assets import mesh_reduction as reduction
-from yamsim_cli.core.scene.assets.mesh_reduction import LIMIT_MM, collapse_edges, reduce_stl, remove_slivers
+from yamsim_cli.core.scene.assets.mesh_reduction import MAX_DEVIATION_MM, collapse_edges, reduce_stl, remove_slivers
 
 # 80 mm across, 6,240 faces.
 BALL = ball(0.04, 40)
@@ -28,7 +28,7 @@ def test_a_ball_stays_a_ball_with_far_fewer_faces():
     source = stl_bytes(*BALL)
     reduced = reduce_stl(source, Reduction(faces=900))
     assert len(in_mm(reduced)[1]) < 1000
-    assert hausdorff_distance(in_mm(source), in_mm(reduced), 1.0, 4000) <= LIMIT_MM
+    assert hausdorff_distance(in_mm(source), in_mm(reduced), 1.0, 4000) <= MAX_DEVIATION_MM
     assert volume(in_mm(reduced)) == pytest.approx(volume(in_mm(source)), rel=0.02)
 
 
@@ -50,10 +50,10 @@ def test_one_that_strays_too_far_is_not_used(monkeypatch):
     """A ball of 20 faces misses the real one by millimetres: clearing alone is what is left."""
     source = stl_bytes(*BALL)
     far = collapse_edges(in_mm(source), Reduction(faces=20))
-    assert hausdorff_distance(in_mm(source), far, 10.0, 1000) > LIMIT_MM
+    assert hausdorff_distance(in_mm(source), far, 10.0, 1000) > MAX_DEVIATION_MM
     reduced = reduce_stl(source, Reduction(faces=20))
     assert 100 < len(in_mm(reduced)[1]) < len(BALL[1])
-    assert hausdorff_distance(in_mm(source), in_mm(reduced), 1.0, 4000) <= LIMIT_MM
+    assert hausdorff_distance(in_mm(source), in_mm(reduced), 1.0, 4000) <= MAX_DEVIATION_MM
     # And where that strays too, the source.
     monkeypatch.setattr(reduction, "remove_slivers", lambda surface, tolerance: (surface[0] * 1.1, surface[1][:50]))
     assert reduce_stl(source, Reduction(faces=20)) == source
@@ -101,7 +101,9 @@ def test_they_are_made_once_and_kept_beside_the_set(world, tiny, source, content
     assert steps == [(1, 2), (2, 2)]
     assert made.directory.parent == source.parent
     assert made.directory.name.startswith(f"{source.name}-reduced-")
-    assert sorted(path.name for path in made.directory.iterdir()) == sorted([*contents, "tiny.txt", reduction.REPORT])
+    assert sorted(path.name for path in made.directory.iterdir()) == sorted(
+        [*contents, "tiny.txt", reduction.REPORT_FILE]
+    )
     assert made.faces < made.source_faces == sum((len(data) - 84) // 50 for data in contents.values())
     assert (made.directory / "tiny.txt").read_text() == "the notice"
 
@@ -113,7 +115,7 @@ def test_they_are_made_once_and_kept_beside_the_set(world, tiny, source, content
 @pytest.mark.parametrize("damage", ["byte", "cut", "missing", "report", "no report"])
 def test_what_is_damaged_is_made_again(world, tiny, source, damage):
     made = make_reduced(world.store, tiny, source, "the notice")
-    mesh, report = made.directory / "part.stl", made.directory / reduction.REPORT
+    mesh, report = made.directory / "part.stl", made.directory / reduction.REPORT_FILE
     whole = mesh.read_bytes()
     match damage:
         case "byte":

@@ -48,7 +48,7 @@ class _Clause(Config):
                     (clause.measures(world, roles) for clause in value), key=lambda found: worst_measure(found).margin
                 )
             case "not":
-                return [_inverted(worst_measure(value.measures(world, roles)))]
+                return [_negate(worst_measure(value.measures(world, roles)))]
         predicate: Predicate = value
         return predicate.measures(world, roles)
 
@@ -76,7 +76,7 @@ class _Clause(Config):
             yield (*path, key), value
 
 
-def _inverted(measure: GoalMeasure) -> GoalMeasure:
+def _negate(measure: GoalMeasure) -> GoalMeasure:
     """Return the measure of the negation. A predicate holds at a margin of 0, so its negation must not."""
     margin = -measure.margin if measure.margin else -1e-9
     return GoalMeasure(f"not {measure.what}", margin, measure.unit, measure.detail)

@@ -35,8 +35,8 @@ def find_contradiction(goal: Clause, impossible: Impossible = lambda predicate: 
         key = next(alone, next(iter(why)))
         return found[key][0], why[key]
     for one, other in itertools.combinations(predicates, 2):
-        if _exclude(predicates[one], predicates[other]):
-            thing = _thing(predicates[one])
+        if _are_exclusive(predicates[one], predicates[other]):
+            thing = _object_role(predicates[one])
             return found[other][0], f"one clause needs the {thing} in a hand and another needs it in none; drop one"
     return (), "the goal asks for a clause and for its opposite, so it can never hold; drop one of the two"
 
@@ -50,15 +50,15 @@ def _possible_truths(predicates: dict[str, Predicate], never: set[str]) -> Itera
     for holding in itertools.product((True, False), repeat=len(predicates)):
         truth = dict(zip(predicates, holding, strict=True))
         true = [key for key in predicates if truth[key]]
-        excluded = any(_exclude(predicates[a], predicates[b]) for a, b in itertools.combinations(true, 2))
+        excluded = any(_are_exclusive(predicates[a], predicates[b]) for a, b in itertools.combinations(true, 2))
         if not excluded and never.isdisjoint(true):
             yield truth
 
 
-def _exclude(one: Predicate, other: Predicate) -> bool:
+def _are_exclusive(one: Predicate, other: Predicate) -> bool:
     """Return whether one predicate needs an object in a hand, and the other needs the same object in no hand."""
-    return {one.IN_HAND, other.IN_HAND} == {True, False} and _thing(one) == _thing(other)
+    return {one.IN_HAND, other.IN_HAND} == {True, False} and _object_role(one) == _object_role(other)
 
 
-def _thing(predicate: Predicate) -> Any:
+def _object_role(predicate: Predicate) -> Any:
     return predicate.roles()[0][1]

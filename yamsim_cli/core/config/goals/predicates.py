@@ -41,7 +41,7 @@ class Predicate(Config):
         return tuple((field, role) for field in self.ROLES if (role := getattr(self, field)) is not None)
 
 
-class _OfEachThing(Predicate):
+class _PerObjectPredicate(Predicate):
     """A predicate that each object of a role has to fulfil."""
 
     ROLES: ClassVar[tuple[str, ...]] = ("thing",)
@@ -57,7 +57,7 @@ class _OfEachThing(Predicate):
         raise NotImplementedError
 
 
-class _OfEachPair(Predicate):
+class _PerPairPredicate(Predicate):
     """A predicate on each object of a role and the object of another role that `RoleAssignment.pairs` assigns to it."""
 
     thing: str
@@ -91,7 +91,7 @@ def _top(world: GoalWorld, thing: str) -> float:
     return float(world.aabb(thing)[1][2])
 
 
-class On(_OfEachPair):
+class On(_PerPairPredicate):
     """Each object touches its surface, the object's middle lies above the surface, and no hand holds the object.
 
     Attributes:
@@ -111,12 +111,12 @@ class On(_OfEachPair):
         what = f"on({thing}, {other})"
         if held := _still_held(world, thing, what):
             return held
-        if not world.touching(thing, other):
+        if not world.are_touching(thing, other):
             return binary_measure(what, False, "they do not touch")
         if other == TABLE:
             return binary_measure(what, True)
         if self.radius is not None:
-            if world.touching(thing, TABLE):
+            if world.are_touching(thing, TABLE):
                 return binary_measure(what, False, "touches the table")
             apart = world.pose(thing)[:2, 3] - world.pose(other)[:2, 3]
             distance = float((apart @ apart) ** 0.5)
@@ -125,7 +125,7 @@ class On(_OfEachPair):
         return GoalMeasure(what, inside - self.inside, "m", f"its middle {inside * 1000:.0f} mm inside the outline")
 
 
-class Inside(_OfEachPair):
+class Inside(_PerPairPredicate):
     """At least a share of each object's volume lies in its container's interior, and no hand holds the object.
 
     Attributes:
@@ -169,7 +169,7 @@ class Stacked(Predicate):
         what = f"stacked({upper} on {lower})"
         if held := _still_held(world, upper, what):
             return held
-        if not world.touching(upper, lower):
+        if not world.are_touching(upper, lower):
             return binary_measure(what, False, "they do not touch")
         if _bottom(world, upper) <= _bottom(world, lower):
             return binary_measure(what, False, "it is not the higher one")
@@ -177,7 +177,7 @@ class Stacked(Predicate):
         return GoalMeasure(what, inside, "m", f"its middle {inside * 1000:.0f} mm inside the lower one's outline")
 
 
-class Over(_OfEachPair):
+class Over(_PerPairPredicate):
     """The middle of each object's bounding box lies above its surface's box; its bottom is near the surface's top.
 
     Unlike `on`, `over` needs no contact and lets a hand hold the object: the bounding box of a plate ends at its rim.
@@ -234,7 +234,7 @@ class Piled(Predicate):
         return GoalMeasure(f"piled({upper} on {lower})", margin, "m", detail)
 
 
-class Upright(_OfEachThing):
+class Upright(_PerObjectPredicate):
     """The z axis of each object points up.
 
     Attributes:
@@ -304,7 +304,7 @@ class Near(Predicate):
         return GoalMeasure(f"near({thing}, {other}, {self.side})", min(margin, inside), "m", detail)
 
 
-class Above(_OfEachPair):
+class Above(_PerPairPredicate):
     """Each object's lowest point is higher than another object's highest point.
 
     Attributes:
@@ -321,7 +321,7 @@ class Above(_OfEachPair):
         return GoalMeasure(f"above({thing}, {other})", height - self.by, "m", f"{height * 1000:.0f} mm over it")
 
 
-class HeldBy(_OfEachThing):
+class HeldBy(_PerObjectPredicate):
     """A hand holds each object: by contacts of both fingers, by a weld, or, for cloth, by a constraint.
 
     Attributes:
@@ -345,7 +345,7 @@ class HeldBy(_OfEachThing):
         return binary_measure(f"held_by({thing}, {self.arm})", holds, detail)
 
 
-class HandedOver(_OfEachThing):
+class HandedOver(_PerObjectPredicate):
     """Each object went from one hand to the other in the air, and has not been put down since.
 
     Attributes:
@@ -363,7 +363,7 @@ class HandedOver(_OfEachThing):
         return binary_measure(f"handed_over({thing}, {self.to})", holds, f"held by: {', '.join(hands) or 'no hand'}")
 
 
-class WasHandedOver(_OfEachThing):
+class WasHandedOver(_PerObjectPredicate):
     """Each object went from one hand to the other in the air since the attempt began, and may lie down again.
 
     Attributes:
@@ -446,7 +446,7 @@ class Sorted(Predicate):
         return Inside(thing=thing, container=self.into[kind]).measures(world, roles)[0]
 
 
-class Open(_OfEachThing):
+class Open(_PerObjectPredicate):
     """A joint of each object is open by at least, or at most, a share of its range.
 
     Attributes:
@@ -490,7 +490,7 @@ class Swapped(Predicate):
         return GoalMeasure(f"swapped({thing}, {other})", self.radius - off, "m", detail)
 
 
-class Hung(_OfEachPair):
+class Hung(_PerPairPredicate):
     """A peg goes through an eye of each object, the object does not touch the table, and no hand holds it.
 
     A swinging object leaves the peg for moments, and needs no contact. The goal's hold time excludes falling objects.
@@ -515,7 +515,7 @@ class Hung(_OfEachPair):
         what = f"hung({thing}, {other})"
         if held := _still_held(world, thing, what):
             return held
-        if world.touching(thing, TABLE):
+        if world.are_touching(thing, TABLE):
             return binary_measure(what, False, "it touches the table")
         T_eye_in_peg = inverse(world.handle_pose(other, self.peg)) @ world.handle_pose(thing, self.eye)
         (x, y, z), through = T_eye_in_peg[:3, 3], T_eye_in_peg[:3, 2]
@@ -526,7 +526,7 @@ class Hung(_OfEachPair):
         return GoalMeasure(what, min(self.radius - off, behind - self.depth), "m", detail)
 
 
-class Folded(_OfEachThing):
+class Folded(_PerObjectPredicate):
     """Each cloth is folded, lies flat, and no hand holds it.
 
     Attributes:
@@ -567,7 +567,7 @@ class Folded(_OfEachThing):
         ]
 
 
-class Spread(_OfEachThing):
+class Spread(_PerObjectPredicate):
     """Each cloth lies flat in one layer, and no hand holds it.
 
     Attributes:

@@ -28,7 +28,7 @@ class GoalWorld(Protocol):
     def aabb(self, thing: str) -> tuple[Array, Array]:
         """Return the lowest and the highest corner (3,) of an object's axis-aligned bounding box."""
 
-    def touching(self, one: str, other: str) -> bool:
+    def are_touching(self, one: str, other: str) -> bool:
         """Return whether two objects touch; `TABLE` may be one of them."""
 
     def holding_sides(self, thing: str) -> frozenset[str]:

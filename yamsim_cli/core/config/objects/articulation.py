@@ -126,13 +126,13 @@ class LinkJoint(Config):
         return self
 
     @property
-    def turns(self) -> bool:
+    def is_revolute(self) -> bool:
         """Whether positions are angles."""
         return self.type != "slide"
 
     def to_si(self, value: float) -> float:
         """Return a position in the config's unit, converted to m or rad."""
-        return math.radians(value) if self.turns else value
+        return math.radians(value) if self.is_revolute else value
 
 
 class Link(Config):

@@ -10,7 +10,7 @@ from pydantic import Field, FiniteFloat, ValidationError
 
 from ...files.documents.config_base import Config, NonNegative, Rgb
 from ...files.documents.units import QuantityBounds
-from .generated import MADE
+from .generated import GENERATED_SET
 
 _Side = Annotated[FiniteFloat, QuantityBounds("mm", 50, 1500)]
 _Count = Annotated[int, Field(ge=5, le=25)]
@@ -88,7 +88,7 @@ def cloth_object(data: Mapping[str, Any]) -> dict[str, Any]:
     moments = (mass * y**2 / 12, mass * x**2 / 12, mass * (x**2 + y**2) / 12)
     return {
         "mesh": {
-            "set": MADE,
+            "set": GENERATED_SET,
             "file": f"{data.get('name')}.stl",
             "origin": [0.0, 0.0, 0.0],
             "rgba": [1.0, 1.0, 1.0, 1.0],

@@ -16,7 +16,7 @@ from ...geometry.shape_generators.generated_shape import GeneratedShape, ShapeGr
 from ...geometry.stl import stl_bytes
 from .shapes import DENSITY, Shape
 
-MADE = "made"  # name of the asset set for meshes that are generated when a scene is built
+GENERATED_SET = "made"  # name of the asset set for meshes that are generated when a scene is built
 
 _BODY = "body"
 _SCALE_POWERS = {"_mm": 1, "_g": 3}  # suffix of a shape's key -> power of the scale factor in its value
@@ -90,8 +90,8 @@ def object_from_shape(name: str, shape: Shape) -> dict[str, Any]:
         "contact": _contact(form),
         "collision": [dict(part) for part in form.collision],
         "rest_height": 0.0,
-        "support": form.support,
-        "preposition": form.carries,
+        "support": form.support_height,
+        "preposition": form.preposition,
     }
     if form.grasps:
         made["grasp"] = _grasp(form, mass, centre)
@@ -107,7 +107,7 @@ def _surfaces(form: GeneratedShape) -> dict[str, Any]:
 def _mesh(name: str, role: str, shape: Shape) -> dict[str, Any]:
     material = shape.materials[role]
     return {
-        "set": MADE,
+        "set": GENERATED_SET,
         "file": _file(name, role),
         "origin": [0.0, 0.0, 0.0],
         "rgba": list(material.rgba),
@@ -136,9 +136,9 @@ def _mass_properties(shape: Shape, form: GeneratedShape) -> tuple[float, Array, 
 
 
 def _contact(form: GeneratedShape) -> dict[str, Any]:
-    if form.rolls:
+    if form.rolling_radius:
         return {
-            "friction": [*_FRICTION, round(_ROUND_FRICTION * form.rolls, 5)],
+            "friction": [*_FRICTION, round(_ROUND_FRICTION * form.rolling_radius, 5)],
             "condim": 6,
             "push_out_s": _PUSH_OUT,
         }
@@ -150,14 +150,14 @@ def _grasp(form: GeneratedShape, mass: float, centre: Array) -> Mapping[str, Any
     # In a grasp near the centre of mass, the object rotates less in the pads.
     holds = tuple(sorted(form.grasps, key=lambda hold: round(_lever_arm(hold, centre), 3)))
     held = [hold for hold in holds if hold.has_flat_contact and _needed_force(hold, mass, centre) <= _max_force(hold)]
-    if form.turned:
-        held = [hold for hold in held if hold.where == held[0].where]
+    if form.is_axisymmetric:
+        held = [hold for hold in held if hold.grasped_part == held[0].grasped_part]
     best = (held or holds)[0]
     welded = _point(replace(best, tilt_deg=None))
     if not held:
         return welded
     needed = max(_MIN_FORCE, _FORCE_FACTOR * mass * _G / 2, *(_needed_force(hold, mass, centre) for hold in held))
-    around = {"around": True} if form.turned and len(held) > 1 else {}
+    around = {"around": True} if form.is_axisymmetric and len(held) > 1 else {}
     beside = {"clearance": _WALL_CLEARANCE} if held[0].tilt_deg is not None else {}
     return {
         **welded,

@@ -15,7 +15,7 @@ from ...files.documents.yaml_document import Document
 from ...geometry.se3 import Array, pose, rotation_from_vector, rotation_z
 from .articulation import Handle, Link
 from .cloth import Cloth, cloth_object
-from .generated import MADE, keys_from_shape, object_from_shape, scaled_shape
+from .generated import GENERATED_SET, keys_from_shape, object_from_shape, scaled_shape
 from .object_part import Contact as Contact
 from .object_part import Inertia as Inertia
 from .object_part import ObjectMesh as ObjectMesh
@@ -182,7 +182,7 @@ class ObjectConfig(Config):
         """Return the object with another name, which also names its generated mesh files."""
 
         def named(mesh: ObjectMesh) -> ObjectMesh:
-            made = mesh.set == MADE
+            made = mesh.set == GENERATED_SET
             return mesh.model_copy(update={"file": name + mesh.file.removeprefix(self.name)}) if made else mesh
 
         meshes = {"mesh": named(self.mesh), "meshes": tuple(named(mesh) for mesh in self.meshes)}
@@ -198,18 +198,18 @@ class ObjectConfig(Config):
         if self.shape is None:
             raise ValueError(f"the {self.name} has no `shape`, and only what is made from its sizes has others")
         given = self.model_dump(mode="json")
-        made = self._made_again(self.shape).model_dump(mode="json")
+        made = self._regenerate(self.shape).model_dump(mode="json")
         if own := sorted(key for key in given if given[key] != made.get(key)):
             raise ValueError(f"the {self.name} has `{own[0]}` beside its `shape`, which does not grow with it")
         try:
-            return self._made_again(scaled_shape(self.shape, factor))
+            return self._regenerate(scaled_shape(self.shape, factor))
         except ValidationError as error:
             first = error.errors(include_url=False)[0]
             where = ".".join(str(part) for part in first["loc"])
             reason = first["msg"].removeprefix("Value error, ")
             raise ValueError(f"the {self.name} cannot be made {factor:g} times as large: {where}: {reason}") from error
 
-    def _made_again(self, shape: Shape) -> ObjectConfig:
+    def _regenerate(self, shape: Shape) -> ObjectConfig:
         """Return the object with `shape`, and with all keys that follow from the shape generated again."""
         made = object_from_shape(self.name, shape)
         given = self.model_dump(mode="json")
@@ -242,7 +242,7 @@ class ObjectConfig(Config):
     @property
     def mesh_sets(self) -> tuple[str, ...]:
         """The asset sets of all meshes, sorted. Collision meshes are in the set of `mesh`."""
-        return tuple(sorted({mesh.set for mesh in self.all_meshes} - {MADE}))
+        return tuple(sorted({mesh.set for mesh in self.all_meshes} - {GENERATED_SET}))
 
     @property
     def needs_meshes(self) -> bool:

@@ -65,14 +65,14 @@ class CollisionChecker:
     ) -> None:
         self._model = copy.copy(model)
         self._data = mujoco.MjData(self._model)
-        self._arms, self._things = arms, tuple(things)
+        self._arms, self._object_names = arms, tuple(things)
         root = model.body_rootid[model.geom_bodyid]
         self._arm_of = np.full(model.ngeom, -1)
         for k, arm in enumerate(arms):
             self._arm_of[root == model.body_rootid[model.body(arm.flange).id]] = k
-        self._thing_of = np.full(model.ngeom, -1)
+        self._object_of_geom = np.full(model.ngeom, -1)
         for k, name in enumerate(things):
-            self._thing_of[root == model.body(name).id] = k
+            self._object_of_geom[root == model.body(name).id] = k
         self._finger = np.isin(np.arange(model.ngeom), np.concatenate(list(fingers)))
         self._table = np.arange(model.ngeom) == model.geom(TABLE).id
         # Cloth is no obstacle.
@@ -80,7 +80,7 @@ class CollisionChecker:
         away = np.isin(root, [model.body(name).id for name in absent])
         self._model.geom_contype[away] = self._model.geom_conaffinity[away] = 0
         self._model.geom_margin[self._arm_of >= 0] = _ARM_DISTANCE
-        self._model.geom_margin[self._thing_of >= 0] = _OBJECT_DISTANCE
+        self._model.geom_margin[self._object_of_geom >= 0] = _OBJECT_DISTANCE
         self._solid = self._model.geom_contype != 0
         # The arm and the object that move in the model now, and cached masks for each pair of moving arm and object.
         self._moving: tuple[int | None, str | None] = (None, None)
@@ -128,10 +128,10 @@ class CollisionChecker:
         return bool((of_arm.all(axis=1) & (data.contact.dist < 0)).any())
 
     def qpos_with_arm(
-        self, qpos: Array, arm: int, joints: Array, opening: float, load: AttachedObject | None = None
+        self, qpos: Array, arm: int, joints: Array, opening: float, attached: AttachedObject | None = None
     ) -> Array:
         """Return MuJoCo's positions (nq,) with an arm, its fingers (`opening`, m) and its held object `load` moved."""
-        positions: Array = self._pose(qpos, arm, joints, opening, load).qpos.copy()
+        positions: Array = self._pose(qpos, arm, joints, opening, attached).qpos.copy()
         return positions
 
     def rest_height(self, qpos: Array, thing: str, T_in_world: Array, lowest: float) -> float:
@@ -185,7 +185,7 @@ class CollisionChecker:
     def _clearance_below(self, data: mujoco.MjData, thing: str) -> float:
         """Return a lower bound of the distance by which an object can be lowered, from bounding boxes, m."""
         low, high = _bounding_boxes(self._model, data)
-        of_thing = self._thing_of == self._things.index(thing)
+        of_thing = self._object_of_geom == self._object_names.index(thing)
         mine = np.flatnonzero(self._solid & of_thing)
         others = np.flatnonzero(self._solid & ~of_thing & (self._arm_of < 0))
         under = ((low[mine, None, :2] < high[None, others, :2]) & (high[mine, None, :2] > low[None, others, :2])).all(2)
@@ -213,7 +213,7 @@ class CollisionChecker:
         if arm is not None:
             moves |= self._arm_of == arm
         if thing is not None:
-            moves |= self._thing_of == self._things.index(thing)
+            moves |= self._object_of_geom == self._object_names.index(thing)
         stays = ~moves if arm is not None else ~moves & (self._arm_of < 0)
         # Geoms with the same type and affinity in the scene form a group. Each group gets one bit.
         masks = np.column_stack(self._masks[None, None][:2])
@@ -226,17 +226,19 @@ class CollisionChecker:
             np.bitwise_or.at(of_body, self._model.geom_bodyid, of_geom)
         return geoms + bodies
 
-    def _pose(self, qpos: Array, arm: int, joints: Array, opening: float, load: AttachedObject | None) -> mujoco.MjData:
+    def _pose(
+        self, qpos: Array, arm: int, joints: Array, opening: float, attached: AttachedObject | None
+    ) -> mujoco.MjData:
         data, moving = self._data, self._arms[arm]
         data.qpos[:] = qpos
         data.qpos[moving.joint_qpos] = joints
         if moving.fingers is not None:
             data.qpos[moving.fingers.qpos] = opening * moving.fingers.sign
         mujoco.mj_kinematics(self._model, data)
-        if load is not None:
+        if attached is not None:
             site = data.site(f"{moving.prefix}pinch_site")
-            T = pose(site.xpos, site.xmat.reshape(3, 3)) @ load.T_thing_in_pinch
-            address = self._model.joint(load.thing).qposadr[0]
+            T = pose(site.xpos, site.xmat.reshape(3, 3)) @ attached.T_thing_in_pinch
+            address = self._model.joint(attached.thing).qposadr[0]
             data.qpos[address : address + 3] = T[:3, 3]
             data.qpos[address + 3 : address + 7] = quat_from_rotation(T[:3, :3])
             mujoco.mj_kinematics(self._model, data)
@@ -247,23 +249,23 @@ class CollisionChecker:
         geoms: Array,
         distances: Array,
         arm: int,
-        load: AttachedObject | None,
-        between: str | None,
-        beside: float | None,
+        attached: AttachedObject | None,
+        grasped: str | None,
+        finger_clearance: float | None,
     ) -> Array:
-        of_arm, of_thing = self._arm_of[geoms] == arm, self._thing_of[geoms]
-        of_load = np.zeros_like(of_arm) if load is None else of_thing == self._things.index(load.thing)
+        of_arm, of_thing = self._arm_of[geoms] == arm, self._object_of_geom[geoms]
+        of_load = np.zeros_like(of_arm) if attached is None else of_thing == self._object_names.index(attached.thing)
         counts = np.ones(len(geoms), bool)
-        for name in load.allowed_contacts if load else ():
-            other = self._table[geoms] if name == TABLE else of_thing == self._things.index(name)
+        for name in attached.allowed_contacts if attached else ():
+            other = self._table[geoms] if name == TABLE else of_thing == self._object_names.index(name)
             counts &= ~(of_load.any(axis=1) & other.any(axis=1))
-        if between is not None or beside is not None:
+        if grasped is not None or finger_clearance is not None:
             fingers = (of_arm & self._finger[geoms]).any(axis=1)
-        if between is not None:
-            around = fingers & (of_thing == self._things.index(between)).any(axis=1)
+        if grasped is not None:
+            around = fingers & (of_thing == self._object_names.index(grasped)).any(axis=1)
             counts &= ~(around & (distances > -_FINGER_DEPTH))
-        if beside is not None:
-            counts &= ~(fingers & (distances > beside))
+        if finger_clearance is not None:
+            counts &= ~(fingers & (distances > finger_clearance))
         found: Array = counts
         return found
 

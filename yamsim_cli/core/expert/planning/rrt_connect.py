@@ -76,10 +76,10 @@ def plan_rrt_connect(
     return None
 
 
-def _step_towards(here: Array, there: Array) -> Array:
-    step = there - here
+def _step_towards(start: Array, goal: Array) -> Array:
+    step = goal - start
     longest = float(np.abs(step).max())
-    moved: Array = here + step * min(1.0, _MAX_BRANCH / longest) if longest else here
+    moved: Array = start + step * min(1.0, _MAX_BRANCH / longest) if longest else start
     return moved
 
 

@@ -19,21 +19,21 @@ _REST_TICKS = 4  # control ticks in which the arms and a released object come to
 _RETREAT_DISTANCE, _SHORT_RETREAT_DISTANCE = 0.07, 0.04
 
 
-def close_fingers_on(context: PlanningContext, hand: Hand, grip: GraspCandidate) -> Iterator[MotionSegment]:
+def close_fingers_on(context: PlanningContext, hand: Hand, candidate: GraspCandidate) -> Iterator[MotionSegment]:
     """Yield segments that close the fingers on the object between them, and wait until everything rests.
 
     Fingers close with the grasp's force. A hand with a weld closes to the object's width, and switches its weld on.
     """
-    closing = FingerTarget(grip.opening, 0.0 if hand.grasps_by_weld else grip.force)
+    closing = FingerTarget(candidate.opening, 0.0 if hand.grasps_by_weld else candidate.force)
     yield context.make_segment({hand: context.hold_still(hand, GRIP_TICKS)}, {hand: closing})
-    hand.magnet = hand.grasps_by_weld
+    hand.weld_commanded = hand.grasps_by_weld
     yield rest_segment(context)
 
 
 def release_and_retreat(context: PlanningContext, hand: Hand, clearance: float) -> Iterator[MotionSegment]:
     """Yield segments that open each finger by a clearance (m), and move the hand back along its axis or up."""
     opening = min(hand.opening + clearance, hand.max_opening)
-    hand.magnet = False
+    hand.weld_commanded = False
     yield context.make_segment(
         {hand: context.hold_still(hand, _OPEN_TICKS)}, {hand: FingerTarget(opening)}, wait_for_arrival=False
     )
@@ -41,7 +41,7 @@ def release_and_retreat(context: PlanningContext, hand: Hand, clearance: float) 
     # Open fingers are still near the object. If no path is free of contacts, the first path is used.
     retreat: Array | None = None
     for path in _retreat_paths(context, hand):
-        if is_collision_free(path, lambda joints: context.find_contact(hand, joints, opening, between=thing)):
+        if is_collision_free(path, lambda joints: context.find_contact(hand, joints, opening, grasped=thing)):
             retreat = path
             break
         retreat = path if retreat is None else retreat

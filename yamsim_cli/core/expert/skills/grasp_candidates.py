@@ -15,10 +15,10 @@ from ...sim.antipodal import AntipodalPair
 
 # rad, tilts of the hand about the closing axis, in the order tried. Flat pads press on the same two points for each.
 # For an object that lies on its side, a quarter turn is the grasp from above.
-_LEANS = tuple(math.radians(angle) for angle in (0, 15, -15, 30, -30, 45, -45, 60, -60, 75, -75, 90, -90))
+_TILT_ANGLES = tuple(math.radians(angle) for angle in (0, 15, -15, 30, -30, 45, -45, 60, -60, 75, -75, 90, -90))
 
 # rad, tilts of a hand with a weld from straight down, in the order tried, and headings of the tilt (object frame)
-WELD_LEANS = tuple(math.radians(angle) for angle in (0, 15, 30, 45))
+WELD_TILT_ANGLES = tuple(math.radians(angle) for angle in (0, 15, 30, 45))
 WELD_HEADINGS = tuple(math.radians(angle) for angle in range(0, 360, 45))
 
 # Grasps of narrow objects beside a wall: the hand tilts to the side, along the closing axis, which leaves room for the
@@ -68,7 +68,7 @@ class GraspCandidate:
 def friction_candidates(item: ObjectConfig) -> Iterator[GraspCandidate]:
     """Yield the friction grasps at the grasp points of an object's config, least tilt first."""
     points = list(_grasp_points(item))
-    for lean in _LEANS:
+    for lean in _TILT_ANGLES:
         for T, opening, clearance, force in points:
             for turn in (0.0, math.pi):
                 tilted = pose(rotation=rotation_z(turn) @ rotation_from_vector([0.0, lean, 0.0]))
@@ -85,7 +85,7 @@ def weld_candidates(item: ObjectConfig) -> Iterator[GraspCandidate]:
     if grasp is None:
         return
     points = (grasp, *(grasp.friction.points if grasp.friction is not None else ()))
-    for lean in WELD_LEANS:
+    for lean in WELD_TILT_ANGLES:
         for point in points:
             T = point.T_pinch_in_object(flipped=False)
             for heading in WELD_HEADINGS if lean and point.tilt_deg is None else (0.0,):
@@ -101,7 +101,7 @@ def sideways_candidates(item: ObjectConfig) -> Iterator[GraspCandidate]:
     points = [point for point in _grasp_points(item) if point[1] <= _MAX_NARROW_HALF_WIDTH]
     for tilt in _SIDE_TILTS:
         for T, opening, clearance, force in points:
-            for lean in _LEANS[:5]:
+            for lean in _TILT_ANGLES[:5]:
                 for turn in (0.0, math.pi):
                     turned = rotation_from_vector([tilt, 0.0, 0.0]) @ rotation_z(turn)
                     tilted = pose((0.0, 0.0, -_SIDE_RAISE), turned @ rotation_from_vector([0.0, lean, 0.0]))
@@ -128,7 +128,7 @@ def fingertip_candidates(item: ObjectConfig) -> Iterator[GraspCandidate]:
     points = [point for point in _grasp_points(item) if point[1] <= _MAX_NARROW_HALF_WIDTH]
     for raised, tilt in itertools.product(_FINGERTIP_RAISES, _SIDE_TILTS):
         for T, opening, clearance, force in points:
-            for lean, turn, side in itertools.product(_LEANS[:3], (0.0, math.pi), (-1.0, 1.0)):
+            for lean, turn, side in itertools.product(_TILT_ANGLES[:3], (0.0, math.pi), (-1.0, 1.0)):
                 turned = rotation_from_vector([tilt, 0.0, 0.0]) @ rotation_z(turn)
                 tilted = pose(rotation=turned @ rotation_from_vector([0.0, lean, 0.0]))
                 offset = pose((0.0, side * _FINGERTIP_OFFSET, -raised))

@@ -65,7 +65,7 @@ class Hand:
         self.ik, self.dynamics = ik, dynamics
         self.ready_joints = ready
         self.joints, self.opening, self.grip_force = ready.copy(), opening, 0.0
-        self.magnet = False
+        self.weld_commanded = False
         self.held: HeldObject | None = None
         self.failed_grasps: list[HeldObject] = []
         self.joint_margin, self.allow_tilt = 0.0, False

@@ -70,7 +70,7 @@ class _HandoverPose:
         receiver_joints: of the receiver's arm at the object (dof,), rad.
     """
 
-    grip: GraspCandidate
+    candidate: GraspCandidate
     opening: float
     giver_joints: Array
     approach_joints: Array
@@ -106,14 +106,14 @@ class Handover(Skill):
         handover = self._find_handover(context, roles, giver, receiver, next_skills)
         held = context.update_held(giver)
         load = AttachedObject(thing, held.T_thing_in_pinch)
-        yield context.make_segment({giver: context.plan_free_path(giver, handover.giver_joints, load=load)})
+        yield context.make_segment({giver: context.plan_free_path(giver, handover.giver_joints, attached=load)})
         path = context.plan_free_path(receiver, handover.approach_joints, handover.opening)
         yield context.make_segment({receiver: path}, {receiver: FingerTarget(handover.opening)})
-        T_grip = context.world.pose(thing) @ handover.grip.T_pinch_in_thing
+        T_grip = context.world.pose(thing) @ handover.candidate.T_pinch_in_thing
         yield context.make_segment({receiver: context.plan_line(receiver, T_grip)})
-        yield from close_fingers_on(context, receiver, handover.grip)
+        yield from close_fingers_on(context, receiver, handover.candidate)
         if receiver.side not in context.world.holding_sides(thing):
-            yield from release_and_retreat(context, receiver, handover.grip.clearance)
+            yield from release_and_retreat(context, receiver, handover.candidate.clearance)
             raise SkillFailedError(
                 FailureCause.SLIPPED, f"the {thing} is not between the {receiver.side} hand's fingers"
             )
@@ -184,8 +184,10 @@ class Handover(Skill):
         for least, most, lower, turn in self.PLACES:
             places = [np.array((middle[0] + ahead, middle[1], height - lower)) for ahead in _HANDOVER_X]
             poses = _HandoverPoseSampler(rotation_z(turn) @ across, (least, most), np.array(places), attitude)
-            for number, grip, T_things in _reachable_poses(giver, receiver, T_giving, grips.open(), poses):
-                if check_first and not grips.suits(number, grip):
+            for number, grip, T_things in _reachable_poses(
+                giver, receiver, T_giving, grips.untested_or_suitable(), poses
+            ):
+                if check_first and not grips.is_suitable(number, grip):
                     continue
                 for T_thing in T_things:
                     handover = _solve_handover(
@@ -193,7 +195,7 @@ class Handover(Skill):
                     )
                     if handover is None:
                         continue
-                    if not grips.suits(number, grip):
+                    if not grips.is_suitable(number, grip):
                         break
                     if _is_contact_free(context, giver, receiver, held, handover):
                         return handover
@@ -225,19 +227,19 @@ class _ReceiverGrasps:
             thing,
             next_skills,
         )
-        self._grips = CachedIterable(context.grasp_candidates(thing, receiver.max_opening))
+        self._candidates = CachedIterable(context.grasp_candidates(thing, receiver.max_opening))
         self.faults: dict[int, str | None] = {}
 
-    def open(self) -> Iterator[tuple[int, GraspCandidate]]:
+    def untested_or_suitable(self) -> Iterator[tuple[int, GraspCandidate]]:
         """Yield index and candidate of the grasps that are untested, or with which the next skills are possible."""
-        return ((number, grip) for number, grip in enumerate(self._grips) if not self.faults.get(number))
+        return ((number, grip) for number, grip in enumerate(self._candidates) if not self.faults.get(number))
 
-    def suits(self, number: int, grip: GraspCandidate) -> bool:
+    def is_suitable(self, number: int, candidate: GraspCandidate) -> bool:
         """Return whether the next skills are possible after a grasp; each grasp is tested once."""
         if number not in self.faults:
             fault = None
             if self._next_skills:
-                grasp = self._receiver, self._thing, inverse(grip.T_pinch_in_thing), self._receiver.ready_joints
+                grasp = self._receiver, self._thing, inverse(candidate.T_pinch_in_thing), self._receiver.ready_joints
                 fault = self._next_skills[0].infeasibility(self._context, self._roles, *grasp, self._next_skills[1:])
             self.faults[number] = fault
         return self.faults[number] is None
@@ -260,7 +262,7 @@ def _reachable_poses(
 ) -> Iterator[tuple[int, GraspCandidate, Array]]:
     """Yield each candidate with the object's poses (n, 4, 4) in `world` at which both hands may reach the object."""
     while batch := list(itertools.islice(grips, _BATCH_SIZE)):
-        T, k = poses.of([grip for _, grip in batch])
+        T, k = poses.poses_for([grip for _, grip in batch])
         T_grips = np.array([grip.T_pinch_in_thing for _, grip in batch])
         reached = receiver.maybe_reachable(T @ T_grips[k])
         reached[reached] = giver.maybe_reachable(T[reached] @ T_giving, WAYPOINT_TOLERANCE)
@@ -270,7 +272,7 @@ def _reachable_poses(
 
 
 def _solve_handover(
-    giver: Hand, receiver: Hand, T_giving: Array, T_receiving: Array, grip: GraspCandidate
+    giver: Hand, receiver: Hand, T_giving: Array, T_receiving: Array, candidate: GraspCandidate
 ) -> _HandoverPose | None:
     """Return the handover with the pinch frames at poses (4, 4) in `world`; None if an arm does not reach its pose."""
     if not is_orientation_plausible(T_giving, giver.arm.T_base_in_world) or not is_orientation_plausible(
@@ -286,7 +288,9 @@ def _solve_handover(
     before = receiver.solve_ik(T_receiving @ pose((0.0, 0.0, -_APPROACH)), (receiving,), WAYPOINT_TOLERANCE)
     if before is None:
         return None
-    return _HandoverPose(grip, min(grip.opening + grip.clearance, receiver.max_opening), giving, before, receiving)
+    return _HandoverPose(
+        candidate, min(candidate.opening + candidate.clearance, receiver.max_opening), giving, before, receiving
+    )
 
 
 def _is_contact_free(
@@ -332,11 +336,11 @@ class _HandoverPoseSampler:
     across: Array
     apart: tuple[float, float]
     places: Array
-    attitude: Callable[[GraspCandidate], _HandoverOrientation | None]
+    orientation_for: Callable[[GraspCandidate], _HandoverOrientation | None]
 
-    def of(self, grips: Sequence[GraspCandidate]) -> tuple[Array, NDArray[np.intp]]:
+    def poses_for(self, grips: Sequence[GraspCandidate]) -> tuple[Array, NDArray[np.intp]]:
         """Return poses (n, 4, 4) in `world` for candidates, in their order, and the index of each pose's candidate."""
-        attitudes, (least, most) = [self.attitude(grip) for grip in grips], self.apart
+        attitudes, (least, most) = [self.orientation_for(grip) for grip in grips], self.apart
         fitting = [(k, found) for k, found in enumerate(attitudes) if found and least <= found.apart <= most]
         numbers = np.array([k for k, _ in fitting], np.intp)
         R = self._rolled_frames @ np.array([found.R_thing for _, found in fitting]).reshape(-1, 1, 3, 3)

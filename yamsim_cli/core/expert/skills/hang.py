@@ -95,7 +95,7 @@ class Hang(Skill):
             ):
                 continue
             try:
-                path = context.plan_free_path(hand, before, load=load)
+                path = context.plan_free_path(hand, before, attached=load)
             except SkillFailedError as error:
                 fault = str(error)
                 continue

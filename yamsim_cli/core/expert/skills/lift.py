@@ -113,7 +113,7 @@ class Lift(Skill):
             if at is None or before is None:
                 continue
             opening = min(grip.opening + grip.clearance, hand.max_opening)
-            if context.find_contact(hand, at, opening, between=thing) or context.find_contact(hand, before, opening):
+            if context.find_contact(hand, at, opening, grasped=thing) or context.find_contact(hand, before, opening):
                 continue
             T_up = T_at.copy()
             T_up[2, 3] += self.by
@@ -125,6 +125,6 @@ class Lift(Skill):
                 return
 
 
-def _position(grip: GraspCandidate) -> Array:
-    position: Array = grip.T_pinch_in_thing[:3, 3]
+def _position(candidate: GraspCandidate) -> Array:
+    position: Array = candidate.T_pinch_in_thing[:3, 3]
     return position

@@ -65,7 +65,7 @@ class Operate(Skill):
                 for turn in (0.0, math.pi):
                     T_in_part = handle.T_pinch_in_part @ pose(rotation=rotation_from_vector([0.0, 0.0, turn]))
                     opening = min(handle.opening + CLEARANCE, hand.max_opening)
-                    before = self._before(context, hand, thing, T_part @ T_in_part, opening)
+                    before = self._solve_approach(context, hand, thing, T_part @ T_in_part, opening)
                     pose_at = self._pinch_path(context, thing, link, T_part, T_in_part)
                     if before is None or not _can_follow_path(hand, before, pose_at):
                         continue
@@ -86,9 +86,11 @@ class Operate(Skill):
                     return
         raise SkillFailedError(FailureCause.UNREACHABLE, fault)
 
-    def _before(self, context: PlanningContext, hand: Hand, thing: str, T_at: Array, opening: float) -> Array | None:
+    def _solve_approach(
+        self, context: PlanningContext, hand: Hand, thing: str, T_at: Array, opening: float
+    ) -> Array | None:
         at = hand.solve_ik(T_at, (hand.joints, hand.ready_joints))
-        if at is None or context.find_contact(hand, at, opening, between=thing):
+        if at is None or context.find_contact(hand, at, opening, grasped=thing):
             return None
         before = hand.solve_ik(T_at @ pose((0.0, 0.0, -_APPROACH)), (at,), WAYPOINT_TOLERANCE)
         return None if before is None or context.find_contact(hand, before, opening) else before
@@ -106,7 +108,7 @@ class Operate(Skill):
 
         def pose_at(share: float) -> Array:
             change = share * (goal - start)
-            if joint.turns:
+            if joint.is_revolute:
                 return (
                     T_part @ T_axis @ pose(rotation=rotation_from_vector(axis * change)) @ inverse(T_axis) @ T_in_part
                 )

@@ -37,9 +37,9 @@ class ReachableGrasp:
         opening: of each finger during the approach, m.
     """
 
-    grip: GraspCandidate
-    before: Array
-    at: Array
+    candidate: GraspCandidate
+    approach_joints: Array
+    grasp_joints: Array
     opening: float
 
 
@@ -77,7 +77,7 @@ class Pick(Skill):
                     found = self._find_grasp(context, roles, hand, thing, following, reasons)
                 if found is not None:
                     yield from park_free_hands(context, hand)
-                    yield from self._take(context, hand, thing, found)
+                    yield from self._grasp_and_lift(context, hand, thing, found)
                     return
         if not reasons:
             low, high = context.world.local_box(thing)
@@ -102,9 +102,11 @@ class Pick(Skill):
 
         return sorted(hands, key=distance)
 
-    def _take(self, context: PlanningContext, hand: Hand, thing: str, found: ReachableGrasp) -> Iterator[MotionSegment]:
-        grip = found.grip
-        path = context.plan_free_path(hand, found.before, found.opening)
+    def _grasp_and_lift(
+        self, context: PlanningContext, hand: Hand, thing: str, found: ReachableGrasp
+    ) -> Iterator[MotionSegment]:
+        grip = found.candidate
+        path = context.plan_free_path(hand, found.approach_joints, found.opening)
         yield context.make_segment(
             {hand: path}, {hand: FingerTarget(found.opening)}, wait_for_arrival=self.WAIT_FOR_REST
         )
@@ -139,7 +141,7 @@ class Pick(Skill):
             if isinstance(found, ReachableGrasp):
                 T = inverse(grip.T_pinch_in_thing)
                 reason = (
-                    next_skills[0].infeasibility(context, roles, hand, thing, T, found.at, next_skills[1:])
+                    next_skills[0].infeasibility(context, roles, hand, thing, T, found.grasp_joints, next_skills[1:])
                     if next_skills
                     else None
                 )
@@ -151,34 +153,36 @@ class Pick(Skill):
         return None
 
     def find_reachable_grasp(
-        self, context: PlanningContext, hand: Hand, thing: str, grip: GraspCandidate
+        self, context: PlanningContext, hand: Hand, thing: str, candidate: GraspCandidate
     ) -> ReachableGrasp | str | None:
         """Return joints with which a hand reaches a grasp of an object now; else the reason why it cannot, as text.
 
         Returns:
             None if the grasp is not tried: a similar grasp failed before, or the hand cannot point there.
         """
-        if grip.opening > hand.max_opening:
+        if candidate.opening > hand.max_opening:
             return (
-                f"it is {2000 * grip.opening:.1f} mm wide where it can be held, and the {hand.side} hand opens "
+                f"it is {2000 * candidate.opening:.1f} mm wide where it can be held, and the {hand.side} hand opens "
                 f"{2000 * hand.max_opening:.1f} mm"
             )
-        T_at = context.world.pose(thing) @ grip.T_pinch_in_thing
-        if hand.has_failed_with(thing, grip.T_pinch_in_thing) or not is_orientation_plausible(
+        T_at = context.world.pose(thing) @ candidate.T_pinch_in_thing
+        if hand.has_failed_with(thing, candidate.T_pinch_in_thing) or not is_orientation_plausible(
             T_at, hand.arm.T_base_in_world
         ):
             return None
         at = hand.solve_ik(T_at, (hand.joints, hand.ready_joints))
         if at is None:
             return f"the {hand.side} arm does not reach it so"
-        opening = min(grip.opening + grip.clearance, hand.max_opening)
-        before, why = _approach_joints(context, hand, thing, T_at, at, opening, grip.finger_distance)
+        opening = min(candidate.opening + candidate.clearance, hand.max_opening)
+        before, why = _approach_joints(context, hand, thing, T_at, at, opening, candidate.finger_distance)
         if before is None:
             return why
-        return self._lift_problem(context, hand, thing, grip, T_at, at) or ReachableGrasp(grip, before, at, opening)
+        return self._find_lift_infeasibility(context, hand, thing, candidate, T_at, at) or ReachableGrasp(
+            candidate, before, at, opening
+        )
 
-    def _lift_problem(
-        self, context: PlanningContext, hand: Hand, thing: str, grip: GraspCandidate, T_at: Array, at: Array
+    def _find_lift_infeasibility(
+        self, context: PlanningContext, hand: Hand, thing: str, candidate: GraspCandidate, T_at: Array, at: Array
     ) -> str | None:
         """Return what prevents a hand from lifting an object grasped at joints `at` (dof,); None if nothing."""
         T_up = T_at.copy()
@@ -186,8 +190,8 @@ class Pick(Skill):
         up = hand.solve_ik(T_up, (at,))
         if up is None:
             return f"the {hand.side} arm cannot lift it so"
-        load = AttachedObject(thing, inverse(grip.T_pinch_in_thing), (TABLE, *context.world.things))
-        return context.find_contact(hand, up, grip.opening, load)
+        load = AttachedObject(thing, inverse(candidate.T_pinch_in_thing), (TABLE, *context.world.object_names))
+        return context.find_contact(hand, up, candidate.opening, load)
 
 
 def _approach_joints(
@@ -200,7 +204,7 @@ def _approach_joints(
     finger_distance: float | None,
 ) -> tuple[Array | None, str]:
     """Return joints (dof,) before the straight approach to an object; else None and the reason."""
-    why = context.find_contact(hand, at, opening, between=thing, beside=finger_distance)
+    why = context.find_contact(hand, at, opening, grasped=thing, finger_clearance=finger_distance)
     if why is not None:
         return None, why
     why = f"the {hand.side} arm does not reach the place before it"

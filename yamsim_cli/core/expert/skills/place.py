@@ -88,7 +88,7 @@ class PlaceSkill(Skill):
     ) -> str | None:
         """Return why a hand cannot put the object down with a grasp; None if it reaches a goal without contacts."""
         fault = f"there is no room for it on or in the {self.support(roles)}"
-        load = AttachedObject(thing, T_thing_in_pinch, (TABLE, *context.world.things))
+        load = AttachedObject(thing, T_thing_in_pinch, (TABLE, *context.world.object_names))
         for T_lying in self._ordered_goals(context, roles, thing, T_thing_in_pinch):
             T_goal = pose_raised_by(T_lying, self.drop)
             T_pinch = T_goal @ inverse(T_thing_in_pinch)
@@ -135,7 +135,7 @@ class PlaceSkill(Skill):
                 if joints is None or hand.solve_ik(T_pinch, (joints,), WAYPOINT_TOLERANCE) is None:
                     continue
             try:
-                path = context.plan_free_path(hand, joints, load=AttachedObject(thing, held.T_thing_in_pinch))
+                path = context.plan_free_path(hand, joints, attached=AttachedObject(thing, held.T_thing_in_pinch))
             except SkillFailedError as error:
                 fault = str(error)
                 continue
@@ -206,7 +206,7 @@ class Place(PlaceSkill):
     def goals(self, context: PlanningContext, roles: RoleAssignment, thing: str) -> Iterator[Array]:
         """Yield upright poses (4, 4) over the goal's point: with `heading_deg`, else first with the present heading."""
         onto = self.support(roles)
-        place, T_onto = self._place(context, roles)
+        place, T_onto = self._goal_point_and_support(context, roles)
         if self.heading_deg is not None:
             headings = [yaw(T_onto) + math.radians(self.heading_deg)]
         else:
@@ -221,7 +221,7 @@ class Place(PlaceSkill):
             return self
         return _PlaceInAnyStablePose.model_construct(**dict(self))
 
-    def _place(self, context: PlanningContext, roles: RoleAssignment) -> tuple[Array, Array]:
+    def _goal_point_and_support(self, context: PlanningContext, roles: RoleAssignment) -> tuple[Array, Array]:
         """Return the goal's point (2,) and the pose (4, 4) of the support, in `world`."""
         onto = self.support(roles)
         T_onto = pose() if onto == TABLE else context.world.pose(onto)
@@ -255,7 +255,7 @@ class _PlaceInAnyStablePose(Place):
 
     def _lying_goals(self, context: PlanningContext, roles: RoleAssignment, thing: str) -> list[Array]:
         """Return the goals (4, 4) in stable poses other than upright, with the centre of mass over the point."""
-        place, _ = self._place(context, roles)
+        place, _ = self._goal_point_and_support(context, roles)
         centre = np.array(context.object_configs[thing].inertia.centre)
         heading = yaw(context.world.pose(thing))
         found = []

@@ -241,7 +241,7 @@ class PlanningContext:
         low, high = self.world.aabb(TABLE)
         if (place - room < low[:2]).any() or (place + room > high[:2]).any():
             return False
-        for other in self.world.things:
+        for other in self.world.object_names:
             if other != thing:
                 near, far = self.world.aabb(other)
                 gap = np.maximum(np.maximum(near[:2] - place, place - far[:2]), 0.0)
@@ -269,15 +269,17 @@ class PlanningContext:
         hand: Hand,
         joints: Array,
         opening: float,
-        load: AttachedObject | None = None,
-        between: str | None = None,
-        beside: float | None = None,
+        attached: AttachedObject | None = None,
+        grasped: str | None = None,
+        finger_clearance: float | None = None,
     ) -> str | None:
         """Return the names of two geoms in contact with a hand at joints (dof,), rad; None without contact.
 
         The last three arguments are `attached`, `grasped` and `finger_clearance` of `CollisionChecker.find_contact`.
         """
-        return self.collision_checker.find_contact(self.qpos, hand.number, joints, opening, load, between, beside)
+        return self.collision_checker.find_contact(
+            self.qpos, hand.number, joints, opening, attached, grasped, finger_clearance
+        )
 
     def qpos_with_hand(self, hand: Hand, joints: Array, opening: float, held: HeldObject | None) -> Array:
         """Return MuJoCo's positions (nq,) with one hand and its held object moved; everything else is unchanged."""
@@ -287,7 +289,7 @@ class PlanningContext:
     # -- motions
 
     def plan_free_path(
-        self, hand: Hand, goal: Array, opening: float | None = None, load: AttachedObject | None = None
+        self, hand: Hand, goal: Array, opening: float | None = None, attached: AttachedObject | None = None
     ) -> Array:
         """Return a collision-free motion (n + 1, dof) of a hand to joints `goal`, the simplest one found.
 
@@ -303,7 +305,7 @@ class PlanningContext:
         opening_on_way = max(hand.opening, opening if opening is not None else 0.0)
 
         def touched(joints: Array) -> str | None:
-            return self.find_contact(hand, joints, opening_on_way, load)
+            return self.find_contact(hand, joints, opening_on_way, attached)
 
         path = plan_free_path(hand, goal, touched, self.tick, self._rng)
         if path is None:
@@ -371,7 +373,7 @@ class PlanningContext:
                     torques=self._torques(hand, joints, opening),
                     gripper=opening,
                     grip_force=grip,
-                    weld_on=(hand.magnet,) * ticks,
+                    weld_on=(hand.weld_commanded,) * ticks,
                     tick=self.tick,
                 )
             )
@@ -448,7 +450,7 @@ ContactQuery = Callable[[Array], str | None]
 
 
 def plan_free_path(
-    hand: Hand, goal: Array, touched: ContactQuery, tick: float, rng: np.random.Generator
+    hand: Hand, goal: Array, find_contact: ContactQuery, tick: float, rng: np.random.Generator
 ) -> Array | None:
     """Return a collision-free motion (n + 1, dof) of a hand to joints `goal` (dof,); None if none was found.
 
@@ -459,31 +461,35 @@ def plan_free_path(
         tick: length of a control tick, s.
         rng: random numbers of the search.
     """
-    path = _plan_from(hand, hand.joints, goal, touched, tick, rng)
-    if path is None and touched(hand.joints) is not None and (retreat := _retreat_up(hand, touched, tick)) is not None:
-        onward = _plan_from(hand, retreat[-1], goal, touched, tick, rng)
+    path = _plan_from(hand, hand.joints, goal, find_contact, tick, rng)
+    if (
+        path is None
+        and find_contact(hand.joints) is not None
+        and (retreat := _retreat_up(hand, find_contact, tick)) is not None
+    ):
+        onward = _plan_from(hand, retreat[-1], goal, find_contact, tick, rng)
         path = None if onward is None else np.concatenate([retreat[:-1], onward])
     return path
 
 
 def _plan_from(
-    hand: Hand, start: Array, goal: Array, touched: ContactQuery, tick: float, rng: np.random.Generator
+    hand: Hand, start: Array, goal: Array, find_contact: ContactQuery, tick: float, rng: np.random.Generator
 ) -> Array | None:
     for points in _heuristic_waypoints(hand, start, goal):
         path = time_waypoints(points, hand.arm.motor_speed, tick)
-        if is_collision_free(path, touched):
+        if is_collision_free(path, find_contact):
             return path
-    found = plan_rrt_connect(start, goal, hand.arm.joint_range, touched, rng)
+    found = plan_rrt_connect(start, goal, hand.arm.joint_range, find_contact, rng)
     return None if found is None else time_waypoints(found, hand.arm.motor_speed, tick)
 
 
-def _retreat_up(hand: Hand, touched: ContactQuery, tick: float) -> Array | None:
+def _retreat_up(hand: Hand, find_contact: ContactQuery, tick: float) -> Array | None:
     """Return the shortest motion straight up after which a hand has no contact; None without one."""
     T = hand.pinch_pose(hand.joints)
     for _ in range(_MAX_RETREAT_STEPS):
         T[2, 3] += _RETREAT_STEP
         path = cartesian_line(hand.ik, hand.joints, T, tick, LINE_SPEED)
-        if path is not None and touched(path[-1]) is None:
+        if path is not None and find_contact(path[-1]) is None:
             return path
     return None
 

@@ -121,14 +121,14 @@ def _read_step(
         raise ConflictError(f"a step of a program has one key; give one of {known}", path)
     key, given = next(iter(step.items()))
     if key == _EACH:
-        yield from _read_each(given, roles, (*path, key), names)
+        yield from _unroll_loop(given, roles, (*path, key), names)
     elif key not in SKILLS:
         raise ConflictError(f"unknown skill {key!r}; {suggest(key, [*SKILLS, _EACH])}", (*path, key))
     else:
         yield (*path, key), _read_skill(key, given, roles, (*path, key), names)
 
 
-def _read_each(
+def _unroll_loop(
     given: Any, roles: RoleAssignment, path: tuple[str | int, ...], names: Mapping[str, str | int]
 ) -> Iterator[tuple[tuple[str | int, ...], Skill]]:
     """Yield the steps of a loop, once for each object of a role.

@@ -82,7 +82,7 @@ def check_program(task: ProgramTask, sides: Sequence[str] | None = None) -> None
         if isinstance(skill, Hang):
             _check_hung(task, roles, Hung(thing=skill.thing, onto=skill.onto), path)
         for argument, role in skill.roles():
-            if task.of_cloth(role) != skill.OF_CLOTH and argument not in skill.ANY_MATERIAL:
+            if task.may_be_cloth(role) != skill.OF_CLOTH and argument not in skill.ANY_MATERIAL:
                 problem = (
                     "is no cloth; give a role that cloth plays"
                     if skill.OF_CLOTH

@@ -78,7 +78,7 @@ class Push(Skill):
         hands = context.free_hands(self.arm)
         for hand in sorted(hands, key=lambda hand: float(np.linalg.norm(hand.arm.T_base_in_world[:2, 3] - first))):
             for lean, turn in itertools.product(_TILTS, _TURNS):
-                found = self._reach(context, hand, first, last, heading + turn, lean)
+                found = self._solve_start_and_end(context, hand, first, last, heading + turn, lean)
                 if found is None:
                     continue
                 yield from park_free_hands(context, hand)
@@ -96,7 +96,7 @@ class Push(Skill):
                 return
         raise SkillFailedError(FailureCause.UNREACHABLE, f"no arm reaches behind the {thing} and its place")
 
-    def _reach(
+    def _solve_start_and_end(
         self, context: PlanningContext, hand: Hand, first: Array, last: Array, heading: float, lean: float
     ) -> tuple[Array, Array, Array] | None:
         """Return joints (dof,) over a push's start, and the pinch frame (4, 4) at its start and end; else None."""

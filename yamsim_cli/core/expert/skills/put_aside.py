@@ -59,7 +59,7 @@ class PutAside(PlaceSkill):
         return any(
             float(np.linalg.norm(context.world.start_pose(other)[:2, 3] - place))
             < radius + float(np.hypot(*context.half_footprint(other, 0.0)))
-            for other in context.world.things
+            for other in context.world.object_names
         )
 
 

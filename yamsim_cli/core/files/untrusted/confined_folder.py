@@ -8,8 +8,8 @@ from pathlib import Path
 
 from .refusals import RefusedError
 
-MOST_BYTES = 256_000_000  # bytes, largest total size of the files that one `ConfinedFolder` reads
-MOST_FILES = 256  # largest number of files that one `ConfinedFolder` reads
+MAX_BYTES = 256_000_000  # bytes, largest total size of the files that one `ConfinedFolder` reads
+MAX_FILES = 256  # largest number of files that one `ConfinedFolder` reads
 
 _MODEL_SCHEMES = ("model", "package", "fuel")  # URI schemes that identify a model by its name
 
@@ -39,11 +39,11 @@ class ConfinedFolder:
         try:
             path = self.find(name, base)
             self._files += 1
-            if self._files > MOST_FILES:
-                raise RefusedError("too-many-files", f"it names more than {MOST_FILES} files")
+            if self._files > MAX_FILES:
+                raise RefusedError("too-many-files", f"it names more than {MAX_FILES} files")
             self._bytes += path.stat().st_size
-            if self._bytes > MOST_BYTES:
-                raise RefusedError("too-large", f"with {name} it has more than {MOST_BYTES // 10**6} MB")
+            if self._bytes > MAX_BYTES:
+                raise RefusedError("too-large", f"with {name} it has more than {MAX_BYTES // 10**6} MB")
             return path.read_bytes()
         except RefusedError as error:
             self.refused = error

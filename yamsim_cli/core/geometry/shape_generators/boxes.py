@@ -212,7 +212,7 @@ def make_block(
     height = max(size[2] / 2, size[2] - _MAX_DEPTH)
     axes = sorted(((size[0], 0.0), (size[1], 90.0)))
     grasps = [ShapeGrasp("body", (0.0, 0.0, round(height, 4)), axis, width) for width, axis in axes if width <= _WIDEST]
-    return GeneratedShape(tuple(pieces), tuple(collision), tuple(grasps), support=size[2])
+    return GeneratedShape(tuple(pieces), tuple(collision), tuple(grasps), support_height=size[2])
 
 
 def make_textile(size: tuple[float, float, float], folds: int) -> GeneratedShape:
@@ -234,7 +234,7 @@ def make_textile(size: tuple[float, float, float], folds: int) -> GeneratedShape
         pieces.append(
             ShapePiece("print", transform_surface(stripe, (0, side * size[1] * 0.38, size[2] - layer * 0.02)))
         )
-    return GeneratedShape(tuple(pieces), (box_data((0, 0, size[2] / 2), size),), (), support=size[2])
+    return GeneratedShape(tuple(pieces), (box_data((0, 0, size[2] / 2), size),), (), support_height=size[2])
 
 
 @dataclass(frozen=True)

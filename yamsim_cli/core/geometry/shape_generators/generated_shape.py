@@ -42,7 +42,7 @@ class ShapeGrasp:
         depth: length of the object between the fingers, along the fingers, m. A longer lever resists rotation better.
     """
 
-    where: str
+    grasped_part: str
     position: tuple[float, float, float]
     axis_deg: float
     width: float
@@ -68,10 +68,10 @@ class GeneratedShape:
     pieces: tuple[ShapePiece, ...]
     collision: tuple[PrimitiveData, ...]
     grasps: tuple[ShapeGrasp, ...]
-    carries: str = "on"
-    support: float | None = None
-    rolls: float = 0.0
-    turned: bool = False
+    preposition: str = "on"
+    support_height: float | None = None
+    rolling_radius: float = 0.0
+    is_axisymmetric: bool = False
 
 
 def box_data(centre: Sequence[float], size: Sequence[float], yaw_deg: float = 0.0) -> PrimitiveData:

@@ -25,7 +25,7 @@ def make_pasta(diameter: float, length: float, wall: float, slant_deg: float, ri
     half = max(length / 2 - radius * (1 if wall == 0 else 0.9), 0.0005)
     hull = capsule_data((0, -half, radius), (0, half, radius), radius)
     grasp = ShapeGrasp("body", (0.0, 0.0, round(radius, 4)), 0.0, diameter)
-    return GeneratedShape((ShapePiece("body", surface),), (hull,), (grasp,), rolls=radius)
+    return GeneratedShape((ShapePiece("body", surface),), (hull,), (grasp,), rolling_radius=radius)
 
 
 def _pipe(radius: float, length: float, wall: float, slant: float, ridges: int) -> Surface:

@@ -98,7 +98,9 @@ def make_vessel(size: Vessel) -> GeneratedShape:
         collision += capsules_along(simplify_polyline(path, _TOLERANCE), radius)
     deep = size.height > 0.03
     grasps, carries = tuple(_vessel_grasps(size, inside)), "in" if deep else "on"
-    return GeneratedShape(tuple(pieces), tuple(collision), grasps, carries, size.wall, turned=size.handles == "none")
+    return GeneratedShape(
+        tuple(pieces), tuple(collision), grasps, carries, size.wall, is_axisymmetric=size.handles == "none"
+    )
 
 
 def _segments(size: Vessel) -> int:
@@ -191,7 +193,9 @@ def make_cap(diameter: float, height: float, wall: float, grips: int) -> Generat
     z = round(height / 2, 4)
     axes = (90.0, 135.0, 0.0, 45.0) if width <= _MAX_WIDTH else ()
     grasps = tuple(ShapeGrasp("body", (0.0, 0.0, z), axis, width) for axis in axes)
-    return GeneratedShape((ShapePiece("body", body),), tuple(collision), grasps, support=height, turned=True)
+    return GeneratedShape(
+        (ShapePiece("body", body),), tuple(collision), grasps, support_height=height, is_axisymmetric=True
+    )
 
 
 def make_fruit(diameter: float, height: float, lobes: int, depth: float, stalk: float) -> GeneratedShape:
@@ -230,4 +234,4 @@ def make_fruit(diameter: float, height: float, lobes: int, depth: float, stalk: 
     grasps = [
         ShapeGrasp("body", (0.0, 0.0, round(middle, 4)), axis, round(diameter, 4)) for axis in (90.0, 0.0, 45.0, 135.0)
     ]
-    return GeneratedShape(tuple(pieces), tuple(parts), tuple(grasps), rolls=ball, turned=True)
+    return GeneratedShape(tuple(pieces), tuple(parts), tuple(grasps), rolling_radius=ball, is_axisymmetric=True)

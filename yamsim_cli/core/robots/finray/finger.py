@@ -138,7 +138,7 @@ def hinge_stiffness(finger: FinRay) -> Array:
     return stiffness
 
 
-def slip_arms(finger: FinRay) -> Array:
+def slip_jacobian(finger: FinRay) -> Array:
     """Return the back wall's slip (n, n), m/rad, at ribs and tip (rows) per angle at base and ribs (columns)."""
     spacing = finger.spacing(finger.stations)
     # Of the bend that the hinge at a rib represents, half lies below the rib.
@@ -167,6 +167,6 @@ def couplings(finger: FinRay) -> Array:
 
     The energy of all springs together is that of `slip_stiffness`.
     """
-    rows = np.linalg.cholesky(slip_stiffness(finger)).T @ slip_arms(finger)
+    rows = np.linalg.cholesky(slip_stiffness(finger)).T @ slip_jacobian(finger)
     # Rounding errors of exact zeros differ between linear algebra libraries.
     return np.where(np.abs(rows) < 1e-9 * np.abs(rows).max(), 0.0, rows)

@@ -23,13 +23,13 @@ from ...geometry.surface_distance import hausdorff_distance
 from .asset_lock import AssetSet, Reduction
 from .asset_store import AssetStore
 
-LIMIT_MM = 0.5  # mm, largest Hausdorff distance between a reduced mesh and its source
+MAX_DEVIATION_MM = 0.5  # mm, largest Hausdorff distance between a reduced mesh and its source
 _SLIVERS_MM = 0.2  # mm, largest displacement by sliver removal for a mesh without a `Reduction` in the lock
 _AGGRESSIVENESS = 6.0  # of the collapse, 0 to 10; below 5 the collapse stalls on CAD meshes, above 7 it tears them
 _SAMPLES = 1000  # sample points on each surface for the distance; the tests use twenty times as many
 _MM = 1000.0  # mm per metre; the STL files are in metres
 
-REPORT = "reduction.json"  # file beside reduced meshes with their hashes and numbers of faces
+REPORT_FILE = "reduction.json"  # file beside reduced meshes with their hashes and numbers of faces
 
 Surface = tuple[Array, Faces]
 
@@ -41,7 +41,7 @@ def reduction_fingerprint() -> str:
         ImportError: a library for reduction is not installed.
     """
     libraries = " ".join(f"{name} {version(name)}" for name in ("manifold3d", "fast-simplification"))
-    return f"1 {_SLIVERS_MM} {_AGGRESSIVENESS} {LIMIT_MM} {_SAMPLES} {libraries}"
+    return f"1 {_SLIVERS_MM} {_AGGRESSIVENESS} {MAX_DEVIATION_MM} {_SAMPLES} {libraries}"
 
 
 def reduce_stl(data: bytes, reduction: Reduction | None) -> bytes:
@@ -54,7 +54,10 @@ def reduce_stl(data: bytes, reduction: Reduction | None) -> bytes:
     source = vertices * _MM, triangles
     attempts = [collapse_edges(source, reduction)] if reduction else []
     for attempt in (*attempts, remove_slivers(source, _SLIVERS_MM)):
-        if len(attempt[1]) < len(triangles) and hausdorff_distance(source, attempt, LIMIT_MM, _SAMPLES) <= LIMIT_MM:
+        if (
+            len(attempt[1]) < len(triangles)
+            and hausdorff_distance(source, attempt, MAX_DEVIATION_MM, _SAMPLES) <= MAX_DEVIATION_MM
+        ):
             return stl_bytes(attempt[0] / _MM, attempt[1])
     return data
 
@@ -113,7 +116,7 @@ def find_reduced(store: AssetStore, assets: AssetSet) -> ReducedSet | None:
     """
     folder = store.root / _folder_name(assets)
     try:
-        files = json.loads((folder / REPORT).read_bytes())["files"]
+        files = json.loads((folder / REPORT_FILE).read_bytes())["files"]
         valid = set(files) == set(assets.files) and all(
             sha256_file(folder / name) == entry["sha256"] for name, entry in files.items()
         )
@@ -149,7 +152,7 @@ def make_reduced(
                 )
                 + "\n"
             )
-            content = files | {assets.notice: notice.encode(), REPORT: text.encode()}
+            content = files | {assets.notice: notice.encode(), REPORT_FILE: text.encode()}
             return _reduced_set(store.publish_folder(_folder_name(assets), content), report)
     except ImportError as error:
         raise ResourceError(_missing_message(error)) from error

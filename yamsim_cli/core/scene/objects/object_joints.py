@@ -23,7 +23,7 @@ _FRICTION_SOLIMP = (0.99, 0.999, 0.001, 0.5, 2.0)  # of dry friction; with the d
 def joint_transform(joint: LinkJoint, value: float) -> Array:
     """Return the pose (4, 4) of a part at joint position `value`, m or rad, in the part's frame at position 0."""
     axis = np.array(joint.axis) / np.linalg.norm(joint.axis)
-    if not joint.turns:
+    if not joint.is_revolute:
         return pose(value * axis)
     turn = pose((0, 0, 0), rotation_from_vector(value * axis))
     lift = pose((joint.pitch or 0.0) * value / (2 * math.pi) * axis)
@@ -62,7 +62,7 @@ def add_link_joint(spec: mujoco.MjSpec, parent: Any, body: Any, name: str, link:
         )
     body.add_joint(
         name=name,
-        type=mujoco.mjtJoint.mjJNT_HINGE if joint.turns else mujoco.mjtJoint.mjJNT_SLIDE,
+        type=mujoco.mjtJoint.mjJNT_HINGE if joint.is_revolute else mujoco.mjtJoint.mjJNT_SLIDE,
         axis=joint.axis,
         pos=joint.position,
         # With the compiler's angles in degrees, ranges are in degrees.
@@ -77,7 +77,7 @@ def add_link_joint(spec: mujoco.MjSpec, parent: Any, body: Any, name: str, link:
 
 
 def _angle(spec: mujoco.MjSpec, joint: LinkJoint, value: float) -> float:
-    return value if joint.turns and spec.compiler.degree else joint.to_si(value)
+    return value if joint.is_revolute and spec.compiler.degree else joint.to_si(value)
 
 
 def _add_detent(spec: mujoco.MjSpec, parent: Any, body: Any, name: str, link: Link, detent: Detent) -> None:
@@ -90,14 +90,14 @@ def _add_detent(spec: mujoco.MjSpec, parent: Any, body: Any, name: str, link: Li
     across = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
     across /= np.linalg.norm(across)
     at, half = joint.to_si(detent.at), joint.to_si(detent.width) / 2
-    on_part = np.array(joint.position) + (_DETENT_RADIUS * across if joint.turns else 0.0)
-    foot = 2 * _DETENT_RADIUS * math.sin(min(half, math.pi) / 2) if joint.turns else half
-    offset = foot * (axis if joint.turns else across)
+    on_part = np.array(joint.position) + (_DETENT_RADIUS * across if joint.is_revolute else 0.0)
+    foot = 2 * _DETENT_RADIUS * math.sin(min(half, math.pi) / 2) if joint.is_revolute else half
+    offset = foot * (axis if joint.is_revolute else across)
     T = link.T_in_parent @ joint_transform(joint, at)
     body.add_site(name=f"{name}_part", pos=on_part, group=HIDDEN_GROUP)
     parent.add_site(name=f"{name}_parent", pos=(T @ [*(on_part + offset), 1.0])[:3], group=HIDDEN_GROUP)
     path = np.linspace(0, half, _DETENT_STEPS)
-    chord = 2 * _DETENT_RADIUS * np.sin(path / 2) if joint.turns else path
+    chord = 2 * _DETENT_RADIUS * np.sin(path / 2) if joint.is_revolute else path
     length, rest = np.hypot(foot, chord), math.hypot(foot, foot)
     push = (rest - length) * np.gradient(length, path)
     tendon = spec.add_tendon(name=name, springlength=[rest, _MAX_LENGTH], group=HIDDEN_GROUP, rgba=[0, 0, 0, 0])

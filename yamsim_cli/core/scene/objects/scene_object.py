@@ -8,7 +8,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from ...config.objects.generated import MADE, generated_mesh_files
+from ...config.objects.generated import GENERATED_SET, generated_mesh_files
 from ...config.objects.object_config import ObjectConfig
 from ...config.objects.object_part import Contact, Inertia, ObjectMesh
 from ...config.objects.primitives import CollisionPart, Primitive, Ring
@@ -37,7 +37,7 @@ def add_object(spec: mujoco.MjSpec, item: ObjectConfig, meshes: MeshFiles, *, fi
         add_cloth(spec, item)
         return
     if item.shape is not None:
-        meshes = {**meshes, MADE: generated_mesh_files(item.name, item.shape)}
+        meshes = {**meshes, GENERATED_SET: generated_mesh_files(item.name, item.shape)}
     base = spec.worldbody.add_body(name=item.name, mocap=fixed)
     if item.base == "fixed" and not fixed:
         base.add_joint(

@@ -45,14 +45,14 @@ class BlurKernel:
         """Convert the blur to the pixels of a picture that is reduced by the factor `coarser`."""
         return BlurKernel(self.blur / coarser, (self.motion[0] / coarser, self.motion[1] / coarser))
 
-    def blurred(self, picture: Grey) -> Grey:
+    def apply(self, picture: Grey) -> Grey:
         """Return a picture (rows, columns[, channels]) with this blur."""
         blurred = cv2.GaussianBlur(picture, (0, 0), self.blur, borderType=_BORDER)
         if self.length:
             blurred = cv2.filter2D(blurred, -1, self._line(slope=False), borderType=_BORDER)
         return np.asarray(blurred, dtype=np.float32)
 
-    def by_motion(self, picture: Grey) -> tuple[Grey, Grey]:
+    def motion_derivatives(self, picture: Grey) -> tuple[Grey, Grey]:
         """Return the derivatives (rows, columns) of the blurred picture with respect to the motion right and down."""
         blurred = cv2.GaussianBlur(picture, (0, 0), self.blur, borderType=_BORDER)
         line = self._line(slope=True)
@@ -62,10 +62,10 @@ class BlurKernel:
         )
         return across, down
 
-    def by_blur(self, picture: Grey, smeared: Grey) -> Grey:
+    def blur_derivative(self, picture: Grey, blurred: Grey) -> Grey:
         """Return the derivative (rows, columns[, channels]) of the blurred picture `smeared` with respect to `blur`."""
         more = _BLUR_STEP * self.blur
-        by_blur: Grey = (BlurKernel(self.blur + more, self.motion).blurred(picture) - smeared) / np.float32(more)
+        by_blur: Grey = (BlurKernel(self.blur + more, self.motion).apply(picture) - blurred) / np.float32(more)
         return by_blur
 
     def _line(self, slope: bool) -> Grey:

@@ -101,14 +101,14 @@ def linearize_print(
 
 
 def _picture_derivatives(
-    sharp: NDArray[np.float32], smeared: NDArray[np.float32], blur: BlurKernel, use: NDArray[np.bool_]
+    sharp: NDArray[np.float32], blurred: NDArray[np.float32], blur: BlurKernel, use: NDArray[np.bool_]
 ) -> tuple[Array, Array, Array]:
     """Return derivatives at the used pixels by position (n, 2), blur (n,) and motion (n, 2)."""
-    slopes = np.stack([slope.ravel()[use] for slope in picture_gradients(smeared)], axis=-1).astype(np.float64)
-    by_blur = blur.by_blur(sharp, smeared).ravel()[use].astype(np.float64)
+    slopes = np.stack([slope.ravel()[use] for slope in picture_gradients(blurred)], axis=-1).astype(np.float64)
+    by_blur = blur.blur_derivative(sharp, blurred).ravel()[use].astype(np.float64)
     by_motion = np.zeros((len(by_blur), 2))
     if blur.length:
-        by_motion[:] = np.stack([by.ravel()[use] for by in blur.by_motion(sharp)], axis=-1)
+        by_motion[:] = np.stack([by.ravel()[use] for by in blur.motion_derivatives(sharp)], axis=-1)
     return slopes, by_blur, by_motion
 
 
@@ -217,8 +217,8 @@ class NormalEquations:
         free: indices of the fitted parameters; all others are constant.
     """
 
-    every_normal: Array
-    every_gradient: Array
+    full_normal: Array
+    full_gradient: Array
     misfit: float
     weight: float
     pixels: int
@@ -229,12 +229,12 @@ class NormalEquations:
     @property
     def normal(self) -> Array:
         """The matrix (f, f) of the normal equations of the fitted parameters."""
-        return self.every_normal[np.ix_(self.free, self.free)]
+        return self.full_normal[np.ix_(self.free, self.free)]
 
     @property
     def gradient(self) -> Array:
         """The right-hand side (f,) of the normal equations of the fitted parameters."""
-        return self.every_gradient[list(self.free)]
+        return self.full_gradient[list(self.free)]
 
     @property
     def cost(self) -> float:
@@ -253,7 +253,7 @@ class PrintProblem(LeastSquares[S, NormalEquations]):
         """Return the normal equations at a state, with weights for the given noise or, if None, for its estimate."""
 
     @abstractmethod
-    def moved_px(self, state: S, step: Array) -> float:
+    def print_shift_px(self, state: S, step: Array) -> float:
         """Return the approximate shift of the print in the picture by a step (f,), px."""
 
     def linearize(self, state: S, before: NormalEquations | None) -> NormalEquations | None:
@@ -272,7 +272,7 @@ class PrintProblem(LeastSquares[S, NormalEquations]):
         of_noise = math.sqrt(max(float(step @ known.normal @ step), 0.0)) / max(known.noise, _MIN_NOISE)
         if self._roughly and gain < 0 and of_noise < _MIN_RETRIED_STEP:
             return True
-        return of_noise < sigmas or self.moved_px(state, step) < px
+        return of_noise < sigmas or self.print_shift_px(state, step) < px
 
     def solve(self, start: S) -> tuple[S, NormalEquations] | None:
         """Return the best state near a start and its equations; None if the photo does not show the print."""

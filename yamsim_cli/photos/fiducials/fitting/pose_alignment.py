@@ -143,7 +143,7 @@ def marginalize_shape(
     fit = _problem(photo, camera, pieces, found.T_ref_in_cam, found.blur.length > 0, log_scale_prior)
     if fit is None:
         return found
-    return fit.shaped(_PoseState(found.T_ref_in_cam, found.blur, found.log_scale), found, creased)
+    return fit.with_marginalized_shape(_PoseState(found.T_ref_in_cam, found.blur, found.log_scale), found, creased)
 
 
 def _problem(
@@ -221,11 +221,11 @@ class _PoseProblem(PrintProblem[_PoseState]):
         if system is None or self._log_scale is None:
             return system
         strength, missing = (system.noise / self._log_scale.sigma) ** 2, self._log_scale.mean - state.log_scale
-        normal, gradient = system.every_normal.copy(), system.every_gradient.copy()
+        normal, gradient = system.full_normal.copy(), system.full_gradient.copy()
         normal[_LOG_SCALE, _LOG_SCALE] += strength
         gradient[_LOG_SCALE] += strength * missing
         misfit = system.misfit + strength * missing**2
-        return replace(system, every_normal=normal, every_gradient=gradient, misfit=misfit)
+        return replace(system, full_normal=normal, full_gradient=gradient, misfit=misfit)
 
     def _columns(self, pixels: PixelDerivatives, piece: PrintPiece, T: Array, larger: float) -> Array:
         """Return derivatives (n, 7 + k) of the print by rotation, shift, log scale, and the k lens parameters."""
@@ -259,19 +259,17 @@ class _PoseProblem(PrintProblem[_PoseState]):
         of_pieces = [np.column_stack(own) if view.piece is piece else others[view.piece.board] for view in self._views]
         return np.column_stack([columns, *of_pieces])
 
-    def shaped(self, state: _PoseState, found: Alignment, creased: float) -> Alignment:
+    def with_marginalized_shape(self, state: _PoseState, found: Alignment, creased: float) -> Alignment:
         """Return `found` with the print's shape marginalized, or unchanged if that fails."""
         system = self._system(state, found.noise, self._shape_columns)
         if system is None:
             return found
         free, boards = list(system.free), [view.piece.board for view in self._views]
-        known = len(system.every_gradient) - sum(mode_count(board) for board in boards)
+        known = len(system.full_gradient) - sum(mode_count(board) for board in boards)
         held = [k for k in range(known) if k not in free]
         variance = (INFLATION * found.noise) ** 2
         try:
-            pose_of = marginalize_modes(
-                system.every_normal, system.every_gradient, variance, free, held, boards, creased
-            )
+            pose_of = marginalize_modes(system.full_normal, system.full_gradient, variance, free, held, boards, creased)
         except np.linalg.LinAlgError:
             return found
         turns = [free.index(k) for k in range(_POSE.start, _POSE.stop)]
@@ -310,7 +308,7 @@ class _PoseProblem(PrintProblem[_PoseState]):
         every[list(self._free)] = step
         return every
 
-    def moved_px(self, state: _PoseState, step: Array) -> float:
+    def print_shift_px(self, state: _PoseState, step: Array) -> float:
         # The rotation counts as a shift with a lever of 0.1 m.
         every = self._every(step)
         turn, shift = every[_POSE][:3], every[_POSE][3:]
@@ -322,11 +320,11 @@ class _PoseProblem(PrintProblem[_PoseState]):
     def alignment(self, state: _PoseState, system: NormalEquations) -> Alignment | None:
         """Return the alignment at a state; None if the pixels do not determine the pose."""
         normal, free = system.normal, list(system.free)
-        held = [k for k in range(len(system.every_gradient)) if k not in free]
-        moves = np.zeros((len(free), len(system.every_gradient)))
+        held = [k for k in range(len(system.full_gradient)) if k not in free]
+        moves = np.zeros((len(free), len(system.full_gradient)))
         try:
             covariance: Array = np.linalg.inv(normal).astype(np.float64) * system.noise**2
-            moves[:, held] = -np.linalg.solve(normal, system.every_normal[np.ix_(free, held)])
+            moves[:, held] = -np.linalg.solve(normal, system.full_normal[np.ix_(free, held)])
         except np.linalg.LinAlgError:
             return None
         if not np.isfinite(covariance).all():

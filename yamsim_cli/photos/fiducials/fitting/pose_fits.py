@@ -31,7 +31,7 @@ _MIN_EVIDENCE = 12.0  # difference of log-likelihoods, above which a pose exclud
 _PIXELS_PER_SAMPLE = 4.0  # neighbouring pixels that count as one independent sample
 _SAME_POSE = math.radians(4.0)  # rad, angle below which two poses are the same
 _DECIDING_SHARE = 0.25  # share of the angle between two poses; a prediction nearer than that to a pose selects it
-_MAX_RIVAL_RATIO = 4.0  # ratio of mean squared residuals before the fit, above which a competing fit cannot win
+_MAX_COMPETING_RATIO = 4.0  # ratio of mean squared residuals before the fit, above which a competing fit cannot win
 
 
 @dataclass(frozen=True)
@@ -178,7 +178,7 @@ def find_competing_fit(
             continue
         alignment = fit.alignment
         before = measure_agreement(photo, camera, [piece], T, alignment.blur, alignment.noise)
-        if before is None or before.cost / before.pixels > _MAX_RIVAL_RATIO * fit.mean_square:
+        if before is None or before.cost / before.pixels > _MAX_COMPETING_RATIO * fit.mean_square:
             continue
         after = align_pose(photo, camera, [piece], T, alignment.blur, coarse=True)
         if (
@@ -193,18 +193,18 @@ def find_competing_fit(
     return None
 
 
-def _other_boards_agree(fit: PoseFit, rival: PoseFit, predicted_poses: Sequence[Array]) -> bool:
-    near = _DECIDING_SHARE * angle_between(fit.T, rival.T)
+def _other_boards_agree(fit: PoseFit, competing: PoseFit, predicted_poses: Sequence[Array]) -> bool:
+    near = _DECIDING_SHARE * angle_between(fit.T, competing.T)
     return (
         bool(predicted_poses)
-        and fit.mean_square < rival.mean_square
+        and fit.mean_square < competing.mean_square
         and all(angle_between(fit.T, T) < near for T in predicted_poses)
     )
 
 
-def is_clearly_better(fit: PoseFit, rival: PoseFit) -> bool:
+def is_clearly_better(fit: PoseFit, competing: PoseFit) -> bool:
     """Return whether the photo's likelihood under `fit` excludes `rival`."""
-    evidence = 0.5 * fit.alignment.pixels / _PIXELS_PER_SAMPLE * math.log(rival.mean_square / fit.mean_square)
+    evidence = 0.5 * fit.alignment.pixels / _PIXELS_PER_SAMPLE * math.log(competing.mean_square / fit.mean_square)
     return evidence >= _MIN_EVIDENCE
 
 

@@ -204,14 +204,14 @@ def draw_print(view: PhotoRegion, plane: Array, blur: BlurKernel) -> RenderedPri
     outside = beside = None
     if blur.radius < _MIN_SURROUNDINGS_RADIUS:
         sharp = np.asarray(cv2.resize(fine, shape, interpolation=cv2.INTER_AREA), dtype=np.float32)
-        grey = blur.blurred(sharp)
+        grey = blur.apply(sharp)
     else:
         past_x, past_y = np.abs(x) > board.width / 2, np.abs(y) > board.height / 2
         # Beyond a corner, each of the two sides gets half of the pixel.
         half = np.float32(1) / (np.float32(1) + (past_x & past_y))
         past = past_x * half, past_y * half
         every = cv2.resize(cv2.merge([fine, *past]), shape, interpolation=cv2.INTER_AREA).astype(np.float32)
-        blurred = blur.blurred(every)
+        blurred = blur.apply(every)
         sharp, grey = np.ascontiguousarray(every[..., 0]), np.ascontiguousarray(blurred[..., 0])
         outside, beside = every[..., 1:], blurred[..., 1:]
     homogeneous = np.column_stack([view.centre_rays, np.ones(len(view.centre_rays))]) @ onto_board.T

@@ -77,7 +77,7 @@ def fit_outline(photo: NDArray[np.float32], group: MarkerGroup, board: Board) ->
     # OpenCV returns None for collinear corners.
     if plane is None:
         return None
-    found = _fitted(photo, camera, board, group.places, np.asarray(plane, dtype=np.float64))
+    found = _fit_homography(photo, camera, board, group.places, np.asarray(plane, dtype=np.float64))
     if found is None:
         return None
     # Exclude partly hidden and misread markers.
@@ -85,7 +85,7 @@ def fit_outline(photo: NDArray[np.float32], group: MarkerGroup, board: Board) ->
     if not agreeing:
         return None
     if len(agreeing) < len(found[2].tiles[0]):
-        found = _fitted(photo, camera, board, agreeing, found[1].plane)
+        found = _fit_homography(photo, camera, board, agreeing, found[1].plane)
         if found is None:
             return None
     fit, state, system = found
@@ -100,7 +100,7 @@ class _MapState:
     blur: float
 
 
-def _fitted(
+def _fit_homography(
     photo: NDArray[np.float32], camera: CameraModel, board: Board, places: Sequence[int], plane: Array
 ) -> tuple[_PlaneProblem, _MapState, NormalEquations] | None:
     plane = plane / plane[2, 2]
@@ -143,7 +143,7 @@ class _PlaneProblem(PrintProblem[_MapState]):
         blur = float(np.clip(state.blur + step[0], BLUR_RANGE[0] * coarser, BLUR_RANGE[1] * coarser))
         return _MapState(state.plane + change, blur)
 
-    def moved_px(self, state: _MapState, step: Array) -> float:
+    def print_shift_px(self, state: _MapState, step: Array) -> float:
         return float(np.abs(self._by_points(state) @ step[1:]).max())
 
     def _rays(self, state: _MapState) -> Array:

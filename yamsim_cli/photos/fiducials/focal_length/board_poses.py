@@ -57,7 +57,7 @@ def _starts(on_board: Array, seen: Array, spread: Array) -> list[FocalPoses]:
     return [FocalPoses(turns[k], shifts[k, :, :2] * sizes[k, :, None], sizes[k]) for k in (0, 1)]
 
 
-def _flat_moves(points: Array) -> Array:
+def _homography_jacobian(points: Array) -> Array:
     """Return the shifts (2 k, 8) of coplanar points (k, 2) by each of the eight parameters of a homography."""
     x, y = points.T
     zero, one = np.zeros_like(x), np.ones_like(x)
@@ -85,8 +85,8 @@ class FocalPoses:
         middles, sizes: centre (n, 2) and width (n,) of the board in the picture, in units of the picture's longer side.
     """
 
-    turns: Array
-    middles: Array
+    rotations: Array
+    centres: Array
     sizes: Array
 
 
@@ -112,9 +112,9 @@ class BoardPoses:
         line = np.linspace(-0.5, 0.5, _GRID_POINTS)
         board = math.sqrt(12) * np.abs(on_board).max(axis=0)
         self._grid = board * np.stack(np.meshgrid(line, line), axis=-1).reshape(-1, 2)
-        self._flatten = _flat_moves(on_board) @ np.linalg.pinv(_flat_moves(self._grid))
+        self._flatten = _homography_jacobian(on_board) @ np.linalg.pinv(_homography_jacobian(self._grid))
 
-    def followed(self, poses: FocalPoses, lens: Array) -> FocalPoses:
+    def refine(self, poses: FocalPoses, lens: Array) -> FocalPoses:
         """Return the best poses near the given ones for a lens (n, 3): principal point shift, and k1."""
         _, _, by_lens = self.equations(poses, lens)
         # The shifts by distortion hardly change during the fit, so they are computed once.
@@ -123,16 +123,16 @@ class BoardPoses:
         assert found is not None  # the equations exist at every state
         return found[0]
 
-    def _bend(self, poses: FocalPoses, at: Array, w: Array) -> Array:
+    def _distortion_shifts(self, poses: FocalPoses, at: Array, w: Array) -> Array:
         """Return the shifts (n, 4, 2) of the four outline points by distortion with k1 = 1.
 
         The outline is the homography nearest to the distorted picture of the whole board. So the function evaluates
         distortion on a grid over the board, and moves the four points by its homography part.
         """
         spread = self._spread[:, None]
-        on_grid = self._grid @ np.swapaxes(poses.turns[:, :, :2], 1, 2) * poses.sizes[:, None, None]
+        on_grid = self._grid @ np.swapaxes(poses.rotations[:, :, :2], 1, 2) * poses.sizes[:, None, None]
         w_grid = np.maximum(1 + spread * on_grid[..., 2], 1e-3)
-        grid = (poses.middles[:, None, :] + on_grid[..., :2]) / w_grid[..., None]
+        grid = (poses.centres[:, None, :] + on_grid[..., :2]) / w_grid[..., None]
         moved = grid * ((grid**2).sum(axis=-1) * spread**2)[..., None]
         on_board = (_inverses(self._by_board(poses, grid, w_grid)) @ moved[..., None])[..., 0]
         flat = (on_board.reshape(len(spread), -1) @ self._flatten.T).reshape(len(spread), 4, 2)
@@ -143,7 +143,7 @@ class BoardPoses:
 
     def _by_board(self, poses: FocalPoses, at: Array, w: Array) -> Array:
         """Return the derivative (n, k, 2, 2) of positions in the picture with respect to positions on the board."""
-        axes = poses.turns[:, None, :, :2] * poses.sizes[:, None, None, None]
+        axes = poses.rotations[:, None, :, :2] * poses.sizes[:, None, None, None]
         by_depth = at[..., :, None] * (self._spread[:, None, None] * axes[:, :, 2])[:, :, None, :]
         by: Array = (axes[:, :, :2] - by_depth) / w[..., None, None]
         return by
@@ -155,11 +155,11 @@ class BoardPoses:
             lens: principal point shift (right and down, in units of the picture's longer side) and k1 (n, 3).
             bend: shifts (n, 4, 2) of the points by distortion with k1 = 1; None to compute them.
         """
-        turned = self._on_board @ np.swapaxes(poses.turns[:, :, :2], 1, 2) * poses.sizes[:, None, None]
+        turned = self._on_board @ np.swapaxes(poses.rotations[:, :, :2], 1, 2) * poses.sizes[:, None, None]
         x, y, z = (turned[..., k] for k in range(3))
         spread = self._spread[:, None]
         w = np.maximum(1 + spread * z, 1e-3)
-        at = (poses.middles[:, None, :] + turned[..., :2]) / w[..., None]
+        at = (poses.centres[:, None, :] + turned[..., :2]) / w[..., None]
         n, zero, one = len(spread), np.zeros_like(x), np.ones_like(x)
         by_pose = np.empty((n, 4, 2, 6))
         for row, (moves_x, moves_y) in enumerate(((zero, -z), (z, zero), (-y, x))):
@@ -171,7 +171,7 @@ class BoardPoses:
         by_pose[..., 5] = (turned[..., :2] - at * (w - 1)[..., None]) / w[..., None]
         by_lens = np.zeros((n, 4, 2, 3))
         by_lens[..., 0, 0] = by_lens[..., 1, 1] = 1.0
-        by_lens[..., 2] = self._bend(poses, at, w) if bend is None else bend
+        by_lens[..., 2] = self._distortion_shifts(poses, at, w) if bend is None else bend
         k1 = lens[:, None, None, 2]
         bent = at + k1 * by_lens[..., 2] + lens[:, None, :2]
         residual = (bent - self._seen).reshape(n, 8) @ self._whiten.T
@@ -218,8 +218,8 @@ class _BoardPosesProblem(LeastSquares[FocalPoses, _Linear]):
         cross[:, [1, 2, 0], [2, 0, 1]] = -axis
         sine, cosine = np.sin(angle)[:, None, None], 1 - np.cos(angle)[:, None, None]
         return FocalPoses(
-            (np.eye(3) + sine * cross + cosine * cross @ cross) @ state.turns,
-            state.middles + np.clip(step[:, 3:5], -1, 1),
+            (np.eye(3) + sine * cross + cosine * cross @ cross) @ state.rotations,
+            state.centres + np.clip(step[:, 3:5], -1, 1),
             state.sizes * np.exp(np.clip(step[:, 5], -1, 1)),
         )
 

@@ -173,7 +173,7 @@ class _LensProblem(LeastSquares[_LensState, _LensEquations]):
 
     def _through(self, lens: Array, poses: Sequence[Sequence[FocalPoses]]) -> _LensState:
         pairs = zip(self._boards, poses, strict=True)
-        return _LensState(lens, tuple(tuple(b.followed(p, lens) for b, p in zip(*pair, strict=True)) for pair in pairs))
+        return _LensState(lens, tuple(tuple(b.refine(p, lens) for b, p in zip(*pair, strict=True)) for pair in pairs))
 
     def linearize(self, state: _LensState, before: _LensEquations | None) -> _LensEquations:
         """Return the sum of the equations of all boards, each at the better of its two poses."""

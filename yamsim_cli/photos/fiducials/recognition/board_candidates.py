@@ -70,7 +70,7 @@ def dark_quads(grey: Grey, whole: bool) -> list[Array]:
     Args:
         whole: whether to search whole prints, whose light gaps between markers are closed, instead of single markers.
     """
-    grey, factor = _at_most(_MAX_PHOTO_SIDE, grey)
+    grey, factor = _limit_resolution(_MAX_PHOTO_SIDE, grey)
     low, high = np.percentile(grey[::4, ::4], _RANGE_PERCENTILES)
     found: list[Array] = []
     for smaller, close in _WHOLE_PRINT_SCALES if whole else _MARKER_SCALES:
@@ -91,7 +91,7 @@ def dark_quads(grey: Grey, whole: bool) -> list[Array]:
 
 def edge_quads(grey: Grey) -> list[Array]:
     """Return the corners (4, 2), px, clockwise in the picture, of patches full of edges in a photo (height, width)."""
-    grey, factor = _at_most(_MAX_PHOTO_SIDE, grey)
+    grey, factor = _limit_resolution(_MAX_PHOTO_SIDE, grey)
     low, high = np.percentile(grey[::4, ::4], _RANGE_PERCENTILES)
     near, thick = np.ones((3, 3), np.uint8), np.ones((_MIN_THICKNESS, _MIN_THICKNESS), np.uint8)
     difference = cv2.morphologyEx(grey, cv2.MORPH_GRADIENT, near)
@@ -105,9 +105,9 @@ def edge_quads(grey: Grey) -> list[Array]:
     return _distinct_quads(found)
 
 
-def _at_most(longest: int, grey: Grey) -> tuple[Grey, float]:
+def _limit_resolution(max_side: int, grey: Grey) -> tuple[Grey, float]:
     """Return the photo with a longer side of at most `longest` px, and the reduction factor."""
-    factor = max(1.0, max(grey.shape) / longest)
+    factor = max(1.0, max(grey.shape) / max_side)
     if factor > 1:
         size = tuple(round(side / factor) for side in grey.shape[::-1])
         grey = np.asarray(cv2.resize(grey, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
@@ -209,14 +209,14 @@ def _board_corners(grid: Grid, quads: Array, board: Board) -> Iterator[Array]:
     # OpenCV returns None for collinear corners.
     if flat is None:
         return
-    seen = _mapped(flat, on_board)
+    seen = _apply_homography(flat, on_board)
     edge = float(np.sqrt(np.median([cv2.contourArea(quad.astype(np.float32)) for quad in corners])))
     if float(np.sqrt(((seen - corners.reshape(-1, 2)) ** 2).sum(axis=1).mean())) > _MAX_CORNER_RMS * edge:
         return
     whole = np.array([[0, 0], [board.width, 0], [board.width, board.height], [0, board.height]])
     for column in range(board.columns - size[0] + 1):
         for row in range(board.rows - size[1] + 1):
-            outer = _mapped(flat, whole - (column * step, row * step))
+            outer = _apply_homography(flat, whole - (column * step, row * step))
             if np.isfinite(outer).all() and cv2.isContourConvex(outer.astype(np.float32)):
                 yield outer
 
@@ -231,7 +231,7 @@ def _align_corner_order(quads: Array, first: Array) -> Array:
     return alike
 
 
-def _mapped(flat: NDArray[np.float64], points: Array) -> Array:
+def _apply_homography(flat: NDArray[np.float64], points: Array) -> Array:
     at = np.column_stack([points, np.ones(len(points))]) @ flat.T
     mapped: Array = at[:, :2] / at[:, 2:]
     return mapped

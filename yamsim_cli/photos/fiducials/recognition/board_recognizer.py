@@ -88,7 +88,7 @@ class BoardRecognizer:
     def _edge_patches(self) -> list[Array]:
         return edge_quads(self._grey)
 
-    def sighting(
+    def detect_again(
         self,
         seen: BoardDetection,
         predicted_poses: Sequence[Array],
@@ -105,7 +105,7 @@ class BoardRecognizer:
         board, fits = seen.board, list[PoseFit]()
         self._likeliest = None
         for T in (*before, *predicted_poses):
-            if (T_moved := self._shifted(board, T)) is not None:
+            if (T_moved := self._shift_to_match(board, T)) is not None:
                 fits += self._fits(board, [T_moved])
         if anywhere:
             for found in self._candidates(board):
@@ -202,7 +202,7 @@ class BoardRecognizer:
         view, plane = self._view(piece, fit.T_ref_in_cam)
         return None if view is None else (fit, measure_evidence(view, plane, fit.blur, fit.noise))
 
-    def _shifted(self, board: Board, T: Array) -> Array | None:
+    def _shift_to_match(self, board: Board, T: Array) -> Array | None:
         """Shift a pose parallel to the image plane to the best match of the print; None if the board faces away."""
         if not faces_camera(T):
             return None
@@ -264,7 +264,7 @@ def estimate_blur(view: PhotoRegion, plane: Array) -> BlurKernel | None:
     seen = _subtract_marker_means(view.photo.ravel()[place], starts, which)
 
     def unexplained(blur: BlurKernel) -> float:
-        drawn = blur.in_larger_pixels(view.coarser).blurred(drawing.sharp).ravel()[place]
+        drawn = blur.in_larger_pixels(view.coarser).apply(drawing.sharp).ravel()[place]
         shape = _subtract_marker_means(drawn, starts, which)
         power = np.add.reduceat(shape**2, starts) + 1e-9
         contrast = np.maximum(np.add.reduceat(shape * seen, starts) / power, 0.0)

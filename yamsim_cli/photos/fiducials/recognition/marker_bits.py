@@ -126,7 +126,7 @@ def _estimated(
     y, x = (at // fine for at in np.nonzero(points))
     # The share of each pixel that each bit covers, with blur.
     share = np.bincount((y * wide + x) * count + which[points], minlength=high * wide * count).astype(np.float32)
-    blurred = blur.blurred(share.reshape(high, wide, count) / fine**2)
+    blurred = blur.apply(share.reshape(high, wide, count) / fine**2)
     inside = use[part]
     by_bit = blurred[inside].astype(np.float64)
     drawn, photo = (picture[part][inside].astype(np.float64) for picture in (drawing.grey, view.photo))

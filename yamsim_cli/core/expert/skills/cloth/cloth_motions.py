@@ -100,7 +100,7 @@ def _approach(context: PlanningContext, grasps: Sequence[PointGrasp]) -> Iterato
     """Move grasping hands to their approaches and idle hands away: at once if their paths are clear of each other."""
     opened = {grasp.hand: FingerTarget(APPROACH_OPENING) for grasp in grasps}
     goals = {hand: hand.ready_joints for hand in unparked_hands(context) if hand not in opened}
-    goals |= {grasp.hand: grasp.before for grasp in grasps}
+    goals |= {grasp.hand: grasp.approach_joints for grasp in grasps}
     paths = {hand: context.plan_free_path(hand, goal, APPROACH_OPENING) for hand, goal in goals.items()}
     if _free_together(context, paths):
         yield context.make_segment(paths, opened, wait_for_arrival=False)

@@ -108,7 +108,7 @@ def flatten_cloth(
         if planned is None:
             break
         before, tried = (
-            unevenness(points, cloth.rest, cloth.thickness),
+            unevenness(points, cloth.flat_points, cloth.thickness),
             [points[point] for point in planned.pull.points],
         )
         try:
@@ -118,7 +118,10 @@ def flatten_cloth(
             miss = error
             missed += tried
             yield from open_and_park_hands(context)
-        if unevenness(context.world.cloth_points(thing), cloth.rest, cloth.thickness) > (1 - _MIN_IMPROVEMENT) * before:
+        if (
+            unevenness(context.world.cloth_points(thing), cloth.flat_points, cloth.thickness)
+            > (1 - _MIN_IMPROVEMENT) * before
+        ):
             # A pull without effect would be planned again.
             missed += tried
     if miss is not None and not _is_flat(context, thing, layers, displacement):
@@ -128,7 +131,9 @@ def flatten_cloth(
 def _is_flat(context: PlanningContext, thing: str, layers: float, displacement: float) -> bool:
     cloth, points = context.world.cloth_addresses(thing), context.world.cloth_points(thing)
     level = height_range(points) + cloth.thickness <= layers * cloth.thickness
-    return level and max_displacement(points, cloth.rest, cloth.thickness) <= displacement * square_side(cloth.rest)
+    return level and max_displacement(points, cloth.flat_points, cloth.thickness) <= displacement * square_side(
+        cloth.flat_points
+    )
 
 
 def _best_pull(
@@ -143,7 +148,7 @@ def _best_pull(
     cloth, points = context.world.cloth_addresses(thing), context.world.cloth_points(thing)
     thickness = cloth.thickness
     best: _PlannedPull | None = None
-    for pull in candidate_pulls(points, cloth.rest, thickness, cloth.spacing, scale):
+    for pull in candidate_pulls(points, cloth.flat_points, thickness, cloth.spacing, scale):
         if any(np.linalg.norm(points[point] - place) < _MISSED_RADIUS for point in pull.points for place in missed):
             continue
         grasps = next(
@@ -159,10 +164,10 @@ def _best_pull(
         if grasps is None:
             continue
         after = predicted_points(context, thing, grasps, pull.arch_ratio, _PULL_SPEED)
-        uneven = unevenness(after, cloth.rest, thickness)
+        uneven = unevenness(after, cloth.flat_points, thickness)
         if best is None or uneven < best.predicted_unevenness:
             best = _PlannedPull(grasps, pull, uneven)
-    now, improvement = unevenness(points, cloth.rest, thickness), scale * _MIN_IMPROVEMENT
+    now, improvement = unevenness(points, cloth.flat_points, thickness), scale * _MIN_IMPROVEMENT
     return None if best is None or best.predicted_unevenness > (1 - improvement) * now else best
 
 

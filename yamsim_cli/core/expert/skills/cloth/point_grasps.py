@@ -68,8 +68,8 @@ class PointGrasp:
     placement: PointPlacement
     T_grasp: Array
     R_end: Array
-    before: Array
-    end: Array
+    approach_joints: Array
+    end_joints: Array
     forward: Array
     lateral: Array
 
@@ -185,7 +185,10 @@ def _hands_stay_clear(context: PlanningContext, grasps: Sequence[PointGrasp]) ->
     """Return whether two hands do not touch each other, both before the approach and over their targets."""
     if len(grasps) < 2:
         return True
-    ends = [[(grasp.hand, grasp.before) for grasp in grasps], [(grasp.hand, grasp.end) for grasp in grasps]]
+    ends = [
+        [(grasp.hand, grasp.approach_joints) for grasp in grasps],
+        [(grasp.hand, grasp.end_joints) for grasp in grasps],
+    ]
     return all(hands_clear(context, *both) for both in ends)
 
 
