@@ -103,7 +103,7 @@ def raiden(
 def _simulated_raiden(
     dataset: Path, out: Path, options: RaidenOptions, workers: int, episodes: str | None, overwrite: bool
 ) -> ExportResult:
-    """Export simulated episodes as raiden does. `options` decide whether images are rendered again."""
+    """Export simulated episodes in raiden's layout. `options` decide whether images are rendered again."""
     where = opener.locations()
     if options.renders:
         where = _with_renderer(where)
@@ -242,7 +242,7 @@ def _rate(text: str) -> float | None:
 
 
 def _with_renderer(locations: Locations) -> Locations:
-    """Choose an OpenGL backend, which sets the quality `auto`. The error of a failure names flags that avoid rendering."""
+    """Choose an OpenGL backend, which sets the quality `auto`. The error names flags that avoid rendering."""
     try:
         return opener.use_gl(locations, workers=True)
     except ResourceError as error:

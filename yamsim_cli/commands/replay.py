@@ -117,13 +117,7 @@ def _film(
 
 
 def watch(stored: RecordedEpisode, locations: Locations, speed: float, page: PageAddress | None, json: bool) -> None:
-    """Play an episode in a page or in MuJoCo's window until a signal arrives. A real recording shows only its arms.
-
-    Args:
-        speed: how fast time passes; 1 is real time.
-        page: address of the page; None for MuJoCo's window.
-        json: whether the result is printed as JSON.
-    """
+    """Play an episode on a web page, or in MuJoCo's window if `page` is None. A real recording shows only its arms."""
     prepare_viewer(page)
     from yamsim_cli.core.dataset.reader import StoredEpisode
     from yamsim_cli.viewers.show.replay import play_real, play_simulated

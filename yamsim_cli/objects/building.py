@@ -27,7 +27,7 @@ from .ycb_config import IN_DEPTH, ROLLING_SHARE
 
 _DEFAULT_DENSITY = 1000.0  # kg/m3, for objects without a mass; close to most plastics, ripe fruit and water
 _DEFAULT_FRICTION = 0.8  # sliding friction of objects whose file states none
-_TORSIONAL_FRICTION, _ROLLING_FRICTION = 0.005, 0.0005  # m, of all imported objects
+_TORSIONAL_FRICTION, _ROLLING_FRICTION = 0.005, 0.0005  # m; objects that roll have ROLLING_SHARE instead of the latter
 # m. Other objects can be placed on a top surface whose height varies by at most _MAX_UNEVENNESS within _MID_RADIUS.
 _MID_RADIUS, _MAX_UNEVENNESS = 0.012, 0.004
 _MIN_THICKNESS = 1e-6  # least thickness of a base over its largest extent; a thinner one has no volume

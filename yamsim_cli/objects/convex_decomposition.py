@@ -1,4 +1,4 @@
-"""Convex decomposition by CoACD in a child process, with a cache of results.
+"""Decompose bodies into convex parts by CoACD in a child process, with a cache of results.
 
 Source: X. Wei, M. Liu, Z. Ling, H. Su, "Approximate Convex Decomposition for 3D Meshes with Collision-Aware Concavity
 and Tree Search", SIGGRAPH 2022; the package `coacd`.

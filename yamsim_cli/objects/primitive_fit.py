@@ -152,7 +152,7 @@ def _box(p: Array) -> Parts:
 
 
 def _capsules(p: Array) -> Parts:
-    """Return a row of capsules, from the positions (x, y, z) of all joints followed by a radius for each capsule."""
+    """Return a row of capsules, from the positions (x, y, z) of their shared ends followed by a radius for each."""
     count = (len(p) - 3) // 4
     joints, radii = p[: 3 * count + 3].reshape(-1, 3), p[3 * count + 3 :]
     return tuple(

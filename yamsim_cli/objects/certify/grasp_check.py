@@ -109,11 +109,7 @@ def _check_hold(hand: _GripperRig, taken: PickedGrasp, clearance: float) -> Chec
 def _move_along(
     hand: _GripperRig, T: Array, held: Array, path: Array, at: Callable[[Array, float], Array]
 ) -> tuple[float, float]:
-    """Move the hand along the poses `at(T, share)` for each share in `path`.
-
-    Returns:
-        The object's largest translation (m) and rotation (rad) in the pinch frame, relative to the pose `held`.
-    """
+    """Move the hand along poses `at(T, share)`; return the object's largest slip (m) and rotation (rad) from `held`."""
     most = (0.0, 0.0)
     for share in path:
         hand.aim(at(T, float(share)))

@@ -22,7 +22,7 @@ _MAX_SETTLE_TIME, _SETTLE_INTERVAL = 6.0, 0.2  # s, longest time to come to rest
 _STILL_TIME, _DROP_TIME = 2.0, 1.5  # s, time for which the object must then stay at rest; duration of a drop
 _TILT, _DRIFT, _SINK = np.radians(3.0), 0.003, 0.0015  # rad, m, m: tilt, drift, penetration allowed at rest
 _DROP_HEIGHT, _DROPS = 0.10, 8  # m, height from which the object falls; number of falls
-_MAX_PENETRATION = 0.05  # m, limit at impact: half the slab's thickness; deeper, contacts push the object out below
+_MAX_PENETRATION = 0.05  # m, limit at impact: half the slab's thickness; deeper objects come out on its underside
 _MAX_ENERGY_GAIN, _MIN_FALL_ENERGY = 0.02, 1e-4  # limit, as a share of the fall's energy; J, least value of that energy
 _REST_SPEED = 0.0002  # m/s; slower objects are at rest, if they also turn at less than ten times this number in rad/s
 _FIXED = "its base is fixed: it lies nowhere else"
@@ -44,7 +44,7 @@ _END_TOLERANCE = 0.03  # allowed distance from the joint limit after a push, as 
 _JOINT_REST_SPEED = 0.02  # 1/s, upper limit of the speed at rest, in joint ranges per second
 _EFFORT_FACTOR = 3.0  # force or torque of a push over the sum of friction, detent and weight
 _MIN_EFFORT = {True: 0.02, False: 1.0}  # least effort of a push: N m on a rotary joint (True), N on a slide
-_FREQUENCY = 6.0  # Hz, natural frequency of the push's controller
+_FREQUENCY = 6.0  # Hz, natural frequency of the controller that pushes a joint towards its limit
 
 
 @dataclass
@@ -73,11 +73,7 @@ class _TestScene:
         mujoco.mj_forward(self.model, self.data)
 
     def run(self, seconds: float) -> tuple[float, float]:
-        """Step physics; return the deepest contact (m) and the greatest energy (J).
-
-        Raises:
-            ArithmeticError: the simulation became unstable.
-        """
+        """Step physics; return deepest contact (m) and greatest energy (J). If unstable, raises `ArithmeticError`."""
         deep, energy = 0.0, -np.inf
         for _ in range(round(seconds / self.model.opt.timestep)):
             mujoco.mj_step(self.model, self.data)

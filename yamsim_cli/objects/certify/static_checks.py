@@ -181,10 +181,7 @@ def collision_kinds(parts: Sequence[CollisionPart]) -> str:
 
 
 def _distance(tested_object: TestedObject, parts: Sequence[CollisionPart], points: Array) -> Array:
-    """Return signed distances (n,) of points (n, 3) from the collision parts, m.
-
-    Near the edges of a hull, the distance is underestimated.
-    """
+    """Return signed distances (n,) of points (n, 3) from collision parts, m; underestimated near edges of hulls."""
     nearest = np.full(len(points), np.inf)
     primitives = [part for part in parts if not isinstance(part, HullPart | SdfPart)]
     if primitives:

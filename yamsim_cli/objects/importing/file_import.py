@@ -22,7 +22,7 @@ from ..building import BuiltObject, ImportOptions, build_object
 from ..convex_decomposition import CACHE, Share
 from ..readers.object_reader import UnitOptions, read_object
 
-_DIRECT_FOLDER = "imports"  # folder of configs of object files that are given to commands without an import before
+_DIRECT_FOLDER = "imports"  # folder of the configs that `import_directly` writes, in the folder of meshes
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ def import_file(
 
 
 def import_directly(file: Path, locations: Locations, share: Share = lambda done: None) -> ImportedObjectFile:
-    """Import a file with default options; write its config into the folder of meshes. Raises as `import_file`."""
+    """Import a file by default options; write its config beside the meshes. Raises `UsageError` or `ResourceError`."""
     config, made, yaml = _build_and_publish(file, UnitOptions(), ImportOptions(object_name_of(file)), locations, share)
     path = locations.assets / _DIRECT_FOLDER / f"{config.name}-{sha256_bytes(yaml.encode())[:12]}.yaml"
     if not path.exists():
@@ -102,7 +102,7 @@ def write_config(path: Path, yaml: str) -> None:
 def _build_and_publish(
     file: Path, units: UnitOptions, options: ImportOptions, locations: Locations, share: Share
 ) -> tuple[ObjectConfig, BuiltObject, str]:
-    """Build an object and publish its meshes; return the config, the object and the config's YAML."""
+    """Build an object and store its meshes as a mesh set; return the config, the object and the config's YAML."""
     if file.suffix.lower() == ".stl":
         # STL files state no unit and no up axis; most of those for robots are in metres, z up.
         units = replace(units, unit=units.unit or "m", up=units.up or "z")

@@ -108,11 +108,7 @@ def _read_in_child(path: Path, scratch: Path, seconds: float) -> ObjectDescripti
 
 
 def in_metres(thing: ObjectDescription, units: UnitOptions) -> ObjectDescription:
-    """Return an object converted to metres, z up.
-
-    Raises:
-        RefusedError: the unit or the up axis is not known, or the size is implausible.
-    """
+    """Return an object in metres, z up. Raises `RefusedError` if unit or up axis are unknown, or the size is absurd."""
     size = _extent(thing)
     no_up = units.up is None and thing.up is None
     if units.unit is None and thing.unit_m is None:

@@ -81,7 +81,7 @@ def read_file(path: Path, root: Path) -> ObjectDescription:
 
 
 def _description(data: bytes, folder: ConfinedFolder, base: Path) -> ObjectDescription:
-    """Read a description file. Its root element gives the format, because `.xml` may be any of the formats."""
+    """Return the object that an SDF, URDF or MJCF file describes. The root element, not the ending, gives the type."""
     from .untrusted_xml import parse_untrusted_xml
 
     match parse_untrusted_xml(data).tag:

@@ -1,4 +1,4 @@
-"""Reader of SDFormat with one model of links, joints, and frames that are relative to each other.
+"""Read an SDFormat file with one model of links, joints, and frames that are relative to each other.
 
 Source: sdformat.org/spec, versions 1.4 to 1.12, elements model, link, joint, geometry, material and include.
 """

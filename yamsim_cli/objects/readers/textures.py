@@ -42,7 +42,7 @@ def _checked(image: Any, name: str) -> Any:
 
 
 def encode_png_texture(image: Any, name: str) -> bytes:
-    """Encode a Pillow image as an RGB PNG, at most 2048 pixels wide and high. Raises `RefusedError`."""
+    """Return a Pillow image as an RGB PNG of at most 2048 x 2048 pixels. Raises `RefusedError` if undecodable."""
     _checked(image, name)
     try:
         if "transparency" in image.info or image.mode in ("RGBA", "LA", "PA"):

@@ -1,4 +1,4 @@
-"""Parser of untrusted XML, without entities and with limits, and readers of its numbers and rotations."""
+"""Parse untrusted XML without entities and within limits, and read numbers and rotations from it."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from yamsim_cli.core.geometry.se3 import Array
 
 Element = ElementTree.Element
 
-_MAX_BYTES = 64_000_000  # of a document
-_MAX_ELEMENTS = 200_000  # of a document
+_MAX_BYTES = 64_000_000  # bytes of a document
+_MAX_ELEMENTS = 200_000  # elements of a document
 _MAX_DEPTH = 64  # levels of nested elements
 
 
