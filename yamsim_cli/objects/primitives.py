@@ -108,7 +108,7 @@ class PointBody:
         return centre
 
     def inertia(self, mass: float) -> tuple[Array, Array]:
-        """Return principal moments (3,) about the centre of mass, kg m2, and the quaternion of their axes."""
+        """Return principal moments (3,) about the centre of mass, kg m2, and the quaternion (wxyz) of their axes."""
         rest = self.points - self.centre
         spread = mass * (rest.T @ rest) / len(rest)
         moments, axes = np.linalg.eigh(np.trace(spread) * np.eye(3) - spread)

@@ -50,7 +50,8 @@ class YcbConfig:
 def build_ycb_config(thing: ScannedObject, scan: Scan) -> YcbConfig:
     """Fit collision primitives to an upright scan, and return the object's config.
 
-    The origin of a vessel is the lowest point on its axis. The origin of any other object is its centre of mass.
+    The origin of a vessel is on its axis, at the height of its lowest point. The origin of any other object is its
+    centre of mass.
     """
     solid, hollow = fit_solid(scan.points), fit_hollow(scan)
     if hollow and hollow[0].rms < solid.rms:
