@@ -18,7 +18,7 @@ _AXES_DEG = range(180)  # degrees, headings at which the fingers are tried
 _ROUND_RANGE = 60  # an outline with more headings (1 degree apart) of nearly the least width counts as round
 _WIDTH_TOLERANCE = 0.002  # m, excess over the least width up to which a further grasp point is kept
 _DISPLACEMENTS = (0.015, -0.015)  # m, shifts of further grasp points along an object with one narrow heading
-_MIN_FORCE = 15.0  # N, least grip force of each pad
+_MIN_FORCE = 15.0  # N, least grip force of each pad, as in the banana's config
 _WEIGHT_FACTOR = 8.0  # least grip force of each pad over half the object's weight
 
 
