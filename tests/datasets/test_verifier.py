@@ -15,7 +15,7 @@ from tests.unrendered import SIZE, change_frame, change_record, frame_count, rea
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.session import Session
 from yamsim_cli.core.dataset.reader import dataset_config, select_episodes
-from yamsim_cli.core.episode.attempt_payload import ENGINE, APPEARANCE_REVISION
+from yamsim_cli.core.episode.attempt_payload import APPEARANCE_REVISION, ENGINE
 from yamsim_cli.core.errors import DatasetError, UsageError
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.datasets.verify import ACTIONS, IMAGES, SEED, EpisodeVerdict, EpisodeVerifier, Tolerances

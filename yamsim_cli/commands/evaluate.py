@@ -168,10 +168,10 @@ def evaluate(
 
 
 def _read_reports(names: list[str], session: Session) -> dict[str, dict[str, Any]]:
-    """Return the reports of earlier evaluations by file name, for the names that end in .json.
+    """Read the names that end in .json as reports of earlier evaluations. Return file name -> report.
 
     Raises:
-        UsageError: a file is not a report, or its trials are not those of this session.
+        UsageError: a file is not a report, or its trials had other settings than those of this session.
     """
     from yamsim_cli.core.episode.trials import describe_run
     from yamsim_cli.policies.evaluate.compare import read_report, require_same_trials
@@ -183,7 +183,7 @@ def _read_reports(names: list[str], session: Session) -> dict[str, dict[str, Any
 
 
 def _evaluate(session: Session, choice: PolicyChoice, trial_timeout: float) -> tuple[Evaluation, dict[str, Any]]:
-    """Run a policy's trials with a progress bar, and return the evaluation and its report."""
+    """Run a policy's trials with a progress bar; return the evaluation, and its report as JSON data."""
     from yamsim_cli.core.statistics import THRESHOLDS
     from yamsim_cli.policies.evaluate import evaluation
 

@@ -119,7 +119,7 @@ def gap(
 def _read(
     recordings: Sequence[Path], rig: RigConfig, locations: Locations, mapping: str | None
 ) -> tuple[list[RecordedMotion], list[dict[str, Any]]]:
-    """Return the recorded motions, and their faults as JSON data. The faults are also noted on stderr."""
+    """Read the recorded motions; return them, and their faults as JSON data. The faults are also printed to stderr."""
     from yamsim_cli.real.recordings.motion_faults import find_faults, require_units
     from yamsim_cli.real.recordings.motion_reading import read_motions
 
@@ -143,7 +143,7 @@ def _rig(
     recording: Path,
     locations: Locations,
 ) -> RigConfig:
-    """Return the named rig. Without a name, return the rig of the recording's dataset, or else `single`."""
+    """Return the rig with a name. Without a name, return the rig of the recording's dataset, else the rig `single`."""
     from yamsim_cli.core.dataset.dataset_paths import CONFIG
     from yamsim_cli.core.dataset.imported_records import is_real, real_config
     from yamsim_cli.core.dataset.reader import dataset_config

@@ -103,7 +103,7 @@ def _executors(kind: str, address: str | None, attempt_timeout: float) -> Execut
         if address is not None:
             raise UsageError("--address is of a Ray cluster; give --executor ray with it")
         return ProcessExecutorFactory(attempt_timeout)
-    # By default, Ray reports its use over the network.
+    # Ray would otherwise send usage statistics over the network.
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
     rendering = {name: os.environ[name] for name in ("MUJOCO_GL", "LP_NUM_THREADS") if name in os.environ}
     return RayExecutorFactory(address, rendering, attempt_timeout)

@@ -40,7 +40,7 @@ def render_views(
 
     require_unused("--out", [out / name for name in picture_names()], overwrite=overwrite)
     scene = load_config(SceneConfig, "scenes", "studio", where)
-    # Refuse a bad name before the choice of an OpenGL backend, which takes seconds.
+    # Refuse an unknown quality before the choice of an OpenGL backend, which takes seconds.
     load_config(RenderConfig, "quality", quality or "auto", where)
     where = opener.use_gl(where)
     render = load_config(RenderConfig, "quality", quality or "auto", where)

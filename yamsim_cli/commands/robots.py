@@ -112,7 +112,7 @@ def _check_table(found: Sequence[Mapping[str, Any]]) -> ItemTable:
 
 
 def _locations(data: Path | None) -> Locations:
-    """Return the config folders; the folder of --data comes first."""
+    """Return the folders of configs and models; the folder of --data, if given, is searched first."""
     where = opener.locations()
     return where if data is None else replace(where, data=(data, *where.data))
 

@@ -27,8 +27,8 @@ if TYPE_CHECKING:
     from yamsim_cli.real.serve.render_process import RenderProcess
     from yamsim_cli.real.serve.served_arms import ServedArms
 
-# us, time between two answers: two frames of 130 bits at 1 Mbit/s, and the USB adapter's delay. Seven motors then take
-# 4 ms, the control period of the manufacturer's SDK (250 Hz).
+# us, time between the answers of two motors: two frames of 130 bits at 1 Mbit/s, and the USB adapter's delay. Seven
+# motors then take 4 ms, the control period of the manufacturer's SDK (250 Hz).
 _ANSWER_GAP_US = 571.0
 
 Folder = Annotated[
@@ -143,7 +143,7 @@ def serve_robot(
 
 
 def _sockets(stack: ExitStack, served: ServedArms, folder: Path | None) -> list[UnixBus | KernelBus]:
-    """Open a socket for each bus: in `folder`, or without a folder on the kernel's CAN interfaces."""
+    """Open a socket for each CAN bus: a Unix socket in `folder`, or without a folder one of the kernel's interfaces."""
     from yamsim_cli.real.serve.can_bus import KernelBus, UnixBus
 
     sockets: list[UnixBus | KernelBus] = []
@@ -220,5 +220,5 @@ def can_run(
 
 
 def _bus_folder(given: Path | None) -> Path:
-    """Return the folder of the buses' sockets: the given folder, or the user's default."""
+    """Return the folder of the CAN buses' Unix sockets: the given folder, or the user's default."""
     return default_folder(os.environ) if given is None else given

@@ -24,10 +24,10 @@ from ..core.dataset.lowdim import recorded_actions
 from ..core.dataset.reader import StoredEpisode, open_episode
 from ..core.dataset.records import EpisodeRecord, OutcomeRecord, recorded_attempt
 from ..core.episode.attempt_payload import (
-    ENGINE,
-    FIRST_ENGINE,
-    FIRST_APPEARANCE_REVISION,
     APPEARANCE_REVISION,
+    ENGINE,
+    FIRST_APPEARANCE_REVISION,
+    FIRST_ENGINE,
     encode_images,
     library_versions,
 )
@@ -157,8 +157,8 @@ class EpisodeVerifier(Closable):
             return checks
         if (looks := record.versions.get("looks", FIRST_APPEARANCE_REVISION)) != APPEARANCE_REVISION:
             skipped[IMAGES] = (
-                f"its pictures are of looks revision {looks}, and this version draws revision {APPEARANCE_REVISION}: they differ as "
-                "intended, which is no damage"
+                f"its pictures are of looks revision {looks}, and this version draws revision {APPEARANCE_REVISION}: "
+                "they differ as intended, which is no damage"
             )
         elif done.states:
             images = encode_images(simulator, done.attempt, [state.qpos for state in done.states])

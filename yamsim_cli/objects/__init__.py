@@ -1,1 +1,1 @@
-"""Object configs from surfaces: collision geometry, mass properties, visual meshes and grasps."""
+"""Make object configs from surfaces: collision geometry, mass properties, visual meshes and grasps."""

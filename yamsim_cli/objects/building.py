@@ -25,27 +25,27 @@ from .readers.object_parts import MassProperties, ObjectDescription, RigidPart
 from .visual_meshes import VisualMeshes, make_visual_meshes
 from .ycb_config import IN_DEPTH, ROLLING_SHARE
 
-_DEFAULT_DENSITY = 1000.0  # kg/m3, close to most plastics, ripe fruit and water
-_DEFAULT_FRICTION = 0.8  # sliding friction
-_TORSIONAL_FRICTION, _ROLLING_FRICTION = 0.005, 0.0005  # m, torsional and rolling friction
-# m. A top surface supports objects if it is level within this radius of the middle, up to this unevenness.
+_DEFAULT_DENSITY = 1000.0  # kg/m3, for objects without a mass; close to most plastics, ripe fruit and water
+_DEFAULT_FRICTION = 0.8  # sliding friction of objects whose file states none
+_TORSIONAL_FRICTION, _ROLLING_FRICTION = 0.005, 0.0005  # m; objects that roll have ROLLING_SHARE instead of the latter
+# m. Other objects can be placed on a top surface whose height varies by at most _MAX_UNEVENNESS within _MID_RADIUS.
 _MID_RADIUS, _MAX_UNEVENNESS = 0.012, 0.004
-_MIN_THICKNESS = 1e-6  # least extent of a base over its largest extent; STL keeps 7 digits
-# Losses of joints for which the file has none. Without losses, a joint never comes to rest.
+_MIN_THICKNESS = 1e-6  # least thickness of a base over its largest extent; a thinner one has no volume
+# Damping and dry friction (SI units) of joints for which the file states neither: otherwise they never come to rest.
 _DEFAULT_JOINT_LOSSES = {"slide": {"damping": 2.0, "friction": 0.3}, "hinge": {"damping": 0.01, "friction": 0.005}}
 
 
 @dataclass(frozen=True)
 class ImportOptions:
-    """Options of an import, which override the values in the file.
+    """Options of an import, which override the values in the object file.
 
     Attributes:
         name: name of the object.
         mass: mass of the whole object, kg; by default from the density or from the file, else from 1,000 kg/m3.
-        density: density of an even filling, kg/m3.
+        density: density of the evenly filled object, kg/m3.
         collision: kind of collision geometry; "auto": that of the file, else primitives if they fit, else convex parts.
-        base: whether the base is free or fixed; by default as in the file.
-        friction: sliding friction; by default as in the file, or 0.8.
+        base: whether the base part can move or is fixed to the world; by default as in the file.
+        friction: sliding friction; by default as in the file, or 0.8 if the file states none.
     """
 
     name: str
@@ -58,16 +58,16 @@ class ImportOptions:
 
 @dataclass(frozen=True)
 class BuiltObject:
-    """An imported object.
+    """The config data and mesh files of an imported object.
 
     Attributes:
-        data: the object's config without the names of its mesh sets; see `with_set`.
+        data: the object's config; its meshes lack the name of their set, which `with_set` adds.
         files: content of each mesh file, by name.
         collision: collision geometry of each part, the base first.
         mass: mass of the whole object, kg.
         mass_is_guessed: whether a part's mass follows from the default density.
         is_closed: whether every part's surface is closed.
-        notes: messages for users about omitted content.
+        notes: messages for users about content of the object file that was left out.
     """
 
     data: Mapping[str, Any]
@@ -79,7 +79,7 @@ class BuiltObject:
     notes: tuple[str, ...]
 
     def with_set(self, name: str) -> dict[str, Any]:
-        """Return the config with `name` as the mesh set of its files."""
+        """Return the config data with `name` as the mesh set of every mesh."""
 
         def named(meshes: list[Mapping[str, Any]]) -> list[dict[str, Any]]:
             return [{"set": name, **mesh} for mesh in meshes]
@@ -99,8 +99,8 @@ def build_object(
     """Build the config and the files of an object.
 
     Args:
-        thing: the object, in metres, z up.
-        cache: folder of convex decompositions.
+        thing: the object as read from its file, in metres, z up.
+        cache: folder of cached convex decompositions.
         share: called with the completed share of the work, 0 to 1.
 
     Raises:
@@ -202,7 +202,11 @@ def _mass_properties(
 
 
 def _origin(vertices: Array, weight: MassProperties, *, supports_others: bool) -> Array:
-    """Return the origin (3,), m: under the middle if the object supports others, else the centre of mass."""
+    """Return the object's origin (3,), m: the middle of its underside if `stands`, else the centre of mass.
+
+    Args:
+        stands: whether other objects can be placed on the object.
+    """
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     middle = np.array([*_base_centre(vertices), low[2]]) if supports_others else weight.centre
     origin: Array = np.round(np.clip(middle, low, high), 5)
@@ -218,7 +222,7 @@ def _base_centre(vertices: Array) -> Array:
 
 
 def _surface_heights(vertices: Array, faces: Faces) -> Array:
-    """Return the heights of the top surface at 25 points around the middle, without points off the surface."""
+    """Return the heights (n,) of the top surface at those of 25 points around the middle that lie on it."""
     ring = [(r * np.cos(a), r * np.sin(a)) for r in (0.25, 0.6, 1.0) for a in np.arange(8) * np.pi / 4 + 0.1]
     found = crossings_along_z(vertices, faces, _base_centre(vertices) + _MID_RADIUS * np.array([(0.013, 0.017), *ring]))
     return np.array([heights[-1] for heights in found if len(heights)])
@@ -233,7 +237,7 @@ def _level_height(vertices: Array, faces: Faces) -> float | None:
 
 
 def _rim_depth(vertices: Array, faces: Faces) -> float:
-    """Return the depth of the middle under the highest point, m."""
+    """Return the depth of the top surface's middle under the object's highest point, m."""
     heights = _surface_heights(vertices, faces)
     return float(vertices[:, 2].max() - np.median(heights)) if len(heights) else 0.0
 
@@ -297,7 +301,7 @@ def _shift_handle(handle: Mapping[str, Any], origin: Array) -> dict[str, Any]:
 
 
 def _files(looks: list[VisualMeshes], collision: list[CollisionGeometry], origin: Array) -> dict[str, bytes]:
-    """Return all mesh files; the base's collision meshes are shifted to its origin."""
+    """Return name -> content of all mesh files. Collision meshes of the base are shifted by -`origin`."""
     files: dict[str, bytes] = {}
     for look in looks:
         files |= look.files

@@ -1,4 +1,4 @@
-"""Collision geometry of a part: fitted primitives, convex parts, a signed distance field, or a convex hull."""
+"""Make the collision geometry of a part: primitives, convex parts, a signed distance field, or a convex hull."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ from .readers.object_parts import Surface
 
 CollisionMode = Literal["auto", "primitives", "decompose", "sdf", "hull"]
 
-NEAR = 0.0015  # m, largest distance of 99 % of the surface from its primitives
-_MIN_CONVEXITY = 0.995  # least volume over the hull's at which a body counts as convex
+NEAR = 0.0015  # m; "auto" uses fitted primitives if 99 % of the surface lies within this distance of them
+_MIN_CONVEXITY = 0.995  # a body counts as convex if its volume over that of its convex hull is larger
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,7 @@ class CollisionGeometry:
     """The collision geometry of a part.
 
     Attributes:
-        kind: "primitives", "decompose", "sdf" or "hull"; "file" for the geometry in the file.
+        kind: "primitives", "decompose" (convex parts), "sdf" or "hull"; "file" if the object file has the geometry.
         parts: collision parts as config data.
         files: STL files of the parts, by name.
         fit: fit of the primitives; None if no primitives were fitted.
@@ -54,7 +54,8 @@ def collision_geometry(
     Args:
         name: prefix of the part's file names.
         looks: visual surfaces of the part.
-        shapes: collision geometry in the file, or None.
+        shapes: collision geometry in the object file; None if it has none.
+        collision: requested kind; "auto" uses `shapes`, else primitives that fit, else a hull or convex parts.
         cache: folder of convex decompositions.
         share: called with the completed share of the work, 0 to 1.
 
@@ -101,20 +102,20 @@ def _of_meshes(name: str, kind: str, bodies: list[Body]) -> CollisionGeometry:
 
 
 def fit_primitives(body: Body) -> SolidFit:
-    """Return the primitives closest to a surface; distances are measured on the whole surface and in hollows."""
+    """Fit solid and hollow primitives to a surface, and return those with the smaller rms distance from all of it."""
     scan = Scan.from_mesh(*body)
     solid = fit_solid(scan.points)
     found = [evaluate_fit(solid.parts, scan.points)]
     if hollow := fit_hollow(scan):
         fit, (x, y) = hollow
-        # A ring's axis is the z axis of the part.
+        # A ring has no position in a config: its axis must be the part's z axis.
         if abs(x) < 1e-4 and abs(y) < 1e-4:
             found.append(evaluate_fit(fit.parts, scan.points))
     return min(found, key=lambda fit: fit.rms)
 
 
 def shift_part(part: Mapping[str, Any], by: Array) -> dict[str, Any]:
-    """Return a collision part shifted by (3,), m."""
+    """Return the config data of a collision part shifted by a vector (3,), m. A ring shifts only along z."""
     at = {
         key: [round(float(x), 6) for x in np.add(part[key], by)]
         for key in ("centre", "start", "end", "low", "high")

@@ -1,4 +1,4 @@
-"""Convex decomposition by CoACD in a child process, with a cache of results.
+"""Decompose bodies into convex parts by CoACD in a child process, with a cache of results.
 
 Source: X. Wei, M. Liu, Z. Ling, H. Su, "Approximate Convex Decomposition for 3D Meshes with Collision-Aware Concavity
 and Tree Search", SIGGRAPH 2022; the package `coacd`.
@@ -26,27 +26,28 @@ from ..core.scene.assets.child_process import python_call, run_child
 from ..core.scene.assets.sources import SourceError
 from .part_surfaces import simplified_mesh
 
-CACHE = "decomposed"  # folder of cached results, beside the mesh sets
+CACHE = "decomposed"  # name of the folder of cached results, in the folder that also contains the mesh sets
 
-# Face counts of the reduced body, and its largest deviation. The parts deviate by one or two millimetres anyway.
+# Triangle counts to which a body is reduced first, and the largest deviation, mm. The parts deviate by 1 to 2 mm.
 _FACES, _LIMIT_MM = (1_000, 2_000, 4_000, 8_000), 0.3
 
-# Parameters of CoACD, found by experiment (docs/figures.md): largest remaining concavity, as a share of half the body's
-# length; largest number of parts; and the tree search for each cut.
+# Parameters of CoACD, found by experiment (docs/figures.md). `threshold`: largest remaining concavity over half the
+# body's length. `parts`: largest number of parts. The others limit the tree search for each cut.
 _SEARCH = {"threshold": 0.05, "parts": 32, "iterations": 40, "nodes": 10, "depth": 2, "resolution": 1000}
-_LIMIT_S = 300.0  # s, several times the duration for a body of some thousand faces
+_LIMIT_S = 300.0  # s, time limit; several times the duration for a body of some thousand triangles
 _MEMORY = 8_000_000_000  # bytes, address space of the child process
 _CORE_SECONDS = 1200  # s, CPU time of the child process on all cores
 
 Share = Callable[[float], None]  # called with the completed share of the work, 0 to 1
-Body = tuple[Array, Faces]
+Body = tuple[Array, Faces]  # vertices (n, 3), m, and triangles (m, 3)
 
 
 def decompose(body: Body, cache: Path, share: Share = lambda done: None, limit_s: float = _LIMIT_S) -> list[Body]:
-    """Return convex parts whose union approximates a body, each as vertices (m) and triangles.
+    """Return convex parts whose union approximates a body.
 
     Args:
-        cache: folder of earlier results, by the hash of the body and of all parameters.
+        cache: folder of earlier results; each file is named by the hash of the body and of all parameters.
+        share: called with the completed share of the work, 0 to 1.
         limit_s: time limit, s.
 
     Raises:
@@ -108,7 +109,7 @@ def _decompose_in_child(scratch: Path, share: Share, limit_s: float) -> bytes:
 
 
 def run_decomposition(folder: str) -> None:
-    """Decompose the body in a folder, and write its parts into that folder: entry point of the child process."""
+    """Read `body.npz` in a folder, and write its convex parts to `parts.npz`: entry point of the child process."""
     import resource
 
     import coacd
@@ -152,7 +153,7 @@ def _read(file: Path) -> list[Body] | None:
 
 
 def convex_hull(body: Body) -> Body:
-    """Return the convex hull of a body."""
+    """Return the convex hull of a body as vertices and triangles."""
     import manifold3d
 
     found = manifold3d.Manifold.hull_points(np.asarray(body[0], np.float64)).to_mesh()
@@ -160,6 +161,6 @@ def convex_hull(body: Body) -> Body:
 
 
 def convexity(body: Body) -> float:
-    """Return the volume of a closed body over its hull's: 1 if the body is convex."""
+    """Return the volume of a closed body over the volume of its convex hull: 1 if the body is convex."""
     around = uniform_mass_properties(*convex_hull(body)).volume
     return abs(uniform_mass_properties(*body).volume) / around if around > 0 else 1.0

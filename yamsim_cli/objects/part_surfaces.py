@@ -1,4 +1,4 @@
-"""Surfaces of a part: merging, reduction to fewer triangles, and mass properties."""
+"""Merge the surfaces of a part, reduce them to fewer triangles, and compute their mass properties."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from ..core.scene.assets.asset_lock import Reduction
 from ..core.scene.assets.mesh_reduction import collapse_edges
 from .readers.object_parts import MassProperties, Surface
 
-_SHEET_THICKNESS = 0.002  # m, assumed thickness of a surface that is not closed
-_MIN_MOMENT_SHARE = 1e-4  # least principal moment over the largest
+_SHEET_THICKNESS = 0.002  # m, assumed thickness of a surface that encloses no volume
+_MIN_MOMENT_SHARE = 1e-4  # least principal moment of inertia over the largest; smaller moments are raised
 _MM_PER_M = 1000.0
 _SAMPLES = 2000  # points at which the deviation of a reduced surface is measured
-# Tolerances for removing slivers, tried in order. Slivers can stall the collapse, see `scene.assets.mesh_reduction`.
+# mm, largest displacements by the removal of slivers (thin triangles, which can stall the reduction), tried in order.
 _SLIVERS_MM = (0.0, 0.1)
 
 
 def merged_surface(surfaces: tuple[Surface, ...]) -> tuple[Array, Faces]:
-    """Return all surfaces of a part as one surface with merged vertices."""
+    """Return all surfaces of a part as one surface, in which vertices at the same position are merged."""
     vertices = np.concatenate([surface.vertices for surface in surfaces])
     starts = np.cumsum([0, *(len(surface.vertices) for surface in surfaces[:-1])])
     faces = np.concatenate([surface.faces + start for surface, start in zip(surfaces, starts, strict=True)])
@@ -34,11 +34,11 @@ def merged_surface(surfaces: tuple[Surface, ...]) -> tuple[Array, Faces]:
 def simplified_mesh(
     body: tuple[Array, Faces], counts: Iterable[int], limit_mm: float, *, closed: bool = False
 ) -> tuple[Array, Faces] | None:
-    """Return a surface (m) reduced to the first face count within a deviation; None if every face count fails.
+    """Return a surface (m) reduced to the first of `counts` that keeps within `limit_mm`; None if none does.
 
     Args:
-        counts: face counts to try, the smallest first.
-        limit_mm: largest deviation, mm.
+        counts: triangle counts to try, the smallest first.
+        limit_mm: largest deviation from the given surface, mm.
         closed: whether the result must be closed.
     """
     source = body[0] * _MM_PER_M, body[1]
@@ -56,7 +56,7 @@ def simplified_mesh(
 
 
 def solid_or_sheet(vertices: Array, faces: Faces) -> tuple[UniformMassProperties, bool]:
-    """Return the mass properties at density 1, and whether the surface is closed. An open one counts as a sheet."""
+    """Return the mass properties at 1 kg/m3, and whether a surface encloses a volume; if not, it counts as a sheet."""
     if is_closed(faces):
         inside = _solid_mass_properties(vertices, faces)
         if inside.volume < 0:
@@ -75,9 +75,10 @@ def solid_or_sheet(vertices: Array, faces: Faces) -> tuple[UniformMassProperties
 
 
 def _solid_mass_properties(vertices: Array, faces: Faces) -> UniformMassProperties:
-    """Do the same as `closed_surface.uniform_mass_properties`, with another order of summation.
+    """Return the mass properties of a closed surface at 1 kg/m3.
 
-    Rounding decides the signs of a symmetric body's principal axes. The order of that function would change configs.
+    The sums have another order than in `closed_surface.uniform_mass_properties`. Rounding decides the signs of a
+    symmetric body's principal axes: that order would change existing configs.
     """
     middle = vertices.mean(axis=0)
     a, b, c = np.moveaxis((vertices - middle)[faces], 1, 0)
@@ -99,7 +100,7 @@ def scale_mass(weight: MassProperties, factor: float) -> MassProperties:
 
 
 def plain_inertia(weight: MassProperties, what: str) -> dict[str, object]:
-    """Return mass properties as the `inertia` of a config. Raises `ResourceError` if no moment is positive."""
+    """Return mass properties as the `inertia` entry of a config. Raises `ResourceError` if no moment is positive."""
     moments, axes = np.linalg.eigh((weight.tensor + weight.tensor.T) / 2)
     # Files may leave the inertia out, or round small moments to 0.
     if moments.max() <= 0:

@@ -19,27 +19,27 @@ from ..core.geometry.stl import Faces, read_stl
 from ..core.geometry.surface_distance import sample_surface
 from .primitives import signed_distance
 
-_SAMPLES = 6000  # points of a scan; with this number, other samples change no fit by more than 0.1 mm
+_SAMPLES = 6000  # points sampled from a surface; another random sample changes no fit by more than 0.1 mm
 
-_PARAMETER_COST = 3e-4  # m, improvement of the fit that each further parameter of a shape must bring
-_DIMPLE_DEPTH = 0.0015  # m; points deeper under every tangent plane lie in a dimple, out of contact
-_PLANES = 600  # number of tangent planes
-_GROUND_REACH = 0.004  # m; a capsule's end that is closer to the ground is moved to the ground
+_PARAMETER_COST = 3e-4  # m, cost of each parameter of a shape: a shape with more must fit that much better
+_DIMPLE_DEPTH = 0.0015  # m; points deeper under all tangent planes lie in a dimple, and are left out of a fit
+_PLANES = 600  # number of tangent planes around the points, in directions spread over the sphere
+_GROUND_REACH = 0.004  # m; a capsule's end with less clearance from the ground is moved to the ground
 _MAX_STEPS = 30  # iterations of a fit
-_STEP = 1e-5  # step of the finite differences
+_STEP = 1e-5  # step of the finite differences in each parameter, m or rad
 _MIN_GAIN = 1e-6  # relative reduction of the cost below which a fit stops
 
-_MIN_DEPTH_SHARE = 0.3  # least depth of a vessel over its height
-_MAX_OUT_OF_ROUND = 0.004  # m, largest deviation of a vessel's radius over all directions
-_MAX_DIP = 0.006  # m, largest descent of the inside on the way to the rim
+_MIN_DEPTH_SHARE = 0.3  # least depth of a vessel's inside over the vessel's height
+_MAX_OUT_OF_ROUND = 0.004  # m, largest deviation of a vessel's radius from the middle of its range
+_MAX_DIP = 0.006  # m, largest descent of a vessel's inner surface on the way from its middle to its rim
 _DIRECTIONS = 64  # number of directions from the middle of the opening in which the inside is measured
-_TOLERANCES = (0.0008, 0.0012, 0.002, 0.003, 0.005)  # m, tried in order until the profile has few enough segments
-_MAX_SEGMENTS = 6  # of a profile
-_RING_BOXES = 24  # boxes of a ring
-_MIN_WALL = 0.002  # m; objects could pass through thinner walls
+_TOLERANCES = (0.0008, 0.0012, 0.002, 0.003, 0.005)  # m, of a simplified profile, tried until it has few segments
+_MAX_SEGMENTS = 6  # segments of a vessel's profile
+_RING_BOXES = 24  # boxes that form a ring for collisions
+_MIN_WALL = 0.002  # m, thickness of a ring; objects could pass through thinner walls
 
 Parts = tuple[Primitive, ...]
-Make = Callable[[Array], Parts]
+Make = Callable[[Array], Parts]  # makes the primitives of a shape from its parameters
 
 
 @dataclass(frozen=True)
@@ -81,7 +81,7 @@ class Scan:
 
 @dataclass(frozen=True)
 class SolidFit:
-    """Primitives fitted to a scan.
+    """Primitives, and their distances from a scan to which they are fitted.
 
     Attributes:
         rms: root mean square of the scan's distances from the primitives, m.
@@ -94,7 +94,7 @@ class SolidFit:
 
 
 def evaluate_fit(parts: Parts, points: Array) -> SolidFit:
-    """Return the fit of given primitives to surface points (n, 3), m."""
+    """Measure the distances of surface points (n, 3), m, from given primitives, and return both as a fit."""
     distance = np.abs(signed_distance(parts, points))
     return SolidFit(parts, float(np.sqrt(np.mean(distance**2))), float(np.percentile(distance, 99)))
 
@@ -152,7 +152,7 @@ def _box(p: Array) -> Parts:
 
 
 def _capsules(p: Array) -> Parts:
-    """Return a row of capsules, from the positions (x, y, z) of all joints followed by a radius for each capsule."""
+    """Return a row of capsules, from the positions (x, y, z) of their shared ends followed by a radius for each."""
     count = (len(p) - 3) // 4
     joints, radii = p[: 3 * count + 3].reshape(-1, 3), p[3 * count + 3 :]
     return tuple(
@@ -162,7 +162,7 @@ def _capsules(p: Array) -> Parts:
 
 
 def _extent(points: Array, yaw: float) -> tuple[Array, Array]:
-    """Return centre (x, y) and half size of the bounding rectangle seen from above, rotated by `yaw`."""
+    """Return centre (x, y) and half size (2,), m, of the bounding rectangle seen from above, rotated by `yaw`, rad."""
     turn = np.array([[math.cos(yaw), math.sin(yaw)], [-math.sin(yaw), math.cos(yaw)]])
     low, high = np.percentile(points[:, :2] @ turn.T, (0.5, 99.5), axis=0)
     return (low + high) / 2 @ turn, (high - low) / 2
@@ -194,7 +194,7 @@ def _row(points: Array, count: int) -> Array:
 
 @dataclass(frozen=True)
 class _FitState:
-    """A shape's parameters, and the signed distances (n,) of points from its surface."""
+    """A shape made from the parameters `numbers`, and signed distances (n,) of points from it, for the solver."""
 
     make: Make
     points: Array
@@ -274,9 +274,9 @@ def _size(value: float) -> float:
 
 
 def fit_hollow(scan: Scan) -> tuple[SolidFit, tuple[float, float]] | None:
-    """Return floor and rings of a round, upright vessel, and the position (x, y) of its axis, m; else None.
+    """Fit a floor and rings to a round, upright vessel. Return the fit, and the position (x, y) of its axis, m.
 
-    The origin of the fit's frame is on the axis, with heights as in the scan.
+    The fit's frame has its origin on the axis, at height 0 of the scan. The result is None if the scan is no vessel.
     """
     low, high = np.percentile(scan.points, (0.2, 99.8), axis=0)
     axis = (low[:2] + high[:2]) / 2
@@ -302,7 +302,10 @@ def _is_round(points: Array, radius: Array) -> bool:
 
 
 def _profile(points: Array, radius: Array, normals: Array, rim: float) -> Array | None:
-    """Return radius and height (n, 2) of the inside from its middle outwards, m; None without an inside."""
+    """Return radius and height (n, 2) of a vessel's inner surface from its middle outwards, m.
+
+    The result is None if the scan has no inner surface that rises towards the rim.
+    """
     outwards = np.einsum("ij,ij->i", normals[:, :2], points[:, :2]) / np.maximum(radius, 1e-9)
     inside = (normals[:, 2] > -0.1) & (outwards < 0.2)
     if not inside.any():

@@ -1,4 +1,4 @@
-"""Collision primitives: distance from points, mass properties, and width between two pads."""
+"""Distances of points from collision primitives; mass properties of bodies, and their width between two fingers."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from ..core.geometry.height_map import crossings_along_z
 from ..core.geometry.se3 import Array, quat_from_rotation
 from ..core.geometry.stl import Faces
 
-_CELLS = 90  # sample points along the longest side of the bounding box
-_MIN_STEP = 5e-4  # m, least spacing of these points
+_CELLS = 90  # grid points along the longest side of the box in which a body is filled with points
+_MIN_STEP = 5e-4  # m, least spacing of these grid points
 
 
 def signed_distance(parts: Sequence[Primitive], points: Array) -> Array:
@@ -67,14 +67,14 @@ def _box_distance(*along: Array) -> Array:
 
 @dataclass(frozen=True)
 class PointBody:
-    """A body as points (n, 3) with an even spacing `step` along each axis, m."""
+    """A solid body as the grid points (n, 3) inside it, with the spacing `step` along each axis, m."""
 
     points: Array
     step: float
 
     @classmethod
     def fill(cls, parts: Sequence[Primitive], low: Array, high: Array) -> PointBody:
-        """Return the points inside primitives, within a box with corners `low` and `high` (3,), m."""
+        """Return the grid points inside a union of primitives, within a box with corners `low` and `high` (3,), m."""
         step = max(float((high - low).max()) / _CELLS, _MIN_STEP)
         counts = np.ceil((high - low) / step).astype(int)
         # The grid is centred in the box, so that symmetric primitives give symmetric points.
@@ -84,10 +84,10 @@ class PointBody:
 
     @classmethod
     def inside(cls, vertices: Array, faces: Faces) -> PointBody:
-        """Return the points inside a closed surface of vertices (n, 3), m, and triangles (m, 3)."""
+        """Return the grid points inside a closed surface of vertices (n, 3), m, and triangles (m, 3)."""
         low, high = vertices.min(axis=0), vertices.max(axis=0)
         step = max(float((high - low).max()) / _CELLS, _MIN_STEP)
-        # The grid is shifted by an irregular share of a step: a line through an edge would cross two triangles.
+        # A vertical line through an edge would cross two triangles. The irregular shift avoids such lines.
         axes = [(a + b) / 2 + step * (np.arange(-60, 61) + 0.0137) for a, b in zip(low, high, strict=True)]
         x, y = (
             np.array([v for v in axis if a <= v <= b]) for axis, a, b in zip(axes[:2], low[:2], high[:2], strict=True)
@@ -108,7 +108,7 @@ class PointBody:
         return centre
 
     def inertia(self, mass: float) -> tuple[Array, Array]:
-        """Return principal moments (3,) about the centre of mass, kg m2, and the quaternion of their axes."""
+        """Return principal moments (3,) about the centre of mass, kg m2, and the quaternion (wxyz) of their axes."""
         rest = self.points - self.centre
         spread = mass * (rest.T @ rest) / len(rest)
         moments, axes = np.linalg.eigh(np.trace(spread) * np.eye(3) - spread)
@@ -116,16 +116,16 @@ class PointBody:
         return moments, quat_from_rotation(axes)
 
     def width(self, height: float, axis_deg: float, at: tuple[float, float], half: float) -> tuple[float, float] | None:
-        """Return the width between two pads that close along a horizontal axis, and its middle on that axis, m.
+        """Return the width of the body between two finger pads, and the position of its middle along their axis, m.
 
         Args:
             height: height of the pads' middle, m.
-            axis_deg: heading of the axis, degrees.
-            at: a point (x, y) on the axis, m.
+            axis_deg: heading of the horizontal axis along which the pads close, degrees.
+            at: point (x, y) of the axis from which the middle is measured, m.
             half: half the pads' width and height, m.
 
         Returns:
-            None if no part of the body is between the pads.
+            Width and middle; None if no part of the body is between the pads.
         """
         angle = math.radians(axis_deg)
         along = (self.points[:, :2] - at) @ [math.cos(angle), math.sin(angle)]

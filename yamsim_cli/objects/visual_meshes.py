@@ -1,4 +1,4 @@
-"""Visual meshes of a part as files; the colours of reduced surfaces are baked into a texture."""
+"""Make visual mesh files of a part. Large surfaces are reduced, and their colours are baked into a new texture."""
 
 from __future__ import annotations
 
@@ -19,24 +19,24 @@ from ..core.scene.assets.mesh_reduction import MAX_DEVIATION_MM
 from .part_surfaces import merged_surface, simplified_mesh
 from .readers.object_parts import Surface, SurfaceMaterial
 
-_MAX_FACES = 20_000  # faces that render fast; a surface with more is reduced within LIMIT_MM
-_FACE_COUNTS = (6_000, 12_000, 24_000, 48_000)  # face counts to try for a reduced surface
-_CELL_SIZE = 0.0006  # m, finest cells in which colours are averaged; each coarser level doubles the size
-_LEVELS = 6  # number of cell sizes
-_MAX_SIDE = 4096  # px, largest side of a texture
-_TILE_RANGE = (2, 16)  # px, smallest and largest side of a triangle's tile
+_MAX_FACES = 20_000  # triangles that render fast; a surface with more is reduced, with a deviation up to LIMIT_MM
+_FACE_COUNTS = (6_000, 12_000, 24_000, 48_000)  # triangle counts of a reduced surface, tried in order
+_CELL_SIZE = 0.0006  # m, side of the finest cells in which colours are averaged; each level doubles the side
+_LEVELS = 6  # number of cell sizes in which colours are averaged
+_MAX_SIDE = 4096  # px, largest width of a baked texture
+_TILE_RANGE = (2, 16)  # px, smallest and largest side of the square of a texture that holds one triangle
 
 
 @dataclass(frozen=True)
 class VisualMeshes:
-    """The visual meshes of a part as config data without their set, and the content of their files."""
+    """The visual meshes of a part: config entries without the key `set`, and file name -> content."""
 
     meshes: tuple[Mapping[str, Any], ...]
     files: Mapping[str, bytes]
 
 
 def make_visual_meshes(name: str, surfaces: tuple[Surface, ...]) -> VisualMeshes:
-    """Return one mesh per material: OBJ and PNG with a texture, else STL. File names begin with `name`."""
+    """Make one mesh per material: OBJ and PNG if it has a texture, else STL. File names begin with `name`."""
     groups: dict[tuple[Any, ...], list[Surface]] = {}
     for surface in surfaces:
         material = surface.material
@@ -67,7 +67,11 @@ def _mesh(name: str, group: tuple[Surface, ...]) -> tuple[dict[str, Any], dict[s
 
 
 def _mesh_arrays(group: tuple[Surface, ...], material: SurfaceMaterial) -> tuple[Any, Any, Any, bytes | None]:
-    """Return vertices, triangles, texture coordinates and PNG of a mesh, reduced from `_MAX_FACES` triangles on."""
+    """Merge surfaces of one material, and reduce them if they have more than `_MAX_FACES` triangles.
+
+    Returns:
+        Vertices (n, 3), m, triangles (m, 3), texture coordinates (m, 3, 2) and PNG; both None without a texture.
+    """
     vertices, faces = merged_surface(group)
     textured = material.texture is not None and all(surface.uv is not None for surface in group)
     if (
@@ -101,7 +105,12 @@ def obj_bytes(vertices: ArrayLike, faces: Faces, uv: ArrayLike) -> bytes:
 
 
 def baked_colours(source: Sequence[Surface], target: tuple[Array, Faces]) -> tuple[Array, bytes]:
-    """Return texture coordinates (m, 3, 2) and a PNG that give the target's triangles (m, 3) the source's colours."""
+    """Return texture coordinates (m, 3, 2) and a PNG that give a mesh the colours of nearby textured surfaces.
+
+    Args:
+        source: textured surfaces.
+        target: vertices (n, 3), m, and triangles (m, 3) of the mesh.
+    """
     vertices, faces = target
     colours = _Colours(*_samples(source))
     a, b, c = np.moveaxis(vertices[faces], 1, 0)
@@ -114,7 +123,7 @@ def baked_colours(source: Sequence[Surface], target: tuple[Array, Faces]) -> tup
     texels = np.zeros((rows * tile, columns * tile, 3), np.uint8)
     for v in range(tile):
         for u in range(tile):
-            # Texels beyond the triangle's long side repeat the colours on that side, for interpolation.
+            # The triangle fills half of its tile. The other half repeats the colours of the long side.
             s, t = u / (tile - 1), v / (tile - 1)
             texels[y + v, x + u] = colours.at(a + s * (b - a) + t * (c - a) if s + t <= 1 else b + (1 - s) * (c - b))
     ends = np.array([[0, 0], [tile - 1, 0], [0, tile - 1]])
@@ -152,7 +161,7 @@ def _texels(texture: bytes, uv: Array) -> NDArray[np.uint8]:
 
 
 class _Colours:
-    """Mean colours in cubic cells, at several resolutions."""
+    """Lookup of colours by position: means of sampled colours in cubic cells of several sizes."""
 
     def __init__(self, places: Array, colours: NDArray[np.uint8]) -> None:
         self._low = places.min(axis=0) - 1e-3

@@ -1,4 +1,4 @@
-"""Config of a YCB object from its scan."""
+"""Make the config of a YCB object from its scan."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from .overhead_grasps import overhead_grasp
 from .primitive_fit import Scan, SolidFit, fit_hollow, fit_solid
 from .primitives import PointBody, primitive_data
 
-IN_DEPTH = 0.03  # m, least depth of a vessel with the preposition "in" instead of "on"
-# Rolling friction of spheres and capsules over the radius. This value keeps them still on a slope of 3 degrees, as real
-# fruit and felt balls are.
+IN_DEPTH = 0.03  # m; objects are placed "in" a vessel of at least this depth, and "on" a shallower one
+# Rolling friction (m) of spheres and capsules over their radius. This value keeps them still on a slope of 3 degrees,
+# as real fruit and felt balls are.
 ROLLING_SHARE = 0.05
-_FRICTION = (0.8, 0.005)  # sliding; torsional, m
+_FRICTION = (0.8, 0.005)  # friction coefficients of MuJoCo: sliding; torsional, m
 
 
 @dataclass(frozen=True)
 class ScannedObject:
-    """Data of an object that its scan does not contain.
+    """Data of a scanned object that the scan itself does not contain.
 
     Attributes:
-        set, file: mesh set, and file in that set.
+        set, file: name of the mesh set with the scan, and name of the scan's file in that set.
         source: source of name and mass, for the comment on top of the config.
     """
 
@@ -48,9 +48,10 @@ class YcbConfig:
 
 
 def build_ycb_config(thing: ScannedObject, scan: Scan) -> YcbConfig:
-    """Return the config of an object from an upright scan, with primitives fitted to the scan.
+    """Fit collision primitives to an upright scan, and return the object's config.
 
-    The origin of a vessel is on its axis, level with its foot. The origin of any other object is its centre of mass.
+    The origin of a vessel is on its axis, at the height of its lowest point. The origin of any other object is its
+    centre of mass.
     """
     solid, hollow = fit_solid(scan.points), fit_hollow(scan)
     if hollow and hollow[0].rms < solid.rms:

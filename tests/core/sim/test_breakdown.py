@@ -17,7 +17,7 @@ from yamsim_cli.core.config.session import Session
 from yamsim_cli.core.episode.episode_rules import EndReason
 from yamsim_cli.core.episode.simulator import Simulator
 from yamsim_cli.core.files.resources import Locations
-from yamsim_cli.core.scene.compilation import silence_mujoco_warnings, physics_failure
+from yamsim_cli.core.scene.compilation import physics_failure, silence_mujoco_warnings
 
 # Joints in degrees, past the check that refuses them: the arm starts many turns beyond its stops.
 ABSURD = """

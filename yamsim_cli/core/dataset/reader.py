@@ -254,7 +254,8 @@ def _parse_selection(text: str, dataset: Path, available: Sequence[int]) -> list
         first, last = (int(match[1]), int(match[2] or match[1])) if match else (1, 0)
         if first > last:
             raise UsageError(
-                f"--episodes {text!r}: {part.strip()!r} is neither a number nor a range; valid: {join_ranges(available)}"
+                f"--episodes {text!r}: {part.strip()!r} is neither a number nor a range; "
+                f"valid: {join_ranges(available)}"
             )
         # Filter the existing numbers by the range: a list of the whole range may not fit into memory.
         named = [number for number in available if first <= number <= last]

@@ -20,7 +20,7 @@ from ..files.writing import sha256_bytes
 from ..robots.models import Fingers
 from .assets.mesh_reduction import REPORT_FILE
 from .blueprint import Blueprint, TaskPhysics, recording_blueprint
-from .cloth import flat_points, cloth_constraint_name
+from .cloth import cloth_constraint_name, flat_points
 from .compilation import compile_spec
 from .compiled import ArmAddresses, ClothAddresses, CompiledScene, FingerAddresses, GeomOwner, Ids
 from .compose import READING, WELD, compose, visual_mesh_sets

@@ -12,7 +12,7 @@ import numpy as np
 from ..attempt_data import AttemptJob
 from ..config.goals.role_assignment import RoleAssignment
 from ..config.goals.world import TABLE
-from ..config.program_task import StartOrientation, ProgramTask, Start
+from ..config.program_task import ProgramTask, Start, StartOrientation
 from ..config.scene import Table
 from ..geometry.se3 import Array, pose, rotation_from_vector, rotation_z
 from .random_streams import Stream, random_generator

@@ -1,4 +1,4 @@
-"""Certify an object: run all checks in order, each after the checks on which it depends."""
+"""Certify an object: run all checks in order, each after the checks that must pass before it."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class ObjectCheck:
         title: the fault, as a clause.
         advice: how to correct the fault.
         make: function that runs the check.
-        needs: codes of earlier checks. The check is skipped if one of them failed.
+        needs: codes of earlier checks; if one of them failed, this check is skipped.
     """
 
     code: str
@@ -76,7 +76,7 @@ CHECKS: Mapping[str, ObjectCheck] = {check.code: check for check in _ALL}
 
 @dataclass(frozen=True)
 class CertificationResult:
-    """The outcomes of all checks of an object, by code."""
+    """The tested object, and check code -> outcome of every check."""
 
     subject: TestedObject
     outcomes: Mapping[str, CheckOutcome]
@@ -118,12 +118,13 @@ def certify(
     """Run every check of an object.
 
     Args:
-        meshes: mesh set -> folder; visual surfaces are not checked if a folder is missing.
-        locations: folders with the rig that tests the grasp.
+        meshes: mesh set -> folder, or None; visual surfaces are not checked if a folder is missing.
+        locations: config folders, which contain the rig that tests the grasp.
         progress: called before each check.
 
     Raises:
         ResourceError: the object cannot be read.
+        UsageError: the object is cloth.
     """
     subject = read_tested_object(item, meshes, locations)
     outcomes: dict[str, CheckOutcome] = {}

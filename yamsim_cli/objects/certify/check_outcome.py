@@ -1,4 +1,4 @@
-"""Outcome of a check: figures, a note, and views of the object for pictures."""
+"""Describe the outcome of a check by figures, a note, and scenes that are rendered as pictures."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from yamsim_cli.core.scene.objects.object_geoms import HIDDEN_GROUP, SEEN_GROUP
 
 from .tested_object import TestedObject, compile_or_raise, object_spec, with_camera
 
-_MARKER_RGBA = (0.85, 0.15, 0.10, 1.0)  # colour of the marker of mass properties
-_OBJECT_OPACITY = 0.35  # opacity of the object around the marker
+_MARKER_RGBA = (0.85, 0.15, 0.10, 1.0)  # colour of the sphere or box that shows mass properties
+_OBJECT_OPACITY = 0.35  # opacity of the object around that sphere or box
 
 
 @dataclass(frozen=True)
 class CheckView:
-    """A state of a scene, which the scene's camera `view` shows."""
+    """A scene and its joint positions, to be rendered by the scene's camera `view`."""
 
     model: mujoco.MjModel
     qpos: Array
@@ -33,9 +33,9 @@ class CheckOutcome:
 
     Attributes:
         ok: whether the check passed; None if the check was skipped.
-        figures: measured values, by names with units.
+        figures: name -> measured value; the names end in the unit.
         note: the fault, or why the check was skipped; else empty.
-        views: scenes for pictures.
+        views: scenes that are rendered as pictures.
     """
 
     ok: bool | None
@@ -50,12 +50,12 @@ def skipped_check(why: str) -> CheckOutcome:
 
 
 def round_significant(value: Any, digits: int = 4) -> float:
-    """Round a number to significant digits."""
+    """Return a number rounded to a number of significant digits."""
     return float(f"{float(value):.{digits}g}")
 
 
 def object_view(tested_object: TestedObject, caption: str, *, steep: float = 0.75) -> CheckView:
-    """Return a view of the object in its initial pose; a larger `steep` raises the camera."""
+    """Return a view of the object in its initial pose; a larger `steep` raises the camera, a negative one lowers it."""
     return _view(_spec(tested_object, steep), caption)
 
 
@@ -68,7 +68,7 @@ def collision_view(tested_object: TestedObject) -> CheckView:
 
 
 def inertia_view(tested_object: TestedObject, *, block: bool) -> CheckView:
-    """Return a view of the transparent object with its centre of mass, or with a box of the same inertia."""
+    """Return a view of the transparent object with its centre of mass, or if `block` with a box of equal inertia."""
     inertia = tested_object.item.inertia
     spec = _spec(tested_object, 0.75)
     size = np.full(3, 0.03 * tested_object.size)

@@ -1,4 +1,4 @@
-"""Check that the skill `pick` lifts an object, and that a turned and shaken hand holds the object."""
+"""Check that the skill `pick` lifts an object, and that a hand that turns and shakes does not drop it."""
 
 from __future__ import annotations
 
@@ -32,20 +32,20 @@ from yamsim_cli.objects.certify.single_object_pick import PICK_RIG, PickedGrasp,
 from .check_outcome import CheckOutcome, CheckView, round_significant, skipped_check
 from .tested_object import TestedObject, compile_or_raise, object_spec, step_seconds, with_camera
 
-_CLOSE_TIME, _LIFT_TIME, _TURN_TIME, _SHAKE_TIME = 0.8, 0.8, 1.6, 1.0  # s, durations; of each turn and shake
-_COMMAND_PERIOD = 0.02  # s, period of commands
-_LIFT_HEIGHT, _TURN_ANGLE = 0.05, np.radians(45)  # m, rad, lift, and rotations about the closing axis and across
-_SHAKE_AMPLITUDE, _SHAKE_RATE = 0.015, 3.0  # m, Hz
-_MAX_SLIP, _MAX_TURN = 0.012, np.radians(20)  # m, rad, slip in the pads up to which an object counts as held
+_CLOSE_TIME, _LIFT_TIME, _TURN_TIME, _SHAKE_TIME = 0.8, 0.8, 1.6, 1.0  # s, durations of the hand's motions
+_COMMAND_PERIOD = 0.02  # s, time between two commanded poses of the hand
+_LIFT_HEIGHT, _TURN_ANGLE = 0.05, np.radians(45)  # m, lift; rad, rotations about x and y of the pinch frame
+_SHAKE_AMPLITUDE, _SHAKE_RATE = 0.015, 3.0  # m, Hz, of the oscillation along each axis of `world`
+_MAX_SLIP, _MAX_TURN = 0.012, np.radians(20)  # m, rad, motion relative to the pads up to which an object counts as held
 
 _PREFIX, _BASE = "hand_", "hand_base"
 _BASE_MASS = 20.0  # kg, heavy enough that a held object does not move the base
-_SLIDE_STIFFNESS, _SLIDE_DAMPING = 8e4, 2.6e3  # N/m, N s/m, of the base's linear drives, as stiff as a robot's flange
-_HINGE_STIFFNESS, _HINGE_DAMPING = 2e3, 60.0  # N m/rad, N m s/rad, of the base's rotary drives
+_SLIDE_STIFFNESS, _SLIDE_DAMPING = 8e4, 2.6e3  # N/m, N s/m, of the base's linear drives; as stiff as an arm's flange
+_HINGE_STIFFNESS, _HINGE_DAMPING = 2e3, 60.0  # N m/rad, N m s/rad, of the rotary drives that turn the base
 
 
 def check_grasp(tested_object: TestedObject) -> CheckOutcome:
-    """Check that the skill `pick` lifts the object, and that two pads then hold the object by the same grasp."""
+    """Run the skill `pick` on the object, and check that two finger pads hold it by the resulting grasp."""
     item = tested_object.item
     if item.links or item.base == "fixed":
         return skipped_check("it is opened rather than lifted: its handles are for that")
@@ -109,7 +109,7 @@ def _check_hold(hand: _GripperRig, taken: PickedGrasp, clearance: float) -> Chec
 def _move_along(
     hand: _GripperRig, T: Array, held: Array, path: Array, at: Callable[[Array, float], Array]
 ) -> tuple[float, float]:
-    """Move the hand along a path; return the object's largest slip (m) and rotation (rad) in the pinch frame."""
+    """Move the hand along poses `at(T, share)`; return the object's largest slip (m) and rotation (rad) from `held`."""
     most = (0.0, 0.0)
     for share in path:
         hand.aim(at(T, float(share)))
@@ -144,7 +144,9 @@ def _full_opening(locations: Locations) -> float:
 
 @dataclass
 class _GripperRig:
-    """A gripper linear_4310 on a driven base, and an object without ground. The base frame is the pinch frame.
+    """A scene with an object in free space, and a gripper `linear_4310` on a base that six drives move.
+
+    The frame of the base is the gripper's pinch frame.
 
     Attributes:
         T_start: pose (4, 4) of the base in `world` with its joints at 0.
@@ -158,7 +160,7 @@ class _GripperRig:
 
     @classmethod
     def for_object(cls, tested_object: TestedObject) -> _GripperRig:
-        """Return the gripper at the origin, with the fingers at the model's default."""
+        """Make the scene, with the gripper at the origin and the fingers at the model's default position."""
         arm = _arm(tested_object.locations)
         child, robot = arm_spec(arm, None), arm.robot
         for actuator in list(child.actuators):
@@ -196,7 +198,7 @@ class _GripperRig:
         return cls(tested_object, robot, model, mujoco.MjData(model), np.eye(4))
 
     def reset(self, T_pinch: Array, opening: float) -> None:
-        """Put the hand at rest at a pinch pose (4, 4) and a finger opening (m), and the object at the origin."""
+        """Put the pinch frame at a pose (4, 4), each finger at an opening (m), and the object at the origin."""
         body = self.model.body(_BASE)
         body.pos, body.quat = T_pinch[:3, 3], quat_from_rotation(T_pinch[:3, :3])
         self.T_start = T_pinch
@@ -222,7 +224,7 @@ class _GripperRig:
 
     @property
     def drive_gain(self) -> float:
-        """The gain of the gripper's drive, N/m; the two pads share its force."""
+        """The position gain of the gripper's drive, N/m; each of the two pads gets half of its force."""
         return float(self.model.actuator_gainprm[self.model.actuator(f"{_PREFIX}gripper").id][0])
 
     @property
@@ -234,12 +236,12 @@ class _GripperRig:
 
 
 def _slip(before: Array, after: Array) -> tuple[float, float]:
-    """Return the translation at the pads (m) and the rotation (rad) between two poses in the pinch frame."""
+    """Return the translation at the pads (m) and the rotation (rad) between two poses of the object in that frame."""
     T = after @ inverse(before)
     return float(np.linalg.norm(T[:3, 3])), float(np.linalg.norm(rotation_vector(T[:3, :3])))
 
 
 def _angles(rotation: Array) -> Array:
-    """Return intrinsic x-y-z Euler angles (3,), rad."""
+    """Return the intrinsic x-y-z Euler angles (3,) of a rotation (3, 3), rad."""
     y = np.arcsin(np.clip(rotation[0, 2], -1, 1))
     return np.array([np.arctan2(-rotation[1, 2], rotation[2, 2]), y, np.arctan2(-rotation[0, 1], rotation[0, 0])])

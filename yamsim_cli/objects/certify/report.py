@@ -1,4 +1,4 @@
-"""Write the page of a certificate, with pictures of the checked scenes."""
+"""Write the HTML page of a certificate, with pictures of the checked scenes."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _QUALITY = 85  # JPEG quality
 
 
 def write_page(certified: CertificationResult, path: Path) -> None:
-    """Write the page, replacing an existing file.
+    """Write the HTML page of a certified object, replacing an existing file.
 
     Raises:
         ResourceError: this machine cannot render, or the file cannot be written.

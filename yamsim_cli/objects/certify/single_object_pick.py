@@ -36,13 +36,13 @@ from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.core.scene.compiled import CompiledScene
 from yamsim_cli.core.scene.random_streams import Stream, random_generator
 
-#: Rig that picks objects up.
+#: Name of the config of the rig that picks the object up.
 PICK_RIG = "single_linear"
 
 _ROLE = "thing"
 _POSITION = (0.33, 0.15)  # m, position of the object in `world`: within reach, beside the hand's start
-_HEADINGS = (0.0, 90.0)  # degrees, of the object; the second is tried if `pick` fails at the first
-_JOB = AttemptJob(0, 0)  # fixed seed and number, so that every run gives the same result
+_HEADINGS = (0.0, 90.0)  # degrees, headings of the object; the second is tried if `pick` fails at the first
+_JOB = AttemptJob(0, 0)  # fixed seed and attempt number, so that every run gives the same result
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,7 @@ def simulate_pick(item: ObjectConfig, locations: Locations) -> PickedGrasp:
     """Run `pick` on an object in physics, and return the resulting grasp.
 
     Args:
-        locations: with the object's mesh folders, if its collision geometry has meshes.
+        locations: config folders; with the object's mesh folders if its collision geometry has meshes.
 
     Raises:
         SkillFailedError: `pick` failed at each heading of the object; the last error is raised.
@@ -84,7 +84,7 @@ def reachable_grasp_points(item: ObjectConfig, locations: Locations) -> tuple[Gr
     articulated objects, and objects without a grasp by friction, have no such points.
 
     Args:
-        locations: as in `simulate_pick`.
+        locations: config folders; with the object's mesh folders if its collision geometry has meshes.
 
     Raises:
         SkillFailedError: the table has no room for the object.
@@ -111,7 +111,7 @@ def _min_tilt(context: PlanningContext, item: ObjectConfig) -> float:
 
 @dataclass(frozen=True)
 class _PickSetup:
-    """An object at rest on the table, with the episode, the planning context and the program."""
+    """An episode in which an object rests on the table, and the program of skills that picks it up."""
 
     scene: CompiledScene
     episode: Episode

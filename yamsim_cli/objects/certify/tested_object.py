@@ -1,4 +1,4 @@
-"""An object under test: its config, visual surfaces and collision points, and scenes with the object alone."""
+"""Collect the data of an object under test, and make scenes with the object alone or on a slab."""
 
 from __future__ import annotations
 
@@ -20,20 +20,20 @@ from yamsim_cli.core.scene.compilation import compile_spec
 from yamsim_cli.core.scene.objects.scene_object import add_object
 from yamsim_cli.core.sim.geom_shapes import body_surface, geom_corners
 
-_GROUND_FRICTION = (1.0, 0.005, 0.0001)  # as for the table in configs/scenes/tabletop.yaml
-_GROUND_HALF_SIZE = (1.0, 1.0, 0.05)  # m, half size; thick, so that no object falls through
-_TIMESTEP = 0.002  # s
+_GROUND_FRICTION = (1.0, 0.005, 0.0001)  # MuJoCo friction of the slab, as of the table in configs/scenes/tabletop.yaml
+_GROUND_HALF_SIZE = (1.0, 1.0, 0.05)  # m, half size of the slab; thick, so that no object falls through
+_TIMESTEP = 0.002  # s, of physics
 _BACKGROUND = (0.80, 0.81, 0.82)  # background colour of pictures
 
 
 @dataclass(frozen=True)
 class TestedObject:
-    """An object under test.
+    """The data of an object under test.
 
     Attributes:
         item: config of the object.
         meshes: mesh set -> folder, or None if the set is missing.
-        locations: folders with the rig that tests the grasp.
+        locations: config folders, which contain the rig that tests the grasp.
         visual_surfaces: visual meshes of the base with merged vertices, in the object's frame, m; empty if a set is
             missing.
         collision_points: points (n, 3) on the base's collision geoms, in the object's frame, m.
@@ -62,7 +62,7 @@ class TestedObject:
 
 
 def read_tested_object(item: ObjectConfig, meshes: Mapping[str, Path | None], locations: Locations) -> TestedObject:
-    """Return the tested object of a config.
+    """Compile an object's config, and return the data that the checks need.
 
     Raises:
         ResourceError: a mesh cannot be read, or a collision mesh is missing.
@@ -84,10 +84,10 @@ def read_tested_object(item: ObjectConfig, meshes: Mapping[str, Path | None], lo
 
 
 def object_spec(item: ObjectConfig, meshes: Mapping[str, Path | None], *, fixed: bool = False) -> mujoco.MjSpec:
-    """Return a scene with the object alone, without ground."""
+    """Return a scene with the object alone, without ground; its base cannot move if `fixed`."""
     spec = mujoco.MjSpec()
     spec.compiler.autolimits = True
-    spec.compiler.balanceinertia = True  # impossible inertias compile, and fail `check_inertia`
+    spec.compiler.balanceinertia = True  # compile impossible inertias, which fail `check_inertia`
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     spec.option.timestep = _TIMESTEP
     add_object(spec, item, meshes, fixed=fixed)
@@ -115,7 +115,11 @@ def object_on_ground_spec(tested_object: TestedObject) -> mujoco.MjSpec:
 def with_camera(
     spec: mujoco.MjSpec, centre: Sequence[float] | Array, size: float, steep: float = 0.75
 ) -> mujoco.MjSpec:
-    """Add lights, and a camera `view` that shows `size` (m) around a point; a larger `steep` raises the camera."""
+    """Add lights, and a camera `view` that shows `size` (m) around the point `centre` (3,), m.
+
+    Args:
+        steep: height of the camera over the point, as a share of 1.75 `size`; negative for a view from below.
+    """
     spec.visual.headlight.ambient = [0.35, 0.35, 0.35]
     spec.visual.headlight.diffuse = [0.3, 0.3, 0.3]
     light = Light(direction=(-0.35, 0.30, -1), diffuse=(0.6, 0.6, 0.6))
@@ -137,7 +141,7 @@ def with_camera(
 
 
 def compile_or_raise(spec: mujoco.MjSpec) -> mujoco.MjModel:
-    """Compile a spec. Raises `ResourceError`."""
+    """Return the model of a spec. Raises `ResourceError` if it does not compile."""
     return compile_spec(spec, "the thing", ResourceError)
 
 

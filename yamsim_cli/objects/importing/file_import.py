@@ -1,4 +1,4 @@
-"""Import an object from a file: publish its meshes as a set named by content, and write its config."""
+"""Import an object from a file: store its meshes as a set named by a hash of their content, and write its config."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ from ..building import BuiltObject, ImportOptions, build_object
 from ..convex_decomposition import CACHE, Share
 from ..readers.object_reader import UnitOptions, read_object
 
-_DIRECT_FOLDER = "imports"  # folder of configs of files that are given in place of a config's name
+_DIRECT_FOLDER = "imports"  # folder of the configs that `import_directly` writes, in the folder of meshes
 
 
 @dataclass(frozen=True)
 class ImportedObjectFile:
-    """A written config file, its config, and the imported object."""
+    """The path of the written config file, its config, and the object with its mesh files."""
 
     path: Path
     config: ObjectConfig
@@ -49,14 +49,14 @@ def import_file(
     out: Path | None,
     share: Share = lambda done: None,
 ) -> ImportedObjectFile:
-    """Import a file in one of the formats of `objects.readers`.
+    """Import an object file (mesh, SDF, URDF or MJCF): store its meshes, and write its config.
 
     Args:
         out: YAML file to write; by default `<name>.yaml` in the user's config folder.
         share: called with the completed share of the work, 0 to 1.
 
     Raises:
-        UsageError: the name is invalid, the config's file exists or has no folder, or the unit or up axis is unknown.
+        UsageError: the name is invalid, the config file exists, or its folder, the unit or the up axis is unknown.
         ResourceError: the file is refused or does not allow a valid config, or a file cannot be written.
     """
     if not re.fullmatch("[A-Za-z][A-Za-z0-9_]*", options.name):
@@ -68,7 +68,7 @@ def import_file(
 
 
 def import_directly(file: Path, locations: Locations, share: Share = lambda done: None) -> ImportedObjectFile:
-    """Import a file with default options; the config is written beside the meshes. Raises as `import_file`."""
+    """Import a file by default options; write its config beside the meshes. Raises `UsageError` or `ResourceError`."""
     config, made, yaml = _build_and_publish(file, UnitOptions(), ImportOptions(object_name_of(file)), locations, share)
     path = locations.assets / _DIRECT_FOLDER / f"{config.name}-{sha256_bytes(yaml.encode())[:12]}.yaml"
     if not path.exists():
@@ -91,7 +91,7 @@ def config_path(locations: Locations, name: str, out: Path | None) -> Path:
 
 
 def write_config(path: Path, yaml: str) -> None:
-    """Write a config file, and create its folder. Raises `ResourceError`."""
+    """Write a config file, and create its folder. Raises `ResourceError` if that is impossible."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         write_file(path, yaml.encode())
@@ -102,7 +102,7 @@ def write_config(path: Path, yaml: str) -> None:
 def _build_and_publish(
     file: Path, units: UnitOptions, options: ImportOptions, locations: Locations, share: Share
 ) -> tuple[ObjectConfig, BuiltObject, str]:
-    """Build an object and publish its meshes; return the config, the object and the config's YAML."""
+    """Build an object and store its meshes as a mesh set; return the config, the object and the config's YAML."""
     if file.suffix.lower() == ".stl":
         # STL files state no unit and no up axis; most of those for robots are in metres, z up.
         units = replace(units, unit=units.unit or "m", up=units.up or "z")

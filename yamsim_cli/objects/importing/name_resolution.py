@@ -1,4 +1,4 @@
-"""Import of object files that are given in place of a config's name, such as `--object my_mug.glb`."""
+"""Import object files that are given in place of a config's name, such as `--object my_mug.glb`."""
 
 from __future__ import annotations
 
@@ -19,7 +19,8 @@ def import_if_file(name: str, locations: Locations, notify: Callable[[str], None
         notify: called with a note about a guessed mass.
 
     Raises:
-        UsageError, ResourceError: as `file_import.import_directly`.
+        UsageError: the unit or the up axis of the file is unknown, or its size is implausible.
+        ResourceError: the file is refused or does not allow a valid config, or a file cannot be written.
     """
     if Path(name).suffix.lower() not in ENDINGS:
         return name
@@ -28,6 +29,7 @@ def import_if_file(name: str, locations: Locations, notify: Callable[[str], None
     imported = import_directly(Path(name), locations)
     if imported.built_object.mass_is_guessed:
         notify(
-            f"{name}: {imported.built_object.mass * 1000:.3g} g is a guess: `yamsim assets import {name} --mass KG` says more."
+            f"{name}: {imported.built_object.mass * 1000:.3g} g is a guess: "
+            f"`yamsim assets import {name} --mass KG` says more."
         )
     return str(imported.path)

@@ -1,4 +1,4 @@
-"""Import objects of the YCB set: published masses, estimated colours, and configs from scans.
+"""Import objects of the YCB set: make configs from scans, published masses and estimated colours.
 
 Source of the masses: B. Calli, A. Walsman, A. Singh, S. Srinivasa, P. Abbeel, A. M. Dollar, "Benchmarking in
 Manipulation Research: Using the Yale-CMU-Berkeley Object and Model Set", IEEE Robotics & Automation Magazine 22(3),
@@ -22,7 +22,7 @@ from .file_import import config_path, write_config
 _Rgba = tuple[float, float, float, float]
 
 
-# Id -> mass, g. For sets of cups, blocks and bricks, the mass of one piece.
+# YCB id -> published mass, g. For sets of cups, blocks and bricks, the mass of one piece.
 MASS_G: Mapping[str, float] = {
     "002_master_chef_can": 414,
     "003_cracker_box": 411,
@@ -88,7 +88,7 @@ MASS_G: Mapping[str, float] = {
 }
 
 
-# Id -> the object's main colour, estimated by eye: the scans have no colours.
+# YCB id -> the object's main colour, estimated by eye: the scans have no colours.
 _RGBA: Mapping[str, _Rgba] = {
     "005_tomato_soup_can": (0.72, 0.13, 0.10, 1),
     "007_tuna_fish_can": (0.16, 0.30, 0.55, 1),
@@ -114,29 +114,29 @@ _RGBA: Mapping[str, _Rgba] = {
     "070-b_colored_wood_blocks": (0.80, 0.20, 0.15, 1),
     "077_rubiks_cube": (0.90, 0.90, 0.88, 1),
 }
-_GREY: _Rgba = (0.6, 0.6, 0.6, 1)
-# Name of a set in an id -> name of one piece.
+_GREY: _Rgba = (0.6, 0.6, 0.6, 1)  # colour of the others
+# Name of a set of equal objects in a YCB id -> name of one of them.
 _PIECE_NAMES = {"cups": "cup", "colored_wood_blocks": "wood_block"}
 
 
 @dataclass(frozen=True)
 class ImportedYcbObject:
-    """A written config file, and its content."""
+    """The path of a written config file, and its content."""
 
     path: Path
     description: YcbConfig
 
 
 def import_ycb(ycb_id: str, locations: Locations, mass_g: float | None, out: Path | None) -> ImportedYcbObject:
-    """Import an object of the YCB set from its scan in the asset lock.
+    """Import an object of the YCB set: write a config that is fitted to its downloaded scan.
 
     Args:
         mass_g: mass in place of the published one, g.
         out: YAML file to write; by default `<id>.yaml` in the user's config folder.
 
     Raises:
-        UsageError: the object is unknown or has no published mass, or the config's file exists or has no folder.
-        ResourceError: the scan is not fetched, or the config cannot be written.
+        UsageError: the object or its mass is unknown, the config file exists, or the user has no config folder.
+        ResourceError: the scan is not downloaded, or the config cannot be written.
     """
     lock = load_lock(locations)
     file = f"{ycb_id}.stl"

@@ -1,4 +1,4 @@
-"""Parts of an object from the links and joints of a description file."""
+"""Convert the links and joints of an SDF, URDF or MJCF file to the rigid parts of an object."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from yamsim_cli.core.geometry.se3 import Array, inverse
 
 from .object_parts import MassProperties, RigidPart, Surface
 
-_MAX_LINKS = 64  # of a file
-_UNLIMITED_DEG = 1800.0  # degrees, range to each side of a hinge without limits, enough for every motion of a hand
-_HANDLE_OPENING = 0.01  # m, opening of each finger at a handle for which the file has only a frame
+_MAX_LINKS = 64  # links of a file
+_UNLIMITED_DEG = 1800.0  # degrees to each side of 0, range of a hinge without limits; more than a hand can turn it
+_HANDLE_OPENING = 0.01  # m, opening of each finger around a handle; files give only the frame of a handle
 
 
 @dataclass
 class LinkDescription:
-    """A link, and its pose `T` (4, 4) in the model's frame with every joint at 0."""
+    """A link of a description file, and its pose `T` (4, 4) in the model's frame with every joint at 0."""
 
     name: str
     T: Array
@@ -49,7 +49,9 @@ class JointDescription:
 def build_parts(
     links: Sequence[LinkDescription], joints: Sequence[JointDescription]
 ) -> tuple[tuple[RigidPart, ...], bool]:
-    """Return the parts, parents first, and whether the base is fixed to the world. Fixed joints merge links.
+    """Return the parts of an object, parents first, and whether its base is fixed to the world.
+
+    Links that fixed joints connect become one part.
 
     Raises:
         RefusedError: the number of links is 0 or too large, or the links do not form one tree.
@@ -147,7 +149,7 @@ def _moved_handle(handle: Mapping[str, Any], T: Array) -> Mapping[str, Any]:
 
 
 def transform_shape(shape: Mapping[str, Any] | Surface, T: Array) -> Mapping[str, Any] | Surface:
-    """Return a collision shape moved by a pose (4, 4)."""
+    """Return a collision shape in the frame in which the shape's present frame has the pose T (4, 4)."""
     from .primitive_shapes import collision_shape
 
     if isinstance(shape, Surface):
@@ -170,7 +172,7 @@ def transform_shape(shape: Mapping[str, Any] | Surface, T: Array) -> Mapping[str
 
 
 def transform_mass_properties(weight: MassProperties, T: Array) -> MassProperties:
-    """Return mass properties in another frame, in which their own frame has the pose T (4, 4)."""
+    """Return mass properties in the frame in which their present frame has the pose T (4, 4)."""
     R = T[:3, :3]
     return MassProperties(weight.mass, (T @ [*weight.centre, 1.0])[:3], R @ weight.tensor @ R.T)
 
@@ -186,7 +188,11 @@ def _add_mass_properties(first: MassProperties, second: MassProperties) -> MassP
 
 
 def make_mass_properties(mass: float, centre: Array, tensor: Array) -> MassProperties | None:
-    """Return mass properties; None if the mass is 0. Raises `RefusedError` for an impossible mass."""
+    """Return mass (kg), centre (3,), m, and inertia (3, 3), kg m2, as one object; None if the mass is 0.
+
+    Raises:
+        RefusedError: the mass is negative or above 10,000 kg.
+    """
     if mass == 0:
         return None
     if not 0 < mass <= 1e4:
@@ -208,6 +214,6 @@ def joint_range(low: float, high: float, *, turns: bool, name: str) -> list[floa
 
 
 def handle_from_frame(name: str, T: Array) -> Mapping[str, Any]:
-    """Return handle data for a frame (4, 4) in a link: z points into the handle, and y along the closing axis."""
+    """Return handle data for a frame (4, 4) in a link: z is the approach direction, y the fingers' closing axis."""
     position, approach, axis = (column.tolist() for column in (T[:3, 3], T[:3, 2], T[:3, 1]))
     return {"name": name, "position": position, "approach": approach, "axis": axis, "opening": _HANDLE_OPENING}

@@ -1,4 +1,4 @@
-"""Checks of mesh file headers, before memory is allocated for the content."""
+"""Check the headers of mesh files before memory is allocated for the content."""
 
 from __future__ import annotations
 
@@ -102,7 +102,7 @@ def _json(text: bytes) -> Any:
 
 
 def _check_gltf_tree(tree: Any, binary: int | None, maximum: int) -> None:
-    """Check that accessors lie in their views, that views lie in their buffers, and that nodes form trees."""
+    """Check that glTF accessors lie in their views, that views lie in their buffers, and that nodes form trees."""
     try:
         _accessors(tree, binary, maximum)
         _nodes(tree)

@@ -1,4 +1,4 @@
-"""Surfaces and materials of glTF, OBJ, STL, PLY and COLLADA files, read by trimesh, which opens no files itself."""
+"""Read surfaces and materials of glTF, OBJ, STL, PLY and COLLADA files by trimesh, which opens no files itself."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from .mesh_headers import check_header
 from .object_parts import GREY, Rgba, Surface, SurfaceMaterial
 from .textures import bake_colours, encode_png_texture, open_image
 
-MAX_FACES = 2_000_000  # of a file: more than any scan needs; users must reduce larger meshes
+MAX_FACES = 2_000_000  # triangles of a file, more than any scan needs; users must reduce larger meshes
 
 # Ending -> trimesh's file type, unit (m) and up axis; None if the format does not define them.
 FORMATS: dict[str, tuple[str, float | None, str | None]] = {
@@ -35,13 +35,13 @@ FORMATS: dict[str, tuple[str, float | None, str | None]] = {
     ".dae": ("dae", None, None),
 }
 
-# Image types that materials may name; only the first three are read.
+# Endings of image files that materials may name. Only PNG and JPEG images are accepted.
 _PICTURES = (".png", ".jpg", ".jpeg", ".bmp", ".tga", ".tif", ".tiff", ".gif", ".webp", ".dds", ".exr", ".hdr")
 
 
 @dataclass(frozen=True)
 class MeshFile:
-    """The surfaces of a mesh file in the file's unit, and the unit and up axis, if known."""
+    """The surfaces of a mesh file in the file's unit; the unit's length, m, and the up axis, None if not stated."""
 
     surfaces: tuple[Surface, ...]
     unit_m: float | None
@@ -49,7 +49,7 @@ class MeshFile:
 
 
 class _Resolver:
-    """Resolver through which trimesh reads the files that a mesh names, in a confined folder."""
+    """Gives trimesh the content of files that a mesh names, if they lie in a confined folder."""
 
     def __init__(self, folder: ConfinedFolder, base: Path) -> None:
         self._folder, self._base = folder, base
@@ -82,7 +82,7 @@ def read_mesh(data: bytes, suffix: str, folder: ConfinedFolder, base: Path) -> M
 
     Args:
         suffix: the file's ending, which decides the format.
-        folder: folder of all files that the mesh may name.
+        folder: folder that contains all files that the mesh may name.
         base: the file's folder, below `folder`.
 
     Raises:
@@ -143,7 +143,7 @@ def _damaged(suffix: str, error: Exception) -> RefusedError:
 
 
 def _meshes(scene: Any) -> list[tuple[Any, Array]]:
-    """Return every mesh of a scene with its pose (4, 4), once per use."""
+    """Return a mesh and its pose (4, 4) for each node of a scene that shows a mesh."""
     import trimesh
 
     found, faces = [], 0
@@ -247,9 +247,9 @@ def _check_textures(data: bytes, suffix: str, meshes: list[tuple[Any, Array]]) -
 def mesh_surfaces(
     folder: ConfinedFolder, uri: str, base: Path, scale: Sequence[float], material: SurfaceMaterial | None
 ) -> list[Surface]:
-    """Return the surfaces of a mesh that a description names, m, with `material` if given.
+    """Return the surfaces (m) of a mesh file that an SDF or URDF file names, scaled, and with `material` if given.
 
-    The function ignores the up axis of the mesh file, like the simulators for which descriptions are written.
+    The function ignores the up axis of the mesh file, as simulators that read SDF and URDF do.
     """
     if not uri:
         raise RefusedError("damaged", "it has a mesh without a name")
@@ -265,14 +265,14 @@ def mesh_surfaces(
 
 
 def _with_material(surface: Surface, material: SurfaceMaterial) -> Surface:
-    """Return the surface with a description's material. If this has no texture, a texture of the mesh stays."""
+    """Return the surface with `material`, unless only the mesh file gives a texture."""
     if material.texture is None and surface.material.texture is not None:
         return surface
     return replace(surface, material=material)
 
 
 def plain_material(folder: ConfinedFolder, rgba: Sequence[float], texture: str, base: Path) -> SurfaceMaterial:
-    """Return a material with a colour and, if named, a texture."""
+    """Return a material with a colour and, if `texture` names an image, that texture."""
     red, green, blue, alpha = (min(1.0, max(0.0, value)) for value in (*rgba, 1.0, 1.0, 1.0, 1.0)[:4])
     colour: Rgba = (red, green, blue, alpha if len(rgba) > 3 else 1.0)
     if not texture:

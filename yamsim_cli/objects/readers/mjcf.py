@@ -1,4 +1,4 @@
-"""Reader of MJCF with one object, which MuJoCo compiles from bytes.
+"""Read an MJCF file with one object by MuJoCo's compiler.
 
 MuJoCo resolves classes, units and frames, but would open any path that a file names. Therefore yamsim reads every named
 file, and passes its content to MuJoCo under a new name.
@@ -38,9 +38,9 @@ from .untrusted_xml import Element, parse_untrusted_xml
 # Refused elements: they run foreign code, or multiply a file's content.
 _REFUSED_TAGS = ("plugin", "extension", "replicate", "composite", "flexcomp", "skin", "hfield", "attach")
 _FOLDERS = {"mesh": ("meshdir", "assetdir"), "texture": ("texturedir", "assetdir")}
-_MAX_BUILTIN = 4096  # px, side of a built-in texture
-_VIEW_GROUPS = 3  # geom groups that a viewer shows by default
-_DEFAULT_RGBA = (0.5, 0.5, 0.5, 1.0)  # MuJoCo's default colour
+_MAX_BUILTIN = 4096  # px, largest width and height of a texture that MuJoCo generates
+_VIEW_GROUPS = 3  # number of geom groups that a viewer shows by default: 0, 1 and 2
+_DEFAULT_RGBA = (0.5, 0.5, 0.5, 1.0)  # MuJoCo's default geom colour: a geom with it takes the colour of its material
 
 _SHAPE_KINDS = {
     mujoco.mjtGeom.mjGEOM_BOX: "box",
@@ -49,11 +49,12 @@ _SHAPE_KINDS = {
     mujoco.mjtGeom.mjGEOM_CYLINDER: "cylinder",
     mujoco.mjtGeom.mjGEOM_ELLIPSOID: "ellipsoid",
 }
+# Shape -> number of values in MuJoCo's `geom_size`.
 _SIZES = {"box": 3, "sphere": 1, "capsule": 2, "cylinder": 2, "ellipsoid": 3}
 
 
 def read_mjcf(data: bytes, folder: ConfinedFolder, base: Path) -> ObjectDescription:
-    """Return the object that an MJCF file describes. Raises `RefusedError`."""
+    """Return the object that an MJCF file describes. Raises `RefusedError` if the file is damaged or not supported."""
     root = with_includes(data, folder, base, parse_untrusted_xml)
     if root.tag != "mujoco":
         raise RefusedError("damaged", f"its root is <{root.tag}>, not <mujoco>, <sdf> or <robot>")
@@ -74,7 +75,7 @@ def read_mjcf(data: bytes, folder: ConfinedFolder, base: Path) -> ObjectDescript
 
 
 def _take_files(root: Element, folder: ConfinedFolder, base: Path) -> dict[str, bytes]:
-    """Read all files that a document names, rename them in the document, and return new name -> content."""
+    """Read all files that an MJCF document names, rename them in the document, and return new name -> content."""
     compiler: dict[str, str] = {}
     for element in root.iter("compiler"):
         compiler |= element.attrib

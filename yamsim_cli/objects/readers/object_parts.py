@@ -12,16 +12,17 @@ from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.core.geometry.stl import Faces
 
 Rgba = tuple[float, float, float, float]
-GREY: Rgba = (0.7, 0.7, 0.7, 1.0)
+GREY: Rgba = (0.7, 0.7, 0.7, 1.0)  # colour of surfaces whose file gives none
 
 
 @dataclass(frozen=True)
 class SurfaceMaterial:
-    """A material.
+    """The appearance of a surface.
 
     Attributes:
         rgba: colour; with a texture, the factor by which the texture is multiplied.
         texture: content of a PNG file, or None.
+        specular, shininess: strength and sharpness of highlights, 0 to 1.
     """
 
     rgba: Rgba = GREY
@@ -36,7 +37,7 @@ class Surface:
 
     Attributes:
         uv: texture coordinates (m, 3, 2) of each triangle's corners, from the lower left of the image; or None.
-        convex: whether the surface collides by its convex hull.
+        convex: whether the convex hull of the surface is its collision geometry.
     """
 
     vertices: Array
@@ -70,9 +71,9 @@ class RigidPart:
     Attributes:
         name: name in the file.
         parent: index of the parent part, which comes first; None for the base.
-        T_in_parent: pose (4, 4) with the joint at 0; the identity for the base.
+        T_in_parent: pose (4, 4) in the parent's frame with the joint at 0; the identity for the base.
         joint: data of a `core.config.objects.articulation.LinkJoint`; None for the base.
-        weight: mass properties in the file, or None.
+        weight: mass properties in the file; None if it has none.
         looks: visual surfaces.
         shapes: collision shapes in the file: data of `core.config.objects.primitives`, or surfaces; None without any.
         handles: data of `core.config.objects.articulation.Handle`.
@@ -90,7 +91,7 @@ class RigidPart:
 
 @dataclass(frozen=True)
 class ObjectDescription:
-    """An object as in its file.
+    """An object as read from its file.
 
     Attributes:
         name: name in the file, or empty.
@@ -98,8 +99,8 @@ class ObjectDescription:
         fixed: whether the base is fixed to the world.
         unit_m: length of the file's unit, m; None if not stated.
         up: up axis of the file, "x", "y" or "z"; None if not stated.
-        friction: sliding friction, if stated.
-        notes: messages for users about omitted content.
+        friction: sliding friction; None if not stated.
+        notes: messages for users about content of the file that was left out.
     """
 
     name: str

@@ -22,12 +22,12 @@ from . import ENDINGS, reader_process
 from .object_parts import ObjectDescription
 from .reader_process import REFUSED, read_written
 
-UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}
+UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}  # unit -> m
 
-_MAX_SIZE, _MIN_SIZE = 2.0, 0.003  # m, sizes of objects that an arm can handle
+_MAX_SIZE, _MIN_SIZE = 2.0, 0.003  # m, largest and least size of an object that an arm can handle
 _LIKELY = (0.01, 0.8)  # m, likely sizes; the error for a missing unit suggests units that give them
-_CPU_SECONDS, _CPU_SECONDS_PER_MB = 15.0, 0.7  # s of CPU time: limit, and its increase per megabyte
-_WALL_CLOCK_FACTOR = 4.0  # wall-clock limit over the limit of CPU time, for a busy machine
+_CPU_SECONDS, _CPU_SECONDS_PER_MB = 15.0, 0.7  # s, limit of CPU time to read a file, and its increase per megabyte
+_WALL_CLOCK_FACTOR = 4.0  # limit of elapsed time over the limit of CPU time, for a busy machine
 _PACKAGES = ("trimesh", "PIL", "defusedxml", "collada")  # packages of the extra `import`; binary STL needs none
 
 
@@ -74,7 +74,7 @@ def _read_as_is(path: Path) -> ObjectDescription:
     if not stat.S_ISREG(status.st_mode):
         raise RefusedError("not-a-file", "it is no regular file")
     if status.st_size > MAX_BYTES:
-        raise RefusedError("too-large", f"it has {status.st_size / 1e6:.0f} MB; at most {MAX_BYTES // 10**6}")
+        raise RefusedError("too-large", f"it has {status.st_size / 1e6:.0f} MB; at most {MAX_TOTAL_BYTES // 10**6}")
     seconds = _CPU_SECONDS + _CPU_SECONDS_PER_MB * status.st_size / 1e6
     with scratch_directory("yamsim-read-") as scratch:
         return _read_in_child(path.resolve(), scratch, seconds)
@@ -108,7 +108,7 @@ def _read_in_child(path: Path, scratch: Path, seconds: float) -> ObjectDescripti
 
 
 def in_metres(thing: ObjectDescription, units: UnitOptions) -> ObjectDescription:
-    """Return an object converted to metres, z up. Raises `RefusedError`."""
+    """Return an object in metres, z up. Raises `RefusedError` if unit or up axis are unknown, or the size is absurd."""
     size = _extent(thing)
     no_up = units.up is None and thing.up is None
     if units.unit is None and thing.unit_m is None:
@@ -164,7 +164,7 @@ def _rotation_to_z(up: str) -> Array:
 
 
 def _convert_units(thing: ObjectDescription, metre: float, turn: Array) -> ObjectDescription:
-    """Return the object with all lengths scaled, and with the base's shapes and child parts rotated."""
+    """Return the object with all lengths multiplied by `metre`, and rotated by `turn` (3, 3). Raises `RefusedError`."""
     if metre == 1.0 and np.array_equal(turn, np.eye(3)):
         return thing
     base, *others = thing.parts

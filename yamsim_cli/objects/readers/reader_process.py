@@ -1,6 +1,6 @@
-"""Child process that reads one object file within limits, and the files that pass the object to the parent process.
+"""Read one object file in a child process with limits, and pass the object to the parent process by files.
 
-The files are JSON, plain arrays and PNG. The parent does not trust the child: the parent loads arrays without pickle,
+These files are JSON, NumPy arrays and PNG. The parent does not trust the child: the parent loads arrays without pickle,
 and checks vertices and triangles again.
 """
 
@@ -21,17 +21,21 @@ from yamsim_cli.core.files.untrusted.refusals import RefusedError
 
 from .object_parts import MassProperties, ObjectDescription, RigidPart, Surface, SurfaceMaterial
 
-REFUSED = "refused.json"
+REFUSED = "refused.json"  # written instead of the object if the child refuses the file
 _DESCRIPTION_FILE, _ARRAYS = "thing.json", "arrays.npz"
 
-_BASE_BYTES = 3_000_000_000  # address space of Python and its libraries, most of it only reserved
-_MEMORY_FACTOR = 60  # further address space over the file's size
+_BASE_BYTES = 3_000_000_000  # bytes, address space of Python and its libraries, most of it only reserved
+_MEMORY_FACTOR = 60  # bytes of further address space for each byte of the object file
 _MAX_MEMORY = 12_000_000_000  # bytes, limit of the address space
-_MAX_WRITTEN = 2_000_000_000  # bytes of one written file, enough for arrays of the most faces
+_MAX_WRITTEN = 2_000_000_000  # bytes, limit of each written file; enough for the arrays of the largest mesh
 
 
 def main(file: str, root: str, out: str, seconds: int) -> None:
-    """Read `file`, which may name files below `root`, and write the object or the refusal into `out`."""
+    """Read `file`, which may refer to files in the folder `root`; write the object or a refusal into the folder `out`.
+
+    Args:
+        seconds: limit of CPU time, s.
+    """
     path = Path(file)
     _set_process_limits(path.stat().st_size, seconds)
     try:
@@ -62,10 +66,10 @@ def _refuse(out: str, code: str, text: str) -> None:
 
 
 def read_file(path: Path, root: Path) -> ObjectDescription:
-    """Return the object in a file, which may name files below `root`. Raises `RefusedError`."""
+    """Return the object in a file, which may refer to files in the folder `root`. Raises `RefusedError`."""
     folder, base, suffix = ConfinedFolder(root), path.parent.resolve(), path.suffix.lower()
     if path.stat().st_size > MAX_BYTES:
-        raise RefusedError("too-large", f"it has more than {MAX_BYTES // 10**6} MB")
+        raise RefusedError("too-large", f"it has more than {MAX_TOTAL_BYTES // 10**6} MB")
     data = folder.read(path.name, base)
     if suffix in (".sdf", ".urdf", ".xml", ".mjcf"):
         return _description(data, folder, base)
@@ -77,7 +81,7 @@ def read_file(path: Path, root: Path) -> ObjectDescription:
 
 
 def _description(data: bytes, folder: ConfinedFolder, base: Path) -> ObjectDescription:
-    """Read a description file. Its root element gives the format, because `.xml` may be any of the formats."""
+    """Return the object that an SDF, URDF or MJCF file describes. The root element, not the ending, gives the type."""
     from .untrusted_xml import parse_untrusted_xml
 
     match parse_untrusted_xml(data).tag:

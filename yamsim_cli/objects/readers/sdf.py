@@ -1,4 +1,4 @@
-"""Reader of SDFormat with one model of links, joints, and frames that are relative to each other.
+"""Read an SDFormat file with one model of links, joints, and frames that are relative to each other.
 
 Source: sdformat.org/spec, versions 1.4 to 1.12, elements model, link, joint, geometry, material and include.
 """
@@ -28,7 +28,7 @@ from .object_parts import MassProperties, ObjectDescription, Surface, SurfaceMat
 from .primitive_shapes import collision_shape, visual_surface
 from .untrusted_xml import Element, inertia_matrix, number, numbers, parse_untrusted_xml, rotation_from_rpy
 
-_MAX_INCLUDE_DEPTH = 8
+_MAX_INCLUDE_DEPTH = 8  # levels of models that include others
 _JOINTS = {"revolute": "hinge", "continuous": "hinge", "prismatic": "slide", "screw": "screw"}
 
 
@@ -65,7 +65,7 @@ def _model(data: bytes, folder: ConfinedFolder, base: Path, seen_files: tuple[Pa
 def _included(
     include: Element, folder: ConfinedFolder, base: Path, seen_files: tuple[Path, ...]
 ) -> tuple[Element, Path]:
-    """Return the model that an include names, from an SDF file or a folder with `model.sdf`."""
+    """Return the model that an <include> names, and its folder: an SDF file, or a folder with `model.sdf`."""
     uri = (include.findtext("uri") or "").strip()
     try:
         path = folder.find(uri, base)
@@ -79,7 +79,7 @@ def _included(
 
 
 class _Reader:
-    """Reader of a model; `base` is the folder of relative file names."""
+    """Reads the links, joints and handles of a model. File names in it are relative to the folder `base`."""
 
     def __init__(self, folder: ConfinedFolder, base: Path) -> None:
         self._folder, self._base = folder, base
@@ -168,7 +168,7 @@ class _Reader:
     def _handle(
         self, element: Element, frames: _Frames, by_name: dict[str, LinkDescription], links: list[LinkDescription]
     ) -> None:
-        """Add a handle if the frame's name begins with `handle`."""
+        """Add a handle to the link of a <frame> whose name begins with `handle`."""
         name = _name_of(element)
         owner = frames.link_of(element.get("attached_to", "") or frames.relative(name))
         if not name.lower().startswith("handle") or (owner or links[0].name) not in by_name:
@@ -200,7 +200,7 @@ def _weight(inertial: Element | None) -> MassProperties | None:
 
 
 def _primitive(geometry: Element) -> tuple[str, Array] | None:
-    """Return the kind and size of a primitive as in `primitive_shapes.collision_shape`; None for other geometry."""
+    """Return the arguments `kind` and `size` of `collision_shape` for a <geometry>; None if it is no primitive."""
     if (found := geometry.find("box")) is not None:
         return "box", np.array(numbers(found.findtext("size"), 3)) / 2
     if (found := geometry.find("sphere")) is not None:
@@ -272,7 +272,7 @@ class _Frames:
         return self._frames[name][1]
 
     def T(self, name: str, path: tuple[str, ...] = ()) -> Array:
-        """Return the pose (4, 4) of a frame in the model's frame. Raises `RefusedError` if missing or circular."""
+        """Return the pose (4, 4) of an element in the model's frame. Raises `RefusedError` if missing or circular."""
         if name in ("", "__model__"):
             return np.eye(4)
         if name not in self._frames:
@@ -285,7 +285,7 @@ class _Frames:
         return self._known[name]
 
     def link_of(self, name: str) -> str | None:
-        """Return the link of a frame; None for the world. Raises `RefusedError` if missing or circular."""
+        """Return the link of a frame; None if attached to the world. Raises `RefusedError` if missing or circular."""
         steps = 0
         while name not in self._links:
             if name in ("world", "__model__", ""):

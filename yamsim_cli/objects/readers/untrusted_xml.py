@@ -1,4 +1,4 @@
-"""Parser of untrusted XML, without entities and with limits, and readers of its numbers and rotations."""
+"""Parse untrusted XML without entities and within limits, and read numbers and rotations from it."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from yamsim_cli.core.geometry.se3 import Array
 
 Element = ElementTree.Element
 
-_MAX_BYTES = 64_000_000
-_MAX_ELEMENTS = 200_000
-_MAX_DEPTH = 64
+_MAX_BYTES = 64_000_000  # bytes of a document
+_MAX_ELEMENTS = 200_000  # elements of a document
+_MAX_DEPTH = 64  # levels of nested elements
 
 
 def parse_untrusted_xml(data: bytes) -> Element:
@@ -48,7 +48,7 @@ def _check_shape(root: Element) -> None:
 
 
 def numbers(text: str | None, count: int, default: tuple[float, ...] | None = None) -> list[float]:
-    """Return the `count` finite numbers in a text. Raises `RefusedError` for any other content."""
+    """Return the `count` finite numbers in a text, or `default` if it is empty. Raises `RefusedError` otherwise."""
     words = (text or "").split()
     if not words and default is not None:
         return list(default)
@@ -64,7 +64,7 @@ def numbers(text: str | None, count: int, default: tuple[float, ...] | None = No
 
 
 def number(text: str | None, default: float | None = None) -> float:
-    """Return one finite number. Raises as `numbers`."""
+    """Return the finite number in a text, or `default` if it is empty. Raises `RefusedError` otherwise."""
     return numbers(text, 1, None if default is None else (default,))[0]
 
 
@@ -92,5 +92,5 @@ def rotation_from_rpy(roll: float, pitch: float, yaw: float) -> Array:
 
 
 def inertia_matrix(xx: float, xy: float, xz: float, yy: float, yz: float, zz: float) -> Array:
-    """Return the symmetric inertia matrix (3, 3) of its six elements."""
+    """Return the symmetric inertia matrix (3, 3) with six given elements."""
     return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
