@@ -74,7 +74,7 @@ def _read_as_is(path: Path) -> ObjectDescription:
     if not stat.S_ISREG(status.st_mode):
         raise RefusedError("not-a-file", "it is no regular file")
     if status.st_size > MAX_BYTES:
-        raise RefusedError("too-large", f"it has {status.st_size / 1e6:.0f} MB; at most {MAX_TOTAL_BYTES // 10**6}")
+        raise RefusedError("too-large", f"it has {status.st_size / 1e6:.0f} MB; at most {MAX_BYTES // 10**6}")
     seconds = _CPU_SECONDS + _CPU_SECONDS_PER_MB * status.st_size / 1e6
     with scratch_directory("yamsim-read-") as scratch:
         return _read_in_child(path.resolve(), scratch, seconds)

@@ -69,7 +69,7 @@ def read_file(path: Path, root: Path) -> ObjectDescription:
     """Return the object in a file, which may refer to files in the folder `root`. Raises `RefusedError`."""
     folder, base, suffix = ConfinedFolder(root), path.parent.resolve(), path.suffix.lower()
     if path.stat().st_size > MAX_BYTES:
-        raise RefusedError("too-large", f"it has more than {MAX_TOTAL_BYTES // 10**6} MB")
+        raise RefusedError("too-large", f"it has more than {MAX_BYTES // 10**6} MB")
     data = folder.read(path.name, base)
     if suffix in (".sdf", ".urdf", ".xml", ".mjcf"):
         return _description(data, folder, base)
