@@ -49,7 +49,7 @@ class TrialEnd(StrEnum):
 
 
 FAULTS = (TrialEnd.RAISED, TrialEnd.INVALID, TrialEnd.SLOW, TrialEnd.LOST)
-# Ends of trials that measure the success of a policy.
+# Ends after which a trial counts as a measurement of the policy's success.
 MEASURED = (TrialEnd.SUCCESS, TrialEnd.DONE, TrialEnd.TIME_LIMIT, TrialEnd.UNSTABLE)
 
 _NO_FAULT = PolicyFault("")
@@ -60,15 +60,15 @@ class TrialResult:
     """Result of a trial.
 
     Attributes:
-        attempt: samples of the attempt.
-        outcome: outcome of the attempt.
-        ended: reason for the end.
+        attempt: sampled start of the trial: objects, their poses and MuJoCo's positions.
+        outcome: whether the trial succeeded, and why not.
+        ended: reason for the end of the trial.
         error: description of the policy's fault; empty without a fault.
         traceback: traceback of the policy's exception; empty without an exception.
         ticks: number of simulated control ticks.
         seconds: duration of each inference, s.
         actions: executed actions; None if no tick was simulated.
-        count: counts of action chunks.
+        count: numbers of received chunks and actions, of skipped actions, and of ticks without an action.
     """
 
     attempt: Attempt
@@ -83,7 +83,7 @@ class TrialResult:
 
 
 def trial_rules(config: RecordConfig, choice: PolicyChoice) -> EpisodeRules:
-    """Return the rules that end a policy's trials, with the time limit."""
+    """Return the rule and the time limit that end a policy's trials, from the choice or else from the task."""
     task = config.task
     ticks = task.max_ticks if choice.time_limit is None else max(1, round(choice.time_limit / task.timing.tick))
     return EpisodeRules(choice.end, max_ticks=ticks)
