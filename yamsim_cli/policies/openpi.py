@@ -22,7 +22,7 @@ from .policy_client import (
     request_context,
 )
 
-SCHEME = "ws"
+SCHEME = "ws"  # scheme of the URL by which a user names an openpi server
 _CLOSE_S = 0.5  # s that closing a connection waits for the server
 _MESSAGE_TOO_BIG = 1009  # WebSocket close code for a message that is too long. Source: RFC 6455, section 7.4.1
 

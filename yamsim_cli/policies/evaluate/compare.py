@@ -52,7 +52,7 @@ def read_report(path: Path) -> dict[str, Any]:
 
 
 def require_same_trials(expected: Mapping[str, Any], report: Mapping[str, Any]) -> None:
-    """Check that the trials of a report have the same starts as those of another evaluation.
+    """Check that two evaluations have the same task, rig, grasp, arms and seed, so that their trials can be paired.
 
     Args:
         expected: report of the other evaluation, or the description of its run by `describe_run`.
@@ -73,7 +73,7 @@ def compare_reports(first: Mapping[str, Any], second: Mapping[str, Any]) -> dict
     `policy` and `success_rate` in the data are those of the second report.
 
     Raises:
-        UsageError: the reports are not of the same trials.
+        UsageError: the reports differ in task, rig, grasp, arms, seed, or in the number or the starts of their trials.
     """
     name = second["policy"]
     require_same_trials(first, second)

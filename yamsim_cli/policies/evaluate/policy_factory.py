@@ -91,7 +91,7 @@ class _ActionSequencePolicy:
 
 
 class ExpertPolicy(_ActionSequencePolicy):
-    """Policy that repeats the actions of the task's expert, as in `trials` and `record`."""
+    """Policy that repeats the actions of the task's scripted expert, which `yamsim record` records."""
 
     def begin(self, trial: PrivilegedTrial) -> Array | None:
         """Set the expert's actions, and return MuJoCo's positions (nq,) at the expert's start, or None."""

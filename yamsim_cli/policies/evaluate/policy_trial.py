@@ -93,7 +93,7 @@ class TrialRunner(Closable):
     """Runs trials of one policy. The caller must close the runner, for example as a context manager.
 
     Raises:
-        ConfigError, UsageError, ResourceError: the policy cannot be made, see `make_policy`.
+        ConfigError, UsageError, ResourceError: the policy does not exist, cannot be loaded, or does not fit the rig.
     """
 
     def __init__(self, session: Session, choice: PolicyChoice) -> None:
@@ -194,7 +194,7 @@ class TrialRunner(Closable):
             return render_cameras(simulator, attempt, qpos, (camera,))[camera]
 
     def close(self) -> None:
-        """Close the policy, and free the renderers."""
+        """Close the policy, and release the memory of the renderers."""
         close = getattr(self._policy, "close", None)
         if callable(close):
             with contextlib.suppress(PolicyFailedError, PolicyTimeoutError):

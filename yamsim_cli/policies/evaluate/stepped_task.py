@@ -103,7 +103,7 @@ class SteppedTask(Closable):
         return render_cameras(self.simulator, self.attempt, self.episode.data.qpos if qpos is None else qpos, cameras)
 
     def close(self) -> None:
-        """Free the renderers."""
+        """Release the memory of the renderers."""
         self._simulators.close()
 
     def _sampled(self, job: AttemptJob) -> Iterator[Attempt]:

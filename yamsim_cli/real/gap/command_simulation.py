@@ -102,7 +102,7 @@ def _run(
 ) -> _SimulatedRun:
     """Simulate one physics step per row of `ctrl` (n, nu), from positions `start` (nq,) and velocities `speeds` (nv,).
 
-    Delayed drives get the commands `before` (nu,) until the first row acts; None holds the start.
+    Until the first row acts, drives with a command delay execute the commands `before` (nu,), or hold `start` if None.
     """
     model, data = scene.model, mujoco.MjData(scene.model)
     scene.reset(data, start, commanded=before)
@@ -114,7 +114,7 @@ def _run(
         scene.step(data)
         qpos[k + 1], qvel[k + 1] = data.qpos, data.qvel
         if (k % _CHECK_STEPS == 0 or k == len(ctrl) - 1) and (text := physics_failure(data)):
-            # The time comes from `k`, because MuJoCo has reset its own clock.
+            # The time is computed from `k`, because MuJoCo has reset its own clock.
             raise SimulationError(f"{name}: physics broke down within {(k + 1) * model.opt.timestep:.3f} s: {text}")
     return _SimulatedRun(np.arange(len(ctrl) + 1) * model.opt.timestep, qpos, qvel)
 

@@ -204,7 +204,7 @@ def _joint_gaps(
         apart = (second.values - first.values)[resting[:, k], k]
         stopped = list(find_command_stops(commanded, k))
         beyond = [overshoot(second.values[:, k], stop) for stop in stopped]
-        # A command does not overshoot its own stop.
+        # If the reference is the command, its overshoot is 0.
         already = [0.0 if first is commanded else overshoot(first.values[:, k], stop) for stop in stopped]
         return TrackingFigures(
             estimate_delay(first, second, k),

@@ -24,7 +24,7 @@ _T95 = (
     2.201, 2.179, 2.160, 2.145, 2.131, 2.120, 2.110, 2.101, 2.093, 2.086,
     2.080, 2.074, 2.069, 2.064, 2.060, 2.056, 2.052, 2.048, 2.045, 2.042,
 )  # fmt: skip
-_Z95 = 1.959963984540054  # the same for the normal distribution
+_Z95 = 1.959963984540054  # two-sided 95 % of the standard normal distribution
 
 
 def student95(values: Sequence[float]) -> tuple[float, float] | None:

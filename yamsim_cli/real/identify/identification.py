@@ -85,7 +85,7 @@ class IdentificationResult:
     Attributes:
         arm: name of the arm in the rig.
         side: `left` or `right`; empty for a single arm.
-        dynamics: identified parameters, with which a rig replaces those of the arm's model.
+        dynamics: identified parameters, as a named revision of the arm's model that rigs can use.
         estimates: estimates of all parameters.
         undetermined: one sentence for each quantity that the logs do not determine.
         fitted_rms: RMS of the errors that remain after the fit, rad.
@@ -113,7 +113,7 @@ def identify(
 
     Args:
         held_out: motions that test the fit; if empty, the last third of each motion tests the fit and is not fitted.
-        revision: name under which the identified parameters are stored.
+        revision: name for the identified parameters, by which rigs refer to this revision of the arm's model.
         side: `left` or `right` to identify only the arm on that side; None for all arms.
         step: called with the arm's name, the number of finished simulations, and their approximate total.
 

@@ -249,7 +249,10 @@ def _values_of(model: mujoco.MjModel, dof: Array, names: tuple[str, ...], dynami
 
 
 def _link_inertias(model: mujoco.MjModel, qpos: Array, dof: Array, ranges: Array) -> Array:
-    """Return the least inertia of the links at each joint (dof,), kg m2, without armature, with other joints free."""
+    """Return the least inertia (dof,), kg m2, that the links have at each joint in random poses, without armature.
+
+    The other joints can move freely.
+    """
     data, full = mujoco.MjData(model), np.empty((model.nv, model.nv))
     rng = np.random.default_rng(0)
     least = np.full(len(dof), np.inf)

@@ -14,9 +14,9 @@ _MAX_DATA_BYTES = 8  # largest number of data bytes in a CAN frame
 TO_ALL = 0x7FF  # identifier of register and status frames, which all motors receive; the data names one motor
 # Last byte of a special command; its other seven bytes are 0xFF. Source: DAMIAO's DM-J43 manual, "MIT mode".
 CLEAR_ERROR, ENABLE, DISABLE, SET_ZERO = 0xFB, 0xFC, 0xFD, 0xFE
-# Third byte of a frame to TO_ALL. Source: the same manual.
+# Third byte of a frame to TO_ALL: access to a register, or request of the status. Source: DAMIAO's DM-J43 manual.
 READ, WRITE, SAVE, REFRESH = 0x33, 0x55, 0xAA, 0xCC
-# Largest gains in a MIT frame, N m/rad and N m s/rad, the same for all of these motors. Source: the same manual.
+# Largest gains kp and kd in a MIT frame, N m/rad and N m s/rad, of all emulated motors. Source: DAMIAO's DM-J43 manual.
 KP_MAX, KD_MAX = 500.0, 5.0
 
 

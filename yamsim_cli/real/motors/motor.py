@@ -18,7 +18,7 @@ _THERMAL_SECONDS = 300.0  # s, thermal time constant of the rotor. An assumption
 _DRIVER_SHARE = 0.5  # temperature rise of the driver as a share of the rotor's. An assumption
 # Degrees Celsius, limit of the driver; a register has the rotor's limit. Source: DAMIAO's DM-J43 manual, "protections".
 _DRIVER_LIMIT = 120.0
-_REST = MitCommand(0.0, 0.0, 0.0, 0.0, 0.0)
+_REST = MitCommand(0.0, 0.0, 0.0, 0.0, 0.0)  # command without torque
 
 # Numbers of the registers that affect the emulated motor. Source: DAMIAO's manual.
 OT_VALUE, MST_ID, ESC_ID, TIMEOUT, CTRL_MODE, GR, PMAX, VMAX, TMAX, XOUT = 2, 7, 8, 9, 10, 20, 21, 22, 23, 81
@@ -27,7 +27,7 @@ MIT_MODE = 1  # value of CTRL_MODE in which the motor executes a `MitCommand`
 
 # Registers that hold an integer; all others hold a float32. Source: DAMIAO's manual.
 _INTEGER_REGISTERS = frozenset({7, 8, 9, 10, 13, 14, 15, 16, 35, 36})
-# Registers that can be written. Source: the same manual.
+# Registers that can be written. Source: DAMIAO's manual.
 _WRITABLE = frozenset({*range(11), *range(21, 36)})
 _POSITIVE = frozenset({PMAX, VMAX, TMAX})  # must be positive and finite: `quantize` divides by their values
 _LARGEST_ID = 0x7FE  # largest CAN identifier that a register accepts
@@ -50,7 +50,7 @@ class MotorKind:
     Attributes:
         name: name in the maker's SDK.
         scale: ranges of the values in its frames. Source: `motor_drivers/utils.py` in the maker's SDK 1.3.6.
-        gear: gear ratio; programs read its register to identify the kind. Source: the same file.
+        gear: gear ratio; programs read its register to identify the motor type. Source: the file of `scale`.
         rated: continuous torque, N m. Source: DAMIAO's tables.
     """
 

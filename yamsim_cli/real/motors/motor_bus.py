@@ -18,6 +18,7 @@ LOST, HOT, DROP, STUCK = "lost", "hot", "drop", "stuck"
 # Kind of fault -> keys that only this kind accepts in a `--fault` flag. Every kind also accepts the keys in _COMMON.
 _KEYS = {LOST: ("motor",), HOT: ("motor", "celsius"), DROP: ("share",), STUCK: ()}
 _COMMON = ("channel", "at", "for")
+# Key -> least and largest valid value; `at` and `for` are in s, `celsius` in degrees Celsius.
 _RANGES = {"motor": (1, 15), "at": (0, 86_400), "for": (0, 86_400), "celsius": (0, 250), "share": (0, 1)}
 _EXAMPLE = "lost:motor=3,at=5,for=2"
 

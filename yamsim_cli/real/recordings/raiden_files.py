@@ -45,7 +45,7 @@ from .recording import (
 
 ROBOT_DATA = "robot_data.npz"
 
-_FOLLOWERS = {"left": "follower_l", "right": "follower_r"}
+_FOLLOWERS = {"left": "follower_l", "right": "follower_r"}  # side of an arm -> prefix of its arrays in a raw recording
 _METADATA = "metadata.json"
 _TIMESTAMPS = "timestamps.npy"
 _JPEG = (".jpg", ".jpeg")

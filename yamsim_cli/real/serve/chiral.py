@@ -22,7 +22,7 @@ from yamsim_cli.core.http_origin import refusal_reason
 from .policy_robot import PolicyRobot, RobotObservation
 from .socket_servers import ClientConnection, TcpServer
 
-_READ_BYTES = 65_536
+_READ_BYTES = 65_536  # largest number of bytes per read from a client
 _HANDSHAKE_S = 5.0  # s in which a client must complete the WebSocket handshake
 _MAX_QUEUED = 256  # unanswered messages above which a client is dropped
 _PER_STEP = 2  # messages of a client that are answered before physics continues
@@ -31,7 +31,7 @@ MAX_MESSAGE_BYTES = 65_536  # largest accepted message; an action has some hundr
 _MAX_ACTION_NUMBERS = 256  # largest accepted number of values in an action
 _DTYPES = ("float16", "float32", "float64")  # accepted types of an action's values
 
-_METADATA, _RESET, _OBSERVATION, _ACTION = "metadata", "reset", "obs_request", "apply_action"
+_METADATA, _RESET, _OBSERVATION, _ACTION = "metadata", "reset", "obs_request", "apply_action"  # types of requests
 
 
 class ChiralError(ValueError):

@@ -15,7 +15,8 @@ from .motor_simulation import MotorSimulation
 
 # N, largest force of a finger. Source: `limit_gripper_force` in robots/get_robot.py of the maker's SDK 1.3.6.
 _GRIP_FORCE = 50.0
-_LIMIT_TOLERANCE = 0.15  # rad that a commanded joint may exceed its limit. Source: the same file, "safety buffer"
+# rad by which a commanded joint may exceed its limit. Source: `get_robot.py` of the SDK, "safety buffer".
+_LIMIT_TOLERANCE = 0.15
 
 
 class Follower:

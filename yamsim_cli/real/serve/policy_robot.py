@@ -193,7 +193,9 @@ class PolicyRobot:
         self._send(self._row())
 
     def act(self, numbers: Array) -> None:
-        """Queue an action: a row of joints, or 10 numbers per arm as in `metadata`. Stop if a joint would move too far.
+        """Queue an action: all arms' joints and grippers, or hand poses of 10 numbers per arm in `metadata`'s layout.
+
+        If a joint would move too far, stop the arms instead. While the arms are stopped or go home, ignore actions.
 
         Raises:
             ValueError: the action has a wrong shape, is not finite, or has an invalid rotation.

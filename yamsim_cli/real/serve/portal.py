@@ -20,7 +20,7 @@ from yamsim_cli.core.extras import require_library
 from .follower import Follower
 from .socket_servers import ClientConnection, TcpServer
 
-_READ_BYTES = 65_536
+_READ_BYTES = 65_536  # largest number of bytes per read from a client
 _BACKLOG_BYTES = 1_000_000  # unsent bytes above which a client that reads nothing is dropped
 
 HANDSHAKE = b"portal_handshake"  # first bytes of a client
