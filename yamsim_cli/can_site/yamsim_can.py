@@ -14,9 +14,9 @@ from pathlib import Path
 import can
 from can.interfaces.socketcan import SocketcanBus
 
-_FRAME = struct.Struct("=IB3x8s")
-_EXTENDED, _REMOTE, _ERROR = 0x80000000, 0x40000000, 0x20000000
-_FOLDER = "YAMSIM_CAN_FOLDER"
+_FRAME = struct.Struct("=IB3x8s")  # Linux `struct can_frame`: identifier with flags, data length, 8 data bytes
+_EXTENDED, _REMOTE, _ERROR = 0x80000000, 0x40000000, 0x20000000  # flags in the identifier of a `struct can_frame`
+_FOLDER = "YAMSIM_CAN_FOLDER"  # environment variable: folder with one Unix socket per served channel
 
 
 def _place(channel):
@@ -24,10 +24,10 @@ def _place(channel):
 
 
 class Bus(can.BusABC):
-    """A connection to a simulated bus. For other channels, the constructor returns python-can's `SocketcanBus`."""
+    """Connection to a CAN bus that yamsim simulates."""
 
     def __new__(cls, channel, **kwargs):
-        """Return the bus of a channel."""
+        """Return a connection to the channel if yamsim serves it, else python-can's `SocketcanBus`."""
         if not _place(channel).is_socket():
             return SocketcanBus(channel, **kwargs)
         return super().__new__(cls)
@@ -101,7 +101,7 @@ class Bus(can.BusABC):
         return can.BusState.ACTIVE
 
     def fileno(self):
-        """Return the file descriptor to select for reading."""
+        """Return the socket's file descriptor, with which `select` waits for messages."""
         return self._socket.fileno()
 
     def shutdown(self):

@@ -1,4 +1,4 @@
-"""Client of the protocol /act of MolmoAct2's and GR00T's servers for YAM: an HTTP POST of JSON for each inference.
+"""Client of policy servers that answer HTTP POSTs of JSON to /act, such as MolmoAct2's and GR00T's for YAM arms.
 
 Arrays have the format of the package json_numpy: base64 of the bytes, the name of the dtype, and the shape.
 """
@@ -28,7 +28,7 @@ from .policy_client import (
 
 SCHEME = "act"
 _PATH = "/act"
-_ARRAY_KEY = "__numpy__"
+_ARRAY_KEY = "__numpy__"  # key that marks a JSON object as an array of json_numpy
 
 
 class ActClient:
@@ -57,7 +57,7 @@ class ActClient:
         """Do nothing, because the server keeps no state of a trial."""
 
     def infer(self, message: Mapping[str, Any]) -> Mapping[str, Any]:
-        """Return the server's answer to a message.
+        """Send an observation's message to the server, and return its answer.
 
         Raises:
             RemoteError: the server is gone, or its answer is an error or invalid.
@@ -91,12 +91,12 @@ class ActClient:
 
 
 def dump_json(message: Any) -> bytes:
-    """Encode a message of plain containers, text, numbers and arrays as JSON."""
+    """Encode a message of dictionaries, lists, text, numbers and arrays as JSON."""
     return json.dumps(message, default=_encode).encode()
 
 
 def load_json(data: bytes) -> Any:
-    """Decode a JSON message. Its arrays are read-only.
+    """Decode a JSON message whose arrays are in json_numpy's format. The arrays are read-only.
 
     Raises:
         DamagedMessageError: the bytes are no JSON, hold too many values, or an array is damaged.

@@ -13,13 +13,13 @@ from ..core.errors import UsageError
 from ..core.geometry.se3 import Array
 from .policy_protocol import ActionChunk
 
-_ROUNDING = 1e-6  # ticks; a smaller part of a tick is a rounding error
+_ROUNDING = 1e-6  # ticks; fractions of a control tick below this count as rounding errors
 _MAX_LATENCY = 60.0  # s, largest simulated latency
 
 
 @dataclass(frozen=True)
 class ChunkSettings:
-    """Settings for the use of action chunks.
+    """Settings for which actions of a policy's action chunks are executed, and when.
 
     Attributes:
         execute: executed actions of a chunk before the next inference; None for all.
@@ -35,7 +35,7 @@ class ChunkSettings:
 
 
 def read_latency(text: str) -> float | None:
-    """Parse a time such as `80ms` or `0.08s` and return it in s. Return None for `measured`.
+    """Parse a latency such as `80ms` or `0.08s` and return it in s. Return None for the text `measured`.
 
     Raises:
         UsageError: the text is invalid, or the time exceeds a minute.
@@ -55,7 +55,7 @@ class ChunkStats:
 
     Attributes:
         chunks, actions: number of received chunks and actions.
-        stale: number of actions whose time had passed on arrival.
+        stale: number of actions that were skipped, because their time had passed when the chunk arrived.
         waited: number of control ticks without an action, during which the last command was held.
     """
 
@@ -68,12 +68,12 @@ class ChunkStats:
 @dataclass(frozen=True)
 class _TimedChunk:
     chunk: ActionChunk
-    requested: int  # tick
-    arrival_tick: int  # tick
-    per_action: float  # ticks
+    requested: int  # control tick of the request, from which the times of the actions count
+    arrival_tick: int  # control tick from which the chunk can be used
+    per_action: float  # duration of an action, ticks
 
     def index(self, now: int) -> int:
-        """Return the index of the action for a tick, which is `actions` or more after the last action."""
+        """Return the index of the action at tick `now`. After the last action, the index is `actions` or more."""
         return math.floor((now - self.requested) / self.per_action + _ROUNDING)
 
     @property
@@ -82,7 +82,7 @@ class _TimedChunk:
 
     @property
     def ends(self) -> int:
-        """First tick after the last action."""
+        """Control tick at which the last action is over."""
         return self.requested + _ticks(self.actions * self.per_action)
 
 
@@ -93,7 +93,7 @@ class ChunkScheduler:
     skipped. If the time of all actions has passed, the last action is held.
 
     Args:
-        chunking: settings for the use of chunks.
+        chunking: settings for which actions are executed, and when.
         tick: length of a control tick, s.
         hold: duration of an action in control ticks, if its chunk has no period.
         rest: commands to each arm's drives (arms, drives) until the first chunk arrives.
@@ -106,16 +106,16 @@ class ChunkScheduler:
         self.count = ChunkStats()
 
     def is_due(self, now: int) -> bool:
-        """Whether the next inference is due at a tick."""
+        """Whether the policy must be asked for the next chunk at tick `now`."""
         return now >= self._next and not self.has_ended
 
     def last_chunk_is_over(self, now: int) -> bool:
-        """Whether the last chunk of a finished policy has ended by a tick."""
+        """Whether the policy is finished (`done`), and its last action is over at tick `now`."""
         return self.has_ended and now >= max(self._chunks[-1].ends, self._chunks[-1].arrival_tick)
 
     @property
     def has_ended(self) -> bool:
-        """Whether the newest chunk is the policy's last."""
+        """Whether the policy declared itself finished (`done`) with its newest chunk."""
         return bool(self._chunks) and self._chunks[-1].chunk.done
 
     def add_chunk(self, chunk: ActionChunk, now: int, seconds: float) -> None:

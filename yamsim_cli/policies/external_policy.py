@@ -1,4 +1,4 @@
-"""Policies of other programs. A config describes the names, units and order of the values in their messages."""
+"""Adapter for policies of other programs. A config describes names, units and order of the values in their messages."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class PolicyClient(Protocol):
     """Interface of the client of a policy server, or of a checkpoint in this process."""
 
     def begin(self, seed: int) -> None:
-        """Begin a trial with a seed."""
+        """Prepare for a new trial. `seed` seeds the policy's random numbers, if it has any."""
         ...
 
     def infer(self, message: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -35,7 +35,7 @@ class PolicyClient(Protocol):
 
 @dataclass(frozen=True)
 class PolicyStation:
-    """Arms, cameras and objects that a policy acts on.
+    """Arms, cameras and objects of the scene in which a policy acts.
 
     Attributes:
         rig: name of the rig, for error messages.
@@ -43,7 +43,7 @@ class PolicyStation:
         drives: number of drives of each arm, of which the gripper is the last.
         openings: opening of one finger of each fully open gripper, m; 0 without fingers.
         cameras: name that a policy requests -> key of the image in observations.
-        things: name of an object -> key of its pose in observations, in the order of the environment state.
+        things: name of an object -> key of its pose in observations, in the order of LeRobot's environment state.
         T_base_in_world: pose (4, 4) of the base to which the poses of a dataset refer.
     """
 
@@ -61,11 +61,11 @@ class MappedPolicy:
 
     Attributes:
         images: names of the cameras whose images the messages contain.
-        wants: further values that the messages contain, see `policy_protocol.STATE`.
+        wants: further values that observations must have: `objects` if the messages contain poses of objects.
         execute: default number of executed actions of a chunk before the next inference; None for all.
 
     Args:
-        wanted: inputs of the client, by their keys in the config; None for all.
+        wanted: keys of the config whose values the client needs; None for all.
 
     Raises:
         UsageError: the config does not fit the station.
@@ -106,12 +106,12 @@ class MappedPolicy:
         self._seed = 0
 
     def reset(self, seed: int) -> None:
-        """Begin a trial."""
+        """Begin a trial with the random seed `seed`."""
         self._seed = seed
         self._client.begin(seed)
 
     def __call__(self, observation: Observation) -> Mapping[str, Any]:
-        """Return the client's actions for an observation.
+        """Send an observation to the client and return its actions, as a policy of yamsim does.
 
         Raises:
             InvalidActionError: the client's answer has no valid actions.
@@ -119,7 +119,7 @@ class MappedPolicy:
         return self._actions(self._client.infer(self.message(observation)))
 
     def message(self, observation: Observation) -> dict[str, Any]:
-        """Return the client's message for an observation."""
+        """Convert an observation to the message that the client expects, by the config."""
         config = self._config
         message: dict[str, Any] = dict(config.constants)
         if config.state is not None:
@@ -164,7 +164,7 @@ class MappedPolicy:
         return found
 
     def _object_poses(self, observation: Observation) -> Array:
-        """Return the vector of the objects' poses in the base, see `core.dataset.environment_state`."""
+        """Return the vector of all objects' poses in the base and joint positions, as LeRobot exports have it."""
         T_world_in_base = inverse(self._station.T_base_in_world)
         return state_row(
             [

@@ -17,10 +17,10 @@ _INSTALL = "LeRobot is not here: pip install lerobot (0.4 or newer) beside yamsi
 
 
 def check_rows(message: Mapping[str, Any], expected: Mapping[str, tuple[int, ...]]) -> None:
-    """Compare the vectors in a message with the checkpoint's inputs.
+    """Check that the vectors in a message have the lengths with which the policy was trained.
 
     Args:
-        expected: key -> shape.
+        expected: key of a vector -> shape of the checkpoint's input.
 
     Raises:
         UsageError: a vector has another length.
@@ -34,7 +34,7 @@ def check_rows(message: Mapping[str, Any], expected: Mapping[str, tuple[int, ...
 
 
 class LeRobotClient:
-    """Policy that was trained by LeRobot.
+    """Loads a policy that was trained by LeRobot, and computes its actions in this process.
 
     A policy that uses one observation answers with a whole action chunk. A policy that uses several observations
     answers with one action.
@@ -81,7 +81,7 @@ class LeRobotClient:
         self._sizes = {key: (shape[2], shape[1]) for key, shape in shapes.items()}
         self.input_keys = tuple(config.input_features)
         self._rows = {key: tuple(one.shape) for key, one in config.input_features.items() if key not in shapes}
-        # Only select_action fills the queues of earlier observations.
+        # A policy with queues of earlier observations needs LeRobot's select_action, which alone fills the queues.
         kept = set(getattr(self._policy, "_queues", ())) - {"action"}
         self._needs_history = getattr(config, "n_obs_steps", 1) > 1 or bool(kept)
         self.execute: int | None = None if self._needs_history else getattr(config, "n_action_steps", None)
@@ -95,7 +95,7 @@ class LeRobotClient:
         """Return the policy's actions for an observation, after its postprocessor.
 
         Raises:
-            UsageError: see `check_rows`.
+            UsageError: a vector has another length than in training.
         """
         check_rows(message, self._rows)
         torch = self._torch

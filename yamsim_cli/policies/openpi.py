@@ -22,9 +22,9 @@ from .policy_client import (
     request_context,
 )
 
-SCHEME = "ws"
+SCHEME = "ws"  # scheme of the URL by which a user names an openpi server
 _CLOSE_S = 0.5  # s that closing a connection waits for the server
-_MESSAGE_TOO_BIG = 1009  # status code. Source: RFC 6455, section 7.4.1
+_MESSAGE_TOO_BIG = 1009  # WebSocket close code for a message that is too long. Source: RFC 6455, section 7.4.1
 
 
 class WebSocketError(ConnectionError):
@@ -56,7 +56,7 @@ class WebSocket:
                 url,
                 # Images hardly compress.
                 compression=None,
-                # The address is the server's, so no proxy is needed.
+                # Connect to the given address directly, even if the environment names a proxy.
                 proxy=None,
                 # openpi answers no ping while it computes an action.
                 ping_interval=None,
@@ -124,11 +124,11 @@ class OpenpiClient:
             raise ResourceError(str(no_answer_error(url, error))) from error
 
     def begin(self, seed: int) -> None:
-        """Reconnect if the connection is lost: the server closes it after an error. Raises the errors of `infer`."""
+        """Connect again if the connection is lost, as after an error of the server. Raises the errors of `infer`."""
         self._connection()
 
     def infer(self, message: Mapping[str, Any]) -> Mapping[str, Any]:
-        """Return the server's answer to a message.
+        """Send an observation's message to the server, and return its answer.
 
         Raises:
             RemoteError: the server is gone, or its answer is an error or invalid.
@@ -166,14 +166,14 @@ class OpenpiClient:
 
 
 def pack_openpi(message: Mapping[str, Any]) -> bytes:
-    """Encode a message as openpi's packer does."""
+    """Encode a message as msgpack with arrays as openpi's client does."""
     import msgpack
 
     return cast("bytes", msgpack.packb(message, default=_encode))
 
 
 def unpack_openpi(data: bytes) -> dict[str, Any]:
-    """Decode a mapping. Its arrays are read-only.
+    """Decode a mapping from msgpack with openpi's encoding of arrays. The arrays are read-only.
 
     Raises:
         DamagedMessageError: the bytes are no mapping, hold too many values, or an array is damaged.

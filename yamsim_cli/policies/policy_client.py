@@ -16,18 +16,18 @@ from ..core.geometry.se3 import Array
 from .policy_faults import PolicyFault
 from .policy_protocol import MAX_ACTIONS, MAX_PERIOD, MIN_PERIOD, InvalidActionError
 
-MAX_ANSWER_BYTES = 4_000_000  # size of an answer; 1000 actions of two arms take 150,000 bytes as JSON
-MAX_VALUES = 100_000  # values and containers in a message: seven times 1000 actions of two arms as plain numbers
-MAX_TEXT = 2_000  # kept characters of an error text, of which each trial has one
+MAX_ANSWER_BYTES = 4_000_000  # largest size of a server's answer; 1000 actions of two arms take 150,000 bytes as JSON
+MAX_VALUES = 100_000  # largest number of values and containers in a message: seven times 1000 actions of two arms
+MAX_TEXT = 2_000  # kept characters of the error text that the result of a trial stores
 _MAX_TRACEBACK = 50_000  # kept characters of a traceback, from its end
 
-_MAX_AXES = 8
-_DTYPE_KINDS = "biuf"  # booleans, integers and floating-point numbers
-_MAX_ITEM_BYTES = 8
+_MAX_AXES = 8  # largest number of axes of an array
+_DTYPE_KINDS = "biuf"  # accepted kinds of NumPy dtypes: booleans, integers and floating-point numbers
+_MAX_ITEM_BYTES = 8  # largest size of one number in an array
 
 
 class DamagedMessageError(ValueError):
-    """An answer is no message of the protocol."""
+    """A server's answer is damaged, or not encoded as the protocol demands."""
 
 
 class RemoteError(RuntimeError):
@@ -44,7 +44,7 @@ class RemoteError(RuntimeError):
 
 
 class ValueBudget:
-    """Limit of the number of values in one message. `spend` is a hook for msgpack.
+    """Counts the values of one message, and raises above a limit. msgpack calls `spend` for each container.
 
     Small containers take far more memory decoded than encoded, so the limit applies while msgpack decodes the message.
     """
@@ -65,7 +65,7 @@ class ValueBudget:
 
 
 def check_json(data: bytes) -> None:
-    """Check the number of values in a JSON text before decoding.
+    """Raise for a JSON text with too many values, before the text is decoded.
 
     Raises:
         DamagedMessageError: the text may hold more than `MAX_VALUES` values.
@@ -185,10 +185,13 @@ def no_answer_error(url: str, error: object) -> ResourceError:
 
 @contextmanager
 def request_context(url: str, hang_up: Callable[[], None]) -> Iterator[None]:
-    """Context of one request. An error closes the connection, on which a late answer might arrive.
+    """Context around one request to a policy server. An error closes the connection.
+
+    Otherwise, the late answer to a failed request could be taken for the answer to the next request.
 
     Args:
-        hang_up: closes the connection.
+        url: address of the server, for error messages.
+        hang_up: function that closes the connection.
 
     Raises:
         RemoteError: the server is gone.

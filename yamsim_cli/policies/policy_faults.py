@@ -9,15 +9,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 
-_YAMSIM = str(Path(__file__).resolve().parents[1])
-# Folders of Python and of installed packages. The description names the user's line that called their code.
+_YAMSIM = str(Path(__file__).resolve().parents[1])  # folder of this package
+# Folders of Python and of installed packages. A fault is described by the last line outside these folders.
 _INSTALLED = tuple({sysconfig.get_path(name) for name in ("stdlib", "platstdlib", "purelib", "platlib")})
-_MAX_CHARACTERS = 300  # length of an exception's message
+_MAX_CHARACTERS = 300  # largest length of an exception's message in a description
 
 
 @dataclass(frozen=True)
 class PolicyFault:
-    """Fault of a policy.
+    """Description of an exception that a policy's code raised, or of another fault of the policy.
 
     Attributes:
         text: one line with the exception, and in brackets the last executed line of the user's code.
@@ -32,7 +32,7 @@ def describe_fault(error: BaseException, folder: Path) -> PolicyFault:
     """Describe an exception that a policy raised.
 
     Args:
-        folder: folder to which paths of its files are shown relative.
+        folder: folder to which the paths of the policy's files are shown relative.
     """
     trace = error.__traceback__
     # Skip yamsim's calls at the beginning.

@@ -25,18 +25,18 @@ _WITHOUT_IMAGES = ("scripted", "hold_still", "replay")  # policies that need no 
 
 
 def sees_images(name: str) -> bool:
-    """Whether the policy with a name may read images."""
+    """Whether the policy `name` may read images, so that the machine must be able to render."""
     return name.partition(":")[0] not in _WITHOUT_IMAGES
 
 
 def is_external(name: str) -> bool:
-    """Whether the policy with a name belongs to another program."""
+    """Whether `name` is that of a policy of another program: it starts with `act:`, `ws:` or `lerobot:`."""
     kind, colon, _ = name.partition(":")
     return bool(colon) and kind in (form.partition(":")[0] for form in EXTERNAL_FORMS)
 
 
 def takes_keywords(name: str) -> bool:
-    """Whether the policy with a name is a class of the user, which is made with keywords."""
+    """Whether `name` is that of a class of the user, whose constructor may get keyword arguments."""
     return name.partition(":")[0] not in (*_WITHOUT_IMAGES, "http", "https") and not is_external(name)
 
 
@@ -53,8 +53,8 @@ def load_policy(
     Args:
         name: `module:Class`, `file.py:Class`, or `file.py` if the file has a single callable class.
         folder: folder that is searched first for modules and files.
-        forms: forms of a name that the caller accepts, for the error message.
-        arguments: keywords for the class.
+        forms: text of the error message on the names that are valid.
+        arguments: keyword arguments for the constructor of the class.
         known_only: whether to leave out keywords that the class does not accept.
 
     Raises:
@@ -162,12 +162,12 @@ def check_policy(policy: Any, name: str) -> Policy:
 
 
 def wanted_images(policy: Any) -> tuple[str, ...]:
-    """Return the images that a policy requests, from `IMAGES`."""
+    """Return the names of the images that a policy requests, by default `scene` and `wrist`."""
     return tuple(getattr(policy, "images", (SCENE, WRIST)))
 
 
 def wanted_state(policy: Any) -> tuple[str, ...]:
-    """Return the further values that a policy requests, from `STATE`."""
+    """Return the values in addition to images that a policy requests, from `STATE`; by default none."""
     return tuple(getattr(policy, "wants", ()))
 
 

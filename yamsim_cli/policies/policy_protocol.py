@@ -21,18 +21,19 @@ IMAGES = (SCENE, WRIST, "left_wrist", "right_wrist")
 OBJECTS, VELOCITIES = "objects", "velocities"
 STATE = (OBJECTS, VELOCITIES)
 
-MAX_ACTIONS = 1000  # actions in one answer
+MAX_ACTIONS = 1000  # largest number of actions in one answer
 MIN_PERIOD, MAX_PERIOD = 1e-3, 10.0  # s, limits of the duration of one action
 _ANGLE = QuantityBounds(
     "rad", -2 * math.pi, 2 * math.pi
 )  # range of joint angles: no joint turns farther, so larger values are degrees
-_MAX_CHUNK_S = 100.0  # s, duration of a chunk: 1000 actions at 10 Hz; chunks are kept until they run out
+_MAX_CHUNK_S = 100.0  # s, largest duration of a chunk: 1000 actions at 10 Hz; chunks are in memory until they run out
 
 # Keys of an observation. Values of two arms have the left arm's first.
 # - `scene_rgb` (height, width, 3), uint8, and `wrist_rgb`, or for two arms `left_wrist_rgb` and `right_wrist_rgb`:
 #   images, each rendered at the first access
-# - `joints` (drives,) as in a dataset's frame; `gripper`: opening of the arm, or (2,) of two arms, 0 without fingers
-# - `ee_pose_world` (4, 4) or (2, 4, 4): pose of `grasp_site`
+# - `joints` (drives,): each arm's joints, rad, and then the opening of one finger, m, as in a dataset's frame
+# - `gripper`: opening of one finger, m, or (2,) of two arms; 0 without fingers
+# - `ee_pose_world` (4, 4), or (2, 4, 4) of two arms: pose of `grasp_site` in the world
 # - `K_scene` (3, 3), `T_cam_in_world` (4, 4): scene camera, in OpenCV's convention
 # - `time`, s since the start; `prompt`
 # - if "objects" is requested: `T_object_in_world` (4, 4) of the object, `T_target_in_world` (4, 4) of its target; in
@@ -67,7 +68,7 @@ class Policy(Protocol):
 
 
 def squeeze_single_arm(poses: Array) -> Array:
-    """Return poses (arms, 4, 4) in the shape of observations: (4, 4) for a single arm."""
+    """Return poses (arms, 4, 4) unchanged for two arms, and without the first axis, (4, 4), for a single arm."""
     return poses if len(poses) > 1 else poses[0]
 
 
@@ -77,7 +78,7 @@ class ActionChunk:
 
     Attributes:
         ctrl: commands to each arm's drives (actions, arms, drives), rad and m.
-        magnet: whether each arm's weld is commanded on (actions, arms).
+        magnet: whether each arm's weld, which attaches an object to the hand, is commanded on (actions, arms).
         done: whether the policy is finished after these actions.
         period: duration of each action, s; None for the policy's `ticks`.
     """
@@ -97,7 +98,8 @@ def read_chunk(answer: object, arms: int, each: int) -> ActionChunk:
 
     Args:
         answer: answer of the policy.
-        arms, each: number of arms, and number of drives of each arm.
+        arms: number of arms.
+        each: number of drives of each arm, including the gripper.
 
     Raises:
         InvalidActionError: the answer is no mapping, lacks a finite number for a drive, or has an invalid value.

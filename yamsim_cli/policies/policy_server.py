@@ -32,14 +32,14 @@ from .remote_policy import PROTOCOL, MessageError, UnsendableError, pack_message
 LOOPBACK = "127.0.0.1"
 
 _MAX_BYTES = 64_000_000  # largest accepted message; two images of 1920 x 1080 take a fifth
-_MAX_SESSIONS = 256
+_MAX_SESSIONS = 256  # largest number of clients with a policy; a further client replaces the oldest
 
 
 class PolicyServer(ThreadingHTTPServer):
     """HTTP server that answers clients until `shutdown`. As a context manager, it closes its port at the end.
 
     Args:
-        make_policy: makes a policy for each client, see `policies.policy_protocol.Policy`.
+        make_policy: function that makes a policy for each client, an object as `policies.policy_protocol.Policy`.
         host: address to listen on; with an address other than 127.0.0.1, other machines can use the policy.
         port: port to listen on; 0 selects a free port.
 
@@ -68,10 +68,10 @@ class PolicyServer(ThreadingHTTPServer):
         return f"http://{host if isinstance(host, str) else host.decode()}:{port}"
 
     def answer(self, what: str, message: Any) -> bytes:
-        """Return the encoded answer to a message. An error becomes an answer too."""
+        """Return the encoded answer to a message that was posted to `/<what>`. An error becomes an answer too."""
         with self._one_at_a_time:
             try:
-                # Otherwise, a process that the policy forks would answer the client again.
+                # Without this context, a process that the policy forks would answer the client again.
                 with kill_forks_at_exit():
                     return pack_message(self._answer(what, message))
             # The policy may raise any exception, which is sent to the client.

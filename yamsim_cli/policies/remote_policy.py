@@ -20,10 +20,10 @@ from ..core.errors import ResourceError, UsageError
 from .policy_client import MAX_TEXT, RemoteError, ValueBudget, plain_numbers, read_body, request_context
 from .policy_protocol import InvalidActionError, Observation
 
-PROTOCOL = 1  # version of the protocol, which both sides must share
+PROTOCOL = 1  # version of the protocol; a server refuses clients with another version
 
 _ARRAY = 1  # msgpack's extension type of an array
-_DTYPE_KINDS = "biuf"  # supported kinds: booleans, integers and floating-point numbers
+_DTYPE_KINDS = "biuf"  # accepted kinds of NumPy dtypes: booleans, integers and floating-point numbers
 
 
 class MessageError(ValueError):
@@ -35,12 +35,13 @@ class UnsendableError(MessageError):
 
 
 class RemotePolicy:
-    """Policy that requests each action from a server, see `yamsim_cli.policies.policy_server`.
+    """Policy that requests each action from a `policy_server.PolicyServer`.
 
     The server keeps a session for each policy. One connection serves all calls.
 
     Attributes:
-        images, wants, ticks: attributes of the server's policy, see `policy_protocol.Policy`.
+        images, wants: images and further values that the server's policy requests.
+        ticks: duration of an action of the server's policy, control ticks.
 
     Args:
         url: URL of the server, such as `http://127.0.0.1:8080`.
@@ -70,7 +71,7 @@ class RemotePolicy:
             ) from error
 
     def reset(self, seed: int) -> None:
-        """Reset the server's policy."""
+        """Reset the server's policy for a new trial with the random seed `seed`."""
         self._request("reset", {"session": self._session, "seed": seed})
 
     def __call__(self, observation: Observation) -> Mapping[str, Any]:
@@ -115,14 +116,14 @@ class RemotePolicy:
 
 
 def pack_message(message: Any) -> bytes:
-    """Encode a message of plain containers, text, numbers and arrays of numbers."""
+    """Encode a message of dictionaries, lists, text, numbers and arrays of numbers as msgpack."""
     import msgpack
 
     return cast("bytes", msgpack.packb(message, default=_pack_array, use_bin_type=True))
 
 
 def require_sendable(answer: Any) -> dict[str, Any]:
-    """Return a policy's answer as a dictionary.
+    """Check that a policy's answer can be sent to a client, and return it as a dictionary.
 
     Raises:
         UnsendableError: the answer is no mapping, or a value cannot be sent.
@@ -139,7 +140,7 @@ def require_sendable(answer: Any) -> dict[str, Any]:
 
 
 def unpack_message(data: bytes) -> Any:
-    """Decode a message.
+    """Decode a msgpack message, with arrays as `pack_message` encodes them.
 
     Raises:
         MessageError: the bytes are no message, or the message has too many values.

@@ -11,8 +11,8 @@ from typing import Any
 
 from yamsim_cli.core.errors import UsageError
 
-_SAME = ("task", "rig", "grasp", "arms", "seed")  # keys that must be equal in two reports with paired trials
-_MAX_BYTES = 500_000_000  # largest size of a report
+_SAME = ("task", "rig", "grasp", "arms", "seed")  # keys of a report that two policies must share to be compared
+_MAX_BYTES = 500_000_000  # largest size of a report's file
 
 
 def mcnemar(only_first: int, only_second: int) -> float:
@@ -52,10 +52,10 @@ def read_report(path: Path) -> dict[str, Any]:
 
 
 def require_same_trials(expected: Mapping[str, Any], report: Mapping[str, Any]) -> None:
-    """Check that the trials of a report can be paired with those of another job.
+    """Check that two evaluations have the same task, rig, grasp, arms and seed, so that their trials can be paired.
 
     Args:
-        expected: result of `describe_run`, or a report, of the other job.
+        expected: report of the other evaluation, or the description of its run by `describe_run`.
 
     Raises:
         UsageError: the two differ in task, rig, grasp, arms or seed.
@@ -68,12 +68,12 @@ def require_same_trials(expected: Mapping[str, Any], report: Mapping[str, Any]) 
 
 
 def compare_reports(first: Mapping[str, Any], second: Mapping[str, Any]) -> dict[str, Any]:
-    """Compare two reports and return JSON data on their pairs of trials, with the p-value of McNemar's exact test.
+    """Compare two reports trial by trial, and return JSON data: counts of successes and McNemar's exact p-value.
 
     `policy` and `success_rate` in the data are those of the second report.
 
     Raises:
-        UsageError: the reports are not of the same trials.
+        UsageError: the reports differ in task, rig, grasp, arms, seed, or in the number or the starts of their trials.
     """
     name = second["policy"]
     require_same_trials(first, second)

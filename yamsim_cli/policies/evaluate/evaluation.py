@@ -44,7 +44,7 @@ class Evaluation:
         choice: the evaluated policy.
         results: results of the trials, in order.
         seconds: real time of all trials, s.
-        instances: objects and roles of each trial, see `describe_objects`.
+        instances: objects of each trial as text, such as "object banana, plate".
     """
 
     choice: PolicyChoice
@@ -77,13 +77,13 @@ def evaluate(
 
 
 def describe_objects(session: Session, job: AttemptJob) -> str:
-    """Return the role assignment of a trial as text, such as "object banana, plate"."""
+    """Return which object has which role in a trial as text, such as "object banana, plate"."""
     kinds = sample_roles_for(session, job).config_names
     return ", ".join(name if name == kind else f"{name} {kind}" for name, kind in sorted(kinds.items()))
 
 
 def rates_by_objects(evaluation: Evaluation) -> list[dict[str, Any]]:
-    """Return JSON data for each instance: instance, n, n_success, success_rate, wilson95, policy_s."""
+    """Return JSON data per assignment of objects (`instance`): success rate, its 95 % interval, and inference times."""
     rows = []
     for name in dict.fromkeys(sorted(evaluation.instances)):
         found = [result for result, own in zip(evaluation.results, evaluation.instances, strict=True) if own == name]
@@ -102,7 +102,7 @@ def rates_by_objects(evaluation: Evaluation) -> list[dict[str, Any]]:
 
 
 def _chunks(results: Sequence[TrialResult], tick: float) -> dict[str, Any]:
-    """Return counts of all trials: chunks, actions, stale actions, and the time without an action, s."""
+    """Return sums over all trials: chunks, actions, actions that came too late, and the time without an action, s."""
     counts = [result.count for result in results]
     return {
         "chunks": sum(count.chunks for count in counts),
@@ -125,7 +125,7 @@ def evaluation_report(evaluation: Evaluation, config: RecordConfig, thresholds: 
     """Return an evaluation as JSON data, with policy, stats, rig, task, grasp, arms, seed, seconds and trials.
 
     Args:
-        thresholds: distances, m, by which outcomes are scored in addition to the task's own.
+        thresholds: distances, m, for which success rates are computed in addition to that of the task.
     """
     results, tick = evaluation.results, config.task.timing.tick
     calls = [seconds for result in results for seconds in result.seconds]
@@ -194,7 +194,7 @@ class _FilmJob:
 
 
 class PolicyFilmer(TrialFilmer):
-    """Repeats and renders a policy's actions."""
+    """Films trials of a policy: simulates the recorded actions again, and renders the frames."""
 
     def run(self, film: _FilmJob) -> list[bytes]:
         """Return the frames of a trial as JPEGs."""
@@ -203,7 +203,7 @@ class PolicyFilmer(TrialFilmer):
 
 
 def trials_to_film(results: Sequence[TrialResult], limit: int, *, successes: bool) -> list[TrialResult]:
-    """Return the trials to film, see `film_evaluation`."""
+    """Return up to `limit` trials to film: failures, or successes if none failed. With `successes`, return both."""
     acted = [result for result in results if result.actions is not None]
     failed = [result for result in acted if not result.outcome.success]
     return (acted if successes else failed or acted)[:limit]

@@ -17,12 +17,12 @@ from yamsim_cli.core.images.image import Image
 
 from ..policy_protocol import OBJECTS, SCENE, VELOCITIES, WRIST, squeeze_single_arm
 
-# Renders the image of a camera at MuJoCo's positions (nq,).
+# Function that renders the image of a camera (second argument) at MuJoCo's positions (nq,) (first argument).
 Render = Callable[[Array, str], Image]
 
 
 def available_cameras(config: RecordConfig) -> dict[str, dict[str, str]]:
-    """Return the images that a policy can request: name of the request -> key in an observation -> camera."""
+    """Return the images that a policy can request: requested name -> {key of an observation: camera of the scene}."""
     if len(config.rig.arms) == 1:
         arm = config.rig.arms[0]
         side = f"{arm.side}_wrist"
@@ -37,7 +37,7 @@ def available_cameras(config: RecordConfig) -> dict[str, dict[str, str]]:
 
 
 def policy_cameras(config: RecordConfig, images: Iterable[str]) -> dict[str, str]:
-    """Return the cameras of the requested images, by their keys in an observation.
+    """Return key of an observation -> camera of the scene, for the images that a policy requests.
 
     Raises:
         UsageError: the rig and the task do not have a requested image.
@@ -55,7 +55,7 @@ def policy_cameras(config: RecordConfig, images: Iterable[str]) -> dict[str, str
 
 
 class ObservationRenderer:
-    """Renderer for the observations of one trial.
+    """Renders the images of one trial's observations, and refuses to do so in another thread or after the trial.
 
     Attributes:
         failure: exception of a failed rendering, which is not the policy's fault; None if none failed.
@@ -68,7 +68,7 @@ class ObservationRenderer:
         self.failure: Exception | None = None
 
     def render(self, key: str, qpos: Array, camera: str) -> Image:
-        """Return the image of a camera for the `key` of an observation.
+        """Render the image of a camera at MuJoCo's positions (nq,). `key` names the image in error messages.
 
         Raises:
             RuntimeError: the image is read in another thread, where OpenGL cannot render, or after its trial.
@@ -95,7 +95,7 @@ class LazyObservation(Mapping[str, Any]):
     `dict(observation)` renders all images. Listing and counting the keys renders no image.
 
     Args:
-        numbers: all values except images.
+        numbers: key -> value, for all keys of the observation except images.
         qpos: MuJoCo's positions (nq,), which the caller must not change.
         cameras: key of an image -> camera.
     """
@@ -132,7 +132,8 @@ class ObservationBuilder:
     """Builds the observations of a policy.
 
     Args:
-        images, wants: requests of the policy, see `policies.policy_protocol.IMAGES` and `STATE`.
+        images: names of the requested images, from `policy_protocol.IMAGES` or the rig's cameras.
+        wants: further requested values, from `policy_protocol.STATE`.
 
     Raises:
         UsageError: a requested camera does not exist.
@@ -150,7 +151,7 @@ class ObservationBuilder:
         return arms, drives
 
     def observe(self, episode: Episode, attempt: Attempt, renderer: ObservationRenderer) -> LazyObservation:
-        """Return the observation of an episode's current state."""
+        """Return the observation of an episode's current state. `renderer` renders its images when they are read."""
         config, scene, replica = self._simulator.config, self._simulator.scene, self._simulator.state_replay
         task = config.task
         replica.set_state(episode.data.qpos)

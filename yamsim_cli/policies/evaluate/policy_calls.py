@@ -36,7 +36,7 @@ class PolicyCaller:
     """Calls a policy under a time limit, which pauses while the policy waits for yamsim.
 
     Attributes:
-        seconds: duration of the last call without these waits, s.
+        seconds: duration of the last call, without the time in `paused` blocks, s.
 
     Args:
         limit: time limit for one call, s.
@@ -54,7 +54,7 @@ class PolicyCaller:
         Raises:
             PolicyFailedError: the policy raised an exception.
             PolicyTimeoutError: the time limit passed.
-            InvalidActionError: the policy's answer is invalid, as a client or a server reports.
+            InvalidActionError: the client or the server of the policy reports that its answer is invalid.
         """
         began, self._waited = time.monotonic(), 0.0
         try:
@@ -74,7 +74,7 @@ class PolicyCaller:
 
     @contextlib.contextmanager
     def paused(self) -> Iterator[None]:
-        """Pause the time limit in a block in which the policy waits for yamsim."""
+        """Context in which the time limit is paused, because the policy waits for yamsim to render an image."""
         began = time.monotonic()
         left = signal.setitimer(signal.ITIMER_REAL, 0)[0]
         try:
@@ -85,7 +85,7 @@ class PolicyCaller:
 
     @contextlib.contextmanager
     def _limited(self) -> Iterator[None]:
-        """Raise PolicyTimeoutError in the block after the time limit."""
+        """Context that raises PolicyTimeoutError in its block when the time limit is over."""
         # The worker pool terminates code that never returns to Python.
 
         def ring(number: int, frame: FrameType | None) -> None:

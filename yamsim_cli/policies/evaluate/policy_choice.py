@@ -17,13 +17,14 @@ class PolicyChoice:
     """A policy with settings for its answers and its time limits.
 
     Attributes:
-        name, folder: name of the policy, and folder of the user's files, see `make_policy`.
+        name: name of the policy, such as `scripted`, `file.py:Class` or `http://HOST:PORT`.
+        folder: folder to which the paths of the user's files in the name are relative.
         call_seconds: real-time limit for one answer or reset, s.
         time_limit: simulated-time limit for a trial, s; None for the task's limit.
-        end: rule that ends a trial.
-        arguments: keywords for a class of the user.
-        mapping: name or file of a config of `policies`, for policies of other programs; None for the default.
-        chunking: settings for action chunks.
+        end: rule that ends a trial, such as at the first success.
+        arguments: keyword arguments for the constructor, if the policy is a class of the user.
+        mapping: name or file of a config in `configs/policies/`, for policies of other programs; None for the default.
+        chunking: settings for which actions of action chunks are executed, and when.
         known_only: whether a class gets only the `arguments` that it accepts.
     """
 
@@ -38,7 +39,7 @@ class PolicyChoice:
     known_only: bool = False
 
     def compared_with(self, name: str) -> PolicyChoice:
-        """Return the choice of another policy by name, under the same conditions.
+        """Return the choice of the policy `name` with the same time limits, end rule and chunk settings.
 
         A class of the user gets the keywords that it accepts. A policy of another program gets the same config.
         """

@@ -32,12 +32,12 @@ from ..remote_policy import RemotePolicy
 from .observation import available_cameras
 from .policy_choice import PolicyChoice
 
-# Scheme of a policy's name -> default config of its messages.
+# Scheme of a policy's name -> name of the default config in `configs/policies/`, which describes its messages.
 _CONFIGS = {act.SCHEME: "molmoact2_yam", openpi.SCHEME: "openpi_aloha", lerobot.SCHEME: "lerobot_export"}
 
 
 class PrivilegedTrial:
-    """The state of a trial that a privileged policy can read.
+    """The simulator's state of a trial, which is hidden from all policies except privileged ones.
 
     Attributes:
         attempt: the sampled attempt.
@@ -51,7 +51,7 @@ class PrivilegedTrial:
 
     @functools.cached_property
     def expert_attempt(self) -> SimulatedAttempt:
-        """Attempt of the task's expert, which is simulated at the first access."""
+        """Attempt of the task's scripted expert at this trial, which is simulated at the first access."""
         return demonstrate(self._simulator, self.attempt)
 
 
@@ -91,10 +91,10 @@ class _ActionSequencePolicy:
 
 
 class ExpertPolicy(_ActionSequencePolicy):
-    """Policy that repeats the actions of the task's expert, as in `trials` and `record`."""
+    """Policy that repeats the actions of the task's scripted expert, which `yamsim record` records."""
 
     def begin(self, trial: PrivilegedTrial) -> Array | None:
-        """Set the expert's actions and return the expert's start."""
+        """Set the expert's actions, and return MuJoCo's positions (nq,) at the expert's start, or None."""
         states = trial.expert_attempt.states
         ctrl = np.concatenate([state.actions.ctrl for state in states])
         self._set_actions(ctrl, np.concatenate([state.actions.magnet for state in states]), trial.scene)
@@ -120,7 +120,9 @@ class HoldStillPolicy:
 
 
 class ReplayPolicy(_ActionSequencePolicy):
-    """Policy that repeats the actions of a dataset's episode with the trial's seed and number, or of another episode.
+    """Policy that repeats the actions of the dataset's episode with the trial's seed and number.
+
+    If the dataset lacks this episode, the policy repeats the actions of another one.
 
     Raises:
         UsageError: the dataset has no episodes.
@@ -136,7 +138,7 @@ class ReplayPolicy(_ActionSequencePolicy):
         self._by_job = {AttemptJob(episode.record.seed, episode.record.attempt): episode for episode in self._episodes}
 
     def begin(self, trial: PrivilegedTrial) -> Array | None:
-        """Set the actions of the trial's episode and return its start, or None if the episode is another one."""
+        """Set an episode's actions. Return its initial positions (nq,) if it has the trial's seed and number."""
         job = trial.attempt.job
         other = self._episodes[job.attempt % len(self._episodes)]
         episode = self._by_job.get(job, other)
@@ -149,7 +151,7 @@ class ReplayPolicy(_ActionSequencePolicy):
 
 
 def make_policy(choice: PolicyChoice, session: Session) -> Policy:
-    """Return the chosen policy.
+    """Construct the chosen policy: built in, a class of the user, or a client of another program.
 
     Args:
         choice: choice of a policy; its folder has the user's modules, files and datasets.

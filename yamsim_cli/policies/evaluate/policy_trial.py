@@ -49,7 +49,7 @@ class TrialEnd(StrEnum):
 
 
 FAULTS = (TrialEnd.RAISED, TrialEnd.INVALID, TrialEnd.SLOW, TrialEnd.LOST)
-# Ends of trials that measure the success of a policy.
+# Ends after which a trial counts as a measurement of the policy's success.
 MEASURED = (TrialEnd.SUCCESS, TrialEnd.DONE, TrialEnd.TIME_LIMIT, TrialEnd.UNSTABLE)
 
 _NO_FAULT = PolicyFault("")
@@ -60,15 +60,15 @@ class TrialResult:
     """Result of a trial.
 
     Attributes:
-        attempt: samples of the attempt.
-        outcome: outcome of the attempt.
-        ended: reason for the end.
+        attempt: sampled start of the trial: objects, their poses and MuJoCo's positions.
+        outcome: whether the trial succeeded, and why not.
+        ended: reason for the end of the trial.
         error: description of the policy's fault; empty without a fault.
         traceback: traceback of the policy's exception; empty without an exception.
         ticks: number of simulated control ticks.
         seconds: duration of each inference, s.
         actions: executed actions; None if no tick was simulated.
-        count: counts of action chunks.
+        count: numbers of received chunks and actions, of skipped actions, and of ticks without an action.
     """
 
     attempt: Attempt
@@ -83,7 +83,7 @@ class TrialResult:
 
 
 def trial_rules(config: RecordConfig, choice: PolicyChoice) -> EpisodeRules:
-    """Return the rules that end a policy's trials, with the time limit."""
+    """Return the rule and the time limit that end a policy's trials, from the choice or else from the task."""
     task = config.task
     ticks = task.max_ticks if choice.time_limit is None else max(1, round(choice.time_limit / task.timing.tick))
     return EpisodeRules(choice.end, max_ticks=ticks)
@@ -93,7 +93,7 @@ class TrialRunner(Closable):
     """Runs trials of one policy. The caller must close the runner, for example as a context manager.
 
     Raises:
-        ConfigError, UsageError, ResourceError: the policy cannot be made, see `make_policy`.
+        ConfigError, UsageError, ResourceError: the policy does not exist, cannot be loaded, or does not fit the rig.
     """
 
     def __init__(self, session: Session, choice: PolicyChoice) -> None:
@@ -194,7 +194,7 @@ class TrialRunner(Closable):
             return render_cameras(simulator, attempt, qpos, (camera,))[camera]
 
     def close(self) -> None:
-        """Close the policy, and free the renderers."""
+        """Close the policy, and release the memory of the renderers."""
         close = getattr(self._policy, "close", None)
         if callable(close):
             with contextlib.suppress(PolicyFailedError, PolicyTimeoutError):

@@ -1,4 +1,4 @@
-"""Trials of a task that an environment or a simulated station steps by control ticks."""
+"""Trials of a task for callers that step the simulation tick by tick, such as environments and simulated stations."""
 
 from __future__ import annotations
 
@@ -30,11 +30,11 @@ class SteppedTask(Closable):
         config: config of the session.
         rules: rules of the episodes.
         simulator: simulator of the current trial.
-        attempt: samples of the current trial.
+        attempt: sampled start of the current trial.
         episode: simulation of the current trial.
 
     Args:
-        end: rule that ends a trial, see `EndRule`.
+        end: rule that ends a trial, such as at the first success.
         max_ticks: time limit of a trial in control ticks; None for the task's limit.
     """
 
@@ -48,7 +48,7 @@ class SteppedTask(Closable):
         self.simulator: Simulator = self._simulators.get(AttemptJob(self.config.seed, 0))
 
     def begin(self, job: AttemptJob) -> None:
-        """Begin a trial, or if it has no start, the next trial with a start.
+        """Begin the trial `job`. If no start could be sampled for it, begin the next trial that has a start.
 
         Raises:
             SimulationError: none of `MAX_STARTS` trials has a start.
@@ -60,10 +60,12 @@ class SteppedTask(Closable):
         raise self._none(job, "has a start")
 
     def begin_demonstrated(self, job: AttemptJob) -> ActionSequence:
-        """Begin a trial, or the next trial in which the task's expert succeeds, from the start of a recorded episode.
+        """Begin the trial `job`, or the next trial in which the task's scripted expert succeeds.
+
+        The trial starts where `yamsim record` starts an episode of it.
 
         Returns:
-            Actions of the expert.
+            Actions with which the expert succeeds in this trial.
 
         Raises:
             SimulationError: the expert succeeds in none of `MAX_STARTS` trials.
@@ -101,11 +103,11 @@ class SteppedTask(Closable):
         return render_cameras(self.simulator, self.attempt, self.episode.data.qpos if qpos is None else qpos, cameras)
 
     def close(self) -> None:
-        """Free the renderers."""
+        """Release the memory of the renderers."""
         self._simulators.close()
 
     def _sampled(self, job: AttemptJob) -> Iterator[Attempt]:
-        """Yield the attempts from a job on, and set `self.simulator` for each."""
+        """Yield the attempts of `job` and of the following trials, and set `self.simulator` to each one's simulator."""
         for number in range(job.attempt, job.attempt + MAX_STARTS):
             one = replace(job, attempt=number)
             self.simulator = self._simulators.get(one)

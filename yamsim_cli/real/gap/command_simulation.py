@@ -14,7 +14,7 @@ from yamsim_cli.core.scene.compilation import physics_failure
 from yamsim_cli.core.scene.compiled import ArmAddresses, CompiledScene
 
 _CHECK_STEPS = 200  # physics steps between two checks for a breakdown of physics
-_START_SECONDS = 0.2  # s at the start of a recording, whose errors select the initial state
+_START_SECONDS = 0.2  # s at the start of a recording; the errors in this time select one of several initial states
 _MIN_IMPROVEMENT = 2.0  # factor by which another initial state must reduce the error of a start at rest
 _SLOPE_SAMPLES = 6  # samples from which the initial velocity is estimated
 
@@ -27,11 +27,12 @@ def simulate_commands(scene: CompiledScene, motion: RecordedMotion) -> RecordedM
     are interpolated between steps.
 
     The arms start at the measured joints, because friction lets a joint rest some milliradians beside its command.
-    They start at rest, or with the measured velocity if that start fits the first 0.2 s much better. Until a delayed
-    first command acts, the drives get the first command too, or hold the start if that fits much better.
+    They start at rest, or with the measured velocity if that start fits the first 0.2 s much better. Before the first
+    command acts on an arm with a command delay, the drives already follow the first command. They hold the start
+    instead if that fits much better.
 
     Args:
-        scene: result of `scene.build.build_rig_scene`; its timestep is used.
+        scene: the rig's scene from `scene.build.build_rig_scene`, which is simulated with its own timestep.
         motion: motion with commands. Without commanded openings, fingers are commanded to the measured openings.
 
     Returns:
@@ -99,7 +100,10 @@ class _SimulatedRun:
 def _run(
     scene: CompiledScene, name: str, start: Array, speeds: Array, before: Array | None, ctrl: Array
 ) -> _SimulatedRun:
-    """Step once for each row of `ctrl` (n, nu), after commands `before` (nu,), which are None to hold the start."""
+    """Simulate one physics step per row of `ctrl` (n, nu), from positions `start` (nq,) and velocities `speeds` (nv,).
+
+    Until the first row acts, drives with a command delay execute the commands `before` (nu,), or hold `start` if None.
+    """
     model, data = scene.model, mujoco.MjData(scene.model)
     scene.reset(data, start, commanded=before)
     data.qvel[:] = speeds
@@ -110,7 +114,7 @@ def _run(
         scene.step(data)
         qpos[k + 1], qvel[k + 1] = data.qpos, data.qvel
         if (k % _CHECK_STEPS == 0 or k == len(ctrl) - 1) and (text := physics_failure(data)):
-            # The time comes from `k`, because MuJoCo has reset its own clock.
+            # The time is computed from `k`, because MuJoCo has reset its own clock.
             raise SimulationError(f"{name}: physics broke down within {(k + 1) * model.opt.timestep:.3f} s: {text}")
     return _SimulatedRun(np.arange(len(ctrl) + 1) * model.opt.timestep, qpos, qvel)
 
@@ -145,7 +149,10 @@ def _means(times: Array, values: Array, edges: Array) -> Array:
 
 
 def forward_fill(values: Array, before: Array) -> Array:
-    """Replace each NaN in values (n, k) by the last known value, or at the start by the first known of `before`."""
+    """Replace each NaN in values (n, k) by the last finite value above it in its column.
+
+    A NaN in the first row becomes the first finite value in the same column of `before` (m, k).
+    """
     filled = values.copy()
     if np.isfinite(values).all():
         return filled
@@ -165,7 +172,7 @@ def _first_known(rows: Array) -> Array:
 
 
 def _commanded_openings(arm: ArmAddresses, logged: ArmMotion) -> Array:
-    """Return commanded, or else measured openings (n,) of an arm's fingers; closed if neither was recorded."""
+    """Return commanded, or else measured openings (n,), m, of an arm's fingers; closed if neither was recorded."""
     assert arm.fingers is not None, "asked of arms with fingers"
     closed = np.full((len(logged.joints), 1), arm.fingers.opening_limits[0])
     for openings in (logged.commanded_openings, logged.openings):
@@ -177,7 +184,7 @@ def _commanded_openings(arm: ArmAddresses, logged: ArmMotion) -> Array:
 
 
 def _start(scene: CompiledScene, motion: RecordedMotion) -> Array:
-    """Return MuJoCo's positions (nq,) at the first measurements."""
+    """Return MuJoCo's positions (nq,) with each joint and finger at its first measured position."""
     qpos: Array = scene.model.qpos0.copy()
     for arm, logged in zip(scene.arms, motion.arms, strict=True):
         qpos[arm.joint_qpos] = _first_known(logged.joints) - arm.offset
@@ -205,7 +212,7 @@ def _speeds(scene: CompiledScene, motion: RecordedMotion) -> Array:
 
 
 def _start_error(scene: CompiledScene, motion: RecordedMotion, run: _SimulatedRun, first: int) -> float:
-    """Return the RMS difference of a run from the first measured samples, rad."""
+    """Return the RMS difference, rad, between simulated and measured joints over the first `first` samples."""
     times = motion.times[:first]
     off = [
         _delayed_rows(arm, run, run.qpos[:, arm.joint_qpos], times) + arm.offset - logged.joints[:first]
@@ -216,7 +223,7 @@ def _start_error(scene: CompiledScene, motion: RecordedMotion, run: _SimulatedRu
 
 
 def _delayed_rows(arm: ArmAddresses, run: _SimulatedRun, rows: Array, times: Array) -> Array:
-    """Interpolate rows (n, k) of a run at times (m,), delayed as the arm's encoders are (m, k)."""
+    """Return rows (n, k) of a run, interpolated at times (m,), s, minus the arm's sensor delay: (m, k)."""
     return np.column_stack([np.interp(times - arm.sensor_delay, run.times, column) for column in rows.T])
 
 
@@ -233,7 +240,7 @@ def _sampled(arm: ArmAddresses, logged: ArmMotion, run: _SimulatedRun, times: Ar
 
 
 def hand_poses(scene: CompiledScene, number: int, joints: Array) -> Array:
-    """Return the poses (n, 4, 4) of `grasp_site` of arm `scene.arms[number]` in the frame of the arm's base.
+    """Return poses (n, 4, 4) of `grasp_site` of arm `scene.arms[number]` in the arm's base, by forward kinematics.
 
     Args:
         joints: measured joint positions (n, dof), rad; rows with NaN give poses of NaN.

@@ -48,12 +48,12 @@ class ErrorStats:
 
 @dataclass(frozen=True)
 class TrackingFigures:
-    """How one curve of a joint tracks another. A figure is None if the motion does not determine it.
+    """How a joint's position curve follows a reference curve. A figure is None if the motion does not determine it.
 
     Attributes:
-        delay: delay of the curve, s.
-        sag: mean difference of the curves at rest, rad.
-        overshoot: additional overshoot beyond the value at rest, mean over the stops, rad.
+        delay: delay of the curve after the reference, s.
+        sag: mean of curve minus reference while the joint rests, rad.
+        overshoot: overshoot beyond the value at rest, minus that of the reference, mean over the command's stops, rad.
     """
 
     delay: float | None
@@ -63,14 +63,14 @@ class TrackingFigures:
 
 @dataclass(frozen=True)
 class JointGap:
-    """Gap of a joint. Errors are measured minus simulated values.
+    """Differences between the measured and the simulated motion of a joint. Errors are measured minus simulated.
 
     Attributes:
         arm, name: side of the arm (`left`, `right` or empty), and name of the joint in the model.
         error: errors of all samples, rad.
-        measured_vs_simulated: how the measured curve tracks the simulated one.
-        measured, simulated: how each curve tracks the command.
-        phases: phase -> errors of the samples in that phase, rad; phases without samples are left out.
+        measured_vs_simulated: how the measured curve follows the simulated one.
+        measured, simulated: how the measured and the simulated curve follow the command.
+        phases: `MotionPhase` -> errors of the samples in that phase, rad; phases without samples are left out.
     """
 
     arm: str
@@ -84,14 +84,14 @@ class JointGap:
 
 @dataclass(frozen=True)
 class HandGap:
-    """Gap of a hand by forward kinematics of measured and simulated joints, and gap of its fingers.
+    """Differences between measured and simulated hand poses, from forward kinematics, and between finger openings.
 
     Attributes:
         arm: side of the arm: `left`, `right` or empty.
-        position: distances of the hands, m.
-        rotation: angles between the hands, rad.
-        delay: delay of the measured hand, s; None if the motion does not determine the delay.
-        opening: errors of the opening of one finger, m; None if no opening was measured.
+        position: distances between measured and simulated hand, m.
+        rotation: angles between measured and simulated hand, rad.
+        delay: delay of the measured after the simulated hand, s; None if the motion does not determine the delay.
+        opening: measured minus simulated opening of one finger, m; None if no opening was measured.
     """
 
     arm: str
@@ -128,8 +128,8 @@ class MotionGap:
         seconds: length of the compared time, s.
         error: errors of all joints, rad.
         joints, hands: gaps of all joints and of all hands, the left arm's first.
-        phases: phase -> errors of all joints, rad.
-        worst: the largest error.
+        phases: `MotionPhase` -> errors of all joints while they are in that phase, rad.
+        worst: the largest error of any joint.
         motion, simulated: measured and simulated motion, at the same samples.
         compared: mask of the compared samples (n,).
     """
@@ -191,7 +191,7 @@ def measure_gap(scene: CompiledScene, motion: RecordedMotion, begin: float = 0.0
 def _joint_gaps(
     scene: CompiledScene, arm: ArmAddresses, real: ArmMotion, made: ArmMotion, times: Array, counted: NDArray[np.bool_]
 ) -> tuple[list[JointGap], NDArray[np.int8]]:
-    """Return the gap of each joint of an arm, and each joint's phase at the compared samples (n, dof)."""
+    """Return the gap of each joint of an arm, and the phases (n, dof) at compared samples, as indices of `PHASES`."""
     assert real.commands is not None, "the simulation followed them"
     at, errors = times[counted], (real.joints - made.joints)[counted]
     # The command curve also uses commands between measured samples.
@@ -204,7 +204,7 @@ def _joint_gaps(
         apart = (second.values - first.values)[resting[:, k], k]
         stopped = list(find_command_stops(commanded, k))
         beyond = [overshoot(second.values[:, k], stop) for stop in stopped]
-        # A command has no overshoot.
+        # If the reference is the command, its overshoot is 0.
         already = [0.0 if first is commanded else overshoot(first.values[:, k], stop) for stop in stopped]
         return TrackingFigures(
             estimate_delay(first, second, k),
@@ -233,7 +233,7 @@ def _joint_name(scene: CompiledScene, arm: ArmAddresses, k: int) -> str:
 
 
 def _by_phase(errors: Array, labels: NDArray[np.int8]) -> dict[str, ErrorStats]:
-    """Return the statistics of the errors (n,) of each phase, by the phase's index in `labels` (n,)."""
+    """Return phase -> statistics of its errors. `labels` (n,) has each error's phase, an index of `PHASES`."""
     masks = {str(phase): labels == number for number, phase in enumerate(PHASES)}
     return {name: ErrorStats.from_errors(errors[mask]) for name, mask in masks.items() if mask.any()}
 

@@ -22,7 +22,7 @@ from yamsim_cli.core.markup import (
 )
 from yamsim_cli.core.plots import Values, plot_curves
 
-_UNKNOWN = "\N{EM DASH}"
+_UNKNOWN = "\N{EM DASH}"  # shown for a figure that the recordings do not determine
 _MIN_ERROR_SPAN = 0.2  # mrad, least range of the vertical axis in a plot of an error
 
 
@@ -47,7 +47,7 @@ class JointCurves:
 
 @dataclass(frozen=True)
 class CaptionedJpeg:
-    """A picture of the page: a JPEG file, and its caption."""
+    """A picture on the page: the bytes of a JPEG file, and its caption."""
 
     caption: str
     jpeg: bytes
@@ -56,13 +56,13 @@ class CaptionedJpeg:
 def gap_page(
     report: Mapping[str, Any], joints: Sequence[JointCurves], pictures: Sequence[CaptionedJpeg], made: str
 ) -> str:
-    """Return the page as HTML.
+    """Return the HTML page on a gap.
 
     Args:
-        report: result of `gap.report.build_report`.
+        report: figures of the gap as JSON data, from `gap.report.build_report`.
         joints: curves of the recording with the worst error.
         pictures: simulated arms over photos of the recordings, the worst first.
-        made: footer of the page, see `core.markup.html_page`.
+        made: text of the page's footer.
     """
     recordings = report["recordings"]
     several = len(recordings) > 1
@@ -207,7 +207,7 @@ def _row_name(row: Mapping[str, Any], name: str) -> str:
 
 
 def _errors(row: Mapping[str, Any]) -> list[str]:
-    """RMS, 95 % and largest error, mrad."""
+    """Return the table cells of a row's RMS error, 95th percentile and largest error, in mrad."""
     return [_mrad(row, key) for key in ("rms_rad", "p95_rad", "max_rad")]
 
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from yamsim_cli.core.geometry.se3 import Array
 
 STEP = 0.002  # s, time between points of the grid
-_MIN_WINDOW, _MIN_SAMPLES = 0.12, 4  # s and samples, least extent of the parabolas that give speeds
+_MIN_WINDOW, _MIN_SAMPLES = 0.12, 4  # least extent of a parabola whose slope is a speed, s and samples
 
 _MIN_DELAY, _MAX_DELAY = -0.1, 0.5  # s, range of delays; a delay at either end is rejected
 _MIN_CORRELATION = 0.5  # correlation of speeds below which no delay is determined
@@ -20,7 +20,7 @@ _MIN_SPEED = 0.02  # RMS speed, rad/s or m/s, below which no delay is determined
 
 _STILL_SPEED = 0.02  # rad/s; slower joints are still
 _CRUISING_RATE = 1.0  # 1/s; the speed of a cruising joint changes by less than this share of itself per s
-_SETTLING = 0.3  # s after which a still joint is at rest
+_SETTLING = 0.3  # s for which a joint must be still to count as at rest
 # A command stops if it moves by at least _MIN_MOVE (rad) within _MOVE_SECONDS (s) and then stays for _MIN_HOLD (s).
 _MIN_MOVE, _MOVE_SECONDS, _MIN_HOLD = 0.02, 0.3, 0.3
 _WATCHED, _END = 1.0, 0.1  # s after a stop for the overshoot, and s at the end of that time for the value at rest
@@ -28,7 +28,7 @@ _WATCHED, _END = 1.0, 0.1  # s after a stop for the overshoot, and s at the end 
 
 @dataclass(frozen=True)
 class SmoothCurves:
-    """Values on a uniform grid, with the derivatives of a fitted parabola at each time.
+    """Curves on a uniform time grid, with derivatives from a parabola that is fitted around each time.
 
     Attributes:
         times: times of the grid (n,), s.
@@ -85,13 +85,13 @@ def _derivatives(rows: Array, half: int) -> tuple[Array, Array]:
 def estimate_delay(first: SmoothCurves, second: SmoothCurves, columns: slice | int) -> float | None:
     """Return the delay of the second motion after the first, s, by the cross-correlation of their speeds.
 
-    Offsets and gains between the motions do not matter. A parabola refines the delay between two points of the grid.
+    Offsets and gains between the motions do not matter. The delay is interpolated between points of the time grid.
 
     Args:
         columns: columns of the values, such as one joint's.
 
     Returns:
-        None if a motion is too slow or the correlation too low.
+        The delay, s; None if a motion is too slow or the correlation too low.
     """
     one, other = (np.atleast_2d(curves.speeds.T[columns]) for curves in (first, second))
     if min(np.sqrt(np.mean(one**2)), np.sqrt(np.mean(other**2))) < _MIN_SPEED:
@@ -118,7 +118,7 @@ def _correlation(one: Array, other: Array, lag: int) -> float:
 
 
 class MotionPhase(StrEnum):
-    """A phase of a joint's motion."""
+    """Phase of a joint's motion, by its speed and by the change of its speed."""
 
     STILL = "still"
     ACCELERATING = "accelerating"
@@ -145,7 +145,7 @@ def motion_phases(measured: SmoothCurves, times: Array) -> NDArray[np.int8]:
 
 
 def joints_at_rest(measured: SmoothCurves, commanded: SmoothCurves) -> NDArray[np.bool_]:
-    """Return the mask (n, dof) of the grid where neither a joint nor its command moved for `_SETTLING` s."""
+    """Return the mask (n, dof) of grid times where neither a joint nor its command moved for the last 0.3 s."""
     still = (np.abs(measured.speeds) < _STILL_SPEED) & (np.abs(commanded.speeds) < _STILL_SPEED)
     moved = np.where(still, measured.times[0], measured.times[:, None])
     since = measured.times[:, None] - np.maximum.accumulate(moved, axis=0)
@@ -155,10 +155,10 @@ def joints_at_rest(measured: SmoothCurves, commanded: SmoothCurves) -> NDArray[n
 
 @dataclass(frozen=True)
 class CommandStop:
-    """A command that comes to a stop.
+    """A time span in which a joint's command has come to a stop.
 
     Attributes:
-        begin, end: rows of the grid between which overshoot is measured.
+        begin, end: indices of the time grid between which overshoot is measured; `end` is exclusive.
         direction: 1 if the command came from below, -1 if from above.
     """
 
@@ -168,7 +168,7 @@ class CommandStop:
 
 
 def find_command_stops(commanded: SmoothCurves, joint: int) -> Iterator[CommandStop]:
-    """Yield the stops of one joint's command."""
+    """Yield each stop of one joint's command: it moves by 0.02 rad or more, and then stays for 0.3 s or more."""
     step = float(commanded.times[1] - commanded.times[0]) if len(commanded.times) > 1 else 1.0
     moving = np.abs(commanded.speeds[:, joint]) >= _STILL_SPEED
     changes = np.flatnonzero(np.diff(moving.astype(np.int8)))
@@ -186,7 +186,7 @@ def find_command_stops(commanded: SmoothCurves, joint: int) -> Iterator[CommandS
 
 
 def overshoot(values: Array, stop: CommandStop) -> float:
-    """Return by how much values (n,) on the grid exceed their value at rest after a stop, at least 0."""
+    """Return the largest overshoot, at least 0, of values (n,) on the grid beyond their value at rest after a stop."""
     watched = values[stop.begin : stop.end]
     rest = float(np.mean(watched[-max(1, round(_END / STEP)) :]))
     return max(0.0, float(np.max(stop.direction * (watched - rest))))

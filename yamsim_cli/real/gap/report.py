@@ -24,7 +24,7 @@ _T95 = (
     2.201, 2.179, 2.160, 2.145, 2.131, 2.120, 2.110, 2.101, 2.093, 2.086,
     2.080, 2.074, 2.069, 2.064, 2.060, 2.056, 2.052, 2.048, 2.045, 2.042,
 )  # fmt: skip
-_Z95 = 1.959963984540054
+_Z95 = 1.959963984540054  # two-sided 95 % of the standard normal distribution
 
 
 def student95(values: Sequence[float]) -> tuple[float, float] | None:
@@ -101,7 +101,10 @@ def display_name(row: Mapping[str, Any]) -> str:
 
 
 def _mean_figures(rows: Sequence[Any], figures: Callable[[Any], Mapping[str, float | None]]) -> dict[str, Any]:
-    """Return the mean of each figure (the maximum for largest errors), and `intervals` with their 95 % intervals."""
+    """Compute the `figures` of each row, and return their means, with 95 % intervals under `intervals`.
+
+    Of figures with `max` in their names, the maximum is returned instead of the mean.
+    """
     values = [figures(row) for row in rows]
     known = {key: [value for one in values if (value := one[key]) is not None] for key in values[0]}
     largest = {key for key in known if "max" in key.split("_")}
@@ -174,12 +177,14 @@ def _worst(worst: WorstError) -> dict[str, Any]:
 def write_gap_page(
     report: Mapping[str, Any], gaps: Sequence[MotionGap], pictures: Sequence[CaptionedJpeg], path: Path
 ) -> None:
-    """Write the HTML page on a gap and replace an existing file. The page plots the recording with the worst error.
+    """Write the HTML page on a gap to `path`, with curves of the recording with the worst error.
+
+    An existing file is replaced.
 
     Args:
         report: result of `build_report`.
         gaps: gaps from which the report was built.
-        pictures: pictures of the page, the worst first.
+        pictures: pictures to show on the page, the worst first.
 
     Raises:
         ResourceError: the file cannot be written.

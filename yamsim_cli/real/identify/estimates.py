@@ -22,18 +22,20 @@ NAMES = {
     "offset": "offset_rad",
     "gravity": "gravity_factor",
 }
-# Least half width of each interval, which allows for physics that differ from the model.
+# Half width that is added to each parameter's interval, because real physics differs from the model.
 _DELAY = 0.0006  # s, timestep of a controller
-_FRICTION, _DAMPING, _ARMATURE = 0.03, 0.02, 0.05  # shares of the value, for another friction law
-_FRICTION_AS_INERTIA = 0.05  # share of the friction that another friction law shows as inertia
+_FRICTION, _DAMPING, _ARMATURE = 0.03, 0.02, 0.05  # shares of the value: real friction may obey another law
+_FRICTION_AS_INERTIA = 0.05  # share of the friction torque that appears as inertia if real friction obeys another law
 _OFFSET = 0.0004  # rad, resolution of an encoder
-_GRAVITY = 0.003
+_GRAVITY = 0.003  # of the gravity factor, which has no unit
 _DETERMINED_SHARE = 0.7  # a parameter is determined if its interval is narrower than this share of the prior's
 # Half widths of the intervals, as shares of the value, above which an identification is refused.
 _MAX_HALF_WIDTHS = {"friction": 0.5, "damping": 0.6}
 
-_BLOCK = 2.5  # s; errors nearer in time are dependent: friction holds a joint beside its target until it reverses
-_MIN_BLOCKS = 6
+# s, length of a block of the logs. Errors within a block are correlated, because friction holds a joint beside its
+# target until the joint reverses.
+_BLOCK = 2.5
+_MIN_BLOCKS = 6  # least number of blocks into which the logs are divided
 
 
 @dataclass(frozen=True)
@@ -42,10 +44,10 @@ class Estimate:
 
     Attributes:
         joint: name of the joint; empty for parameters of the whole arm.
-        name: name of the parameter, a value of `NAMES`.
+        name: name of the parameter with its unit, such as `friction_nm`; a value of `NAMES`.
         value: estimated value, in the unit of its name.
-        low, high: bounds of the interval.
-        model_value: value in the model.
+        low, high: bounds of the 95 % interval.
+        model_value: value in the arm's model before the identification.
         is_determined: whether the logs determine the parameter.
     """
 
@@ -69,7 +71,7 @@ class Estimate:
 
 
 def estimates(plant: ParametricArm, fitted: FitResult) -> list[Estimate]:
-    """Return the estimates of all fitted parameters, the delay first, then joint by joint."""
+    """Return the value and the interval of each fitted parameter in `NAMES`, the delay first, then joint by joint."""
     found = []
     for parameter, half in zip(fitted.parameters, half_widths(fitted), strict=True):
         if parameter.name not in NAMES:
@@ -87,9 +89,9 @@ def estimates(plant: ParametricArm, fitted: FitResult) -> list[Estimate]:
 def half_widths(fitted: FitResult) -> Array:
     """Return half the width of each parameter's 95 % interval (k,), in the parameter's unit.
 
-    Errors are dependent within a block of the log and independent between blocks: the Huber-White estimate for
-    clusters. Errors that the model cannot explain, such as another friction law, differ between blocks and widen the
-    interval as noise does.
+    The widths are the Huber-White estimate for clusters: errors within a block of the logs may be correlated, and
+    errors of different blocks are independent. Errors that the model cannot explain, such as those of another friction
+    law, differ between blocks and widen the interval as noise does.
     """
     weighted = fitted.slopes * fitted.weights[None, :, None]
     errors = fitted.errors * fitted.weights
@@ -129,7 +131,8 @@ def _min_half_width(plant: ParametricArm, fitted: FitResult, parameter: FitParam
         case "damping":
             return _DAMPING * damped
         case "armature":
-            # The point in its timestep at which a controller applies damping shows as inertia.
+            # The instant within a timestep at which the real controller applies damping is unknown. An error of this
+            # instant appears as inertia.
             law = _FRICTION_AS_INERTIA * float(fitted.values.friction[k]) / max(float(fitted.accelerations[k]), 1e-3)
             return _ARMATURE * size + damped * TIMESTEP / 4 + law
         case "offset":
@@ -160,7 +163,7 @@ def require_determined(plant: ParametricArm, found: list[Estimate], name: str) -
 
 
 def describe_undetermined(found: list[Estimate], gripper: bool) -> list[str]:
-    """Return one sentence for each quantity that these logs, or all logs of this kind, do not determine.
+    """Return one sentence for each quantity that these logs do not determine, or that no such log can determine.
 
     Args:
         gripper: whether the logs hold the gripper's opening, or the arm has no gripper.

@@ -26,22 +26,23 @@ from ..recordings.csv_file import TIME, csv_bytes, csv_columns
 from .plant_model import ParametricArm
 
 _RATE = 100  # commands per s
-_MAX_SPEED, _MAX_TORQUE = 0.5, 0.5  # largest shares of the motors' speed and torque that a motion needs
+_MAX_SPEED, _MAX_TORQUE = 0.5, 0.5  # largest shares of the motors' maximum speed and torque in a motion
 _MAX_TRIES = 20  # motions that are tried, each in a smaller joint range
 
 # Sum of sines of each joint: number of sines, lowest frequency, and range of the highest frequency, Hz.
 _SINES, _MIN_FREQUENCY, _HIGHEST_FREQUENCY = 8, 0.1, (2.0, 5.0)
-_FREQUENCY_PER_TURN = 2.0  # highest frequency, Hz, for each turn per s of the motor's speed
-# The amplitude of a sine falls with this power of its frequency, for the slowest and the fastest joints. The fastest
-# joints have a small inertia, which only fast sines excite.
+_FREQUENCY_PER_TURN = 2.0  # highest frequency of a joint's sines, Hz, per turn/s of its motor's maximum speed
+# The amplitude of a sine is proportional to frequency ** -exponent. The exponents are those of the slowest and of the
+# fastest joints. The fastest joints have a small inertia, which only fast sines excite.
 _AMPLITUDE_EXPONENTS = (0.8, 0.4)
 # Length of a cycle of the motion, s, and share of the sines in a cycle. Slow sweeps fill the rest of each cycle, so
-# that every third of the motion has both.
+# that each third of the motion has both: identification fits two thirds and tests the result on the last third.
 _CYCLE, _SINE_SHARE = 20.0, 0.6
 _SWEEP_SPEEDS, _SWEEP_REST = (0.05, 0.5), 0.4  # speeds of slow sweeps, rad/s, and the rest after each sweep, s
 _RAMP = 2.0  # s, in which the amplitude of the sines rises, and falls again
 
-# Least distance to the table and other arms, and between parts of the arm, m. Collision boxes exceed the parts.
+# Least distance of the arm to the table and other arms, and between parts of the arm, m. The second may be small,
+# because the collision boxes are larger than the parts.
 _DISTANCE, _SELF_DISTANCE = 0.03, 0.003
 _JOINT_MARGIN = 0.15  # rad, distance of joints from their limits
 _MAX_HALF_RANGE, _MIN_HALF_RANGE = 0.9, 0.2  # rad, largest and least swing of a joint to either side
@@ -65,7 +66,7 @@ class Excitation:
         times: times of the commands (n,), s.
         commands: commanded joint positions (n, dof), rad. The arm must start at the first command, and ends there.
         box: range of the commands.
-        speed, torque: largest share of the motor's speed and torque that any joint needs, 0..1.
+        speed, torque: largest share of the motor's maximum speed and torque that any joint needs, 0..1.
     """
 
     times: Array
@@ -78,7 +79,10 @@ class Excitation:
 def excite(
     rig: RigConfig, number: int, scene: SceneConfig, locations: Locations, seconds: float, seed: int
 ) -> Excitation:
-    """Return a motion of arm `number` of a rig that swings all joints, fast and slowly, around one posture.
+    """Return a motion of arm `rig.arms[number]` that swings all joints, fast and slowly, around one posture.
+
+    Args:
+        seconds: length of the motion, s.
 
     Raises:
         SimulationError: no collision-free motion within the limits of the motors was found.
@@ -106,7 +110,7 @@ def excite(
 
 
 def commands_csv(rig: RigConfig, number: int, found: Excitation) -> bytes:
-    """Return a CSV of the commands of all arms of a rig. Arms other than `number` rest."""
+    """Return a CSV file of the commands to all arms: arm `number` follows `found`, other arms stay at home."""
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
     writer.writerow([name for name in csv_columns(rig) if name == TIME or name.startswith("command_")])
@@ -116,7 +120,10 @@ def commands_csv(rig: RigConfig, number: int, found: Excitation) -> bytes:
 
 
 def log_csv(rig: RigConfig, number: int, found: Excitation, surroundings: SceneConfig, locations: Locations) -> bytes:
-    """Return a CSV of the commands and the simulated encoder readings of all arms, without noise and quantization."""
+    """Simulate the motion `found` of arm `number` while other arms stay at home, and return a CSV file.
+
+    The file has the commands and the encoder readings of all arms, without noise and quantization.
+    """
     commands, arms = _commands(rig, number, found), []
     for rows, k in zip(commands, rig.recording_order, strict=True):
         arm, dof = rig.arms[k], rig.arms[k].robot.dof
@@ -135,7 +142,7 @@ def log_csv(rig: RigConfig, number: int, found: Excitation, surroundings: SceneC
 
 
 def _commands(rig: RigConfig, number: int, found: Excitation) -> list[Array]:
-    """Return the commands of each arm's drives (n, drives), in the order of recordings."""
+    """Return the commands (n, drives) to each arm in `rig.recording_order`: joints, rad, and the opening, m."""
     count, arms = len(found.times), []
     for k in rig.recording_order:
         robot = rig.arms[k].robot
@@ -147,7 +154,7 @@ def _commands(rig: RigConfig, number: int, found: Excitation) -> list[Array]:
 
 
 def _normalized_trajectory(times: Array, half: float, motor: float, rng: np.random.Generator) -> Array:
-    """Return a joint's position in its range over time (n,), -1..1, with 0 at both ends.
+    """Return a joint's position in its range over time (n,), -1..1. The motion starts and ends at 0, the middle.
 
     Args:
         half: half of the joint's range, rad.
@@ -180,7 +187,10 @@ def _sines(times: Array, fastest: float, rng: np.random.Generator) -> Array:
 
 
 def _slow_sweeps(start: float, end: float, half: float, rng: np.random.Generator) -> Callable[[Array], Array]:
-    """Return a function of time that sweeps slowly to both sides, with a rest after each sweep, from 0 back to 0."""
+    """Return a function from times (n,), s, to positions (n,), -1..1, that move slowly to both sides in turn.
+
+    The joint rests after each sweep. It is at 0 at `start` and at `end`.
+    """
     knots, places, now, side = [start], [0.0], start, float(rng.choice([-1, 1]))
     while True:
         place, speed = side * rng.uniform(0.3, 1.0), np.exp(rng.uniform(*np.log(_SWEEP_SPEEDS)))
@@ -224,7 +234,7 @@ def _torques(plant: ParametricArm, times: Array, joints: Array) -> Array:
 
 
 class CollisionSpace:
-    """Collision checks of arm `number` of a rig on its table."""
+    """Checks which postures of arm `rig.arms[number]` are too near to the table, other arms or the arm itself."""
 
     def __init__(self, rig: RigConfig, number: int, scene: SceneConfig, locations: Locations) -> None:
         arm = rig.arms[number]
@@ -259,7 +269,7 @@ class CollisionSpace:
         return bool((near & self._moving_geoms[geoms].any(axis=1) & ~self._hand_geoms[geoms].all(axis=1)).any())
 
     def widest_range(self, rng: np.random.Generator) -> JointRange:
-        """Return the widest of the tried joint ranges in which no collision was found.
+        """Try random joint ranges, and return the widest range in which no sampled posture collides.
 
         Raises:
             SimulationError: no range is wide enough.

@@ -19,9 +19,10 @@ from .estimates import Estimate, describe_undetermined, estimates, require_deter
 from .parameter_fit import all_parameters, compared_samples, fit_parameters
 from .plant_model import ArmLog, LogSimulation, ParametricArm, PlantParameters
 
-_HELD_OUT = 1 / 3  # share of each log that is held out if the caller gives no held-out motions
+_HELD_OUT = 1 / 3  # share of each log that tests the fit instead of being fitted, if no other motions test the fit
 _RUNS_PER_PARAMETER = 5  # approximate number of simulations per parameter, for the progress bar
-# Faults that make a log unusable. `check_usable` reports joints that stand still, with advice on the recording.
+# Faults that make a log unusable. The fault of a joint that stands still is missing, because `check_usable` reports it
+# with advice on the recording.
 _GRAVE_FAULTS = (
     MotionFault.TIME_UNIT,
     MotionFault.GAP,
@@ -31,12 +32,12 @@ _GRAVE_FAULTS = (
     MotionFault.SWAPPED_ARMS,
 )
 
-# Minimum excitation that determines the parameters of each joint.
+# Least motion of each joint that determines the joint's parameters.
 _MIN_SECONDS = 10.0  # s, total length of the logs
 _MIN_SPAN = 0.1  # rad, range of the joint's motion
 _MIN_REVERSALS = 4  # reversals of the joint's motion
-_MIN_SPEED = 0.15  # rad/s, reached in `_FAST_SHARE` of the log
-_FAST_SHARE = 0.05
+_MIN_SPEED = 0.15  # rad/s that a joint must reach in the share _FAST_SHARE of the logs
+_FAST_SHARE = 0.05  # share of the logs' time
 _REVERSAL_DISTANCE = 0.02  # rad that a joint moves back before a reversal counts
 _SPEED_PERIOD = 0.1  # s, interval over which a speed is computed
 _REMEDY = "`yamsim excite` writes a motion that shows all of it"
@@ -44,13 +45,13 @@ _REMEDY = "`yamsim excite` writes a motion that shows all of it"
 
 @dataclass(frozen=True)
 class HeldOutError:
-    """RMS error of simulated joints on motions that were not fitted.
+    """RMS error of simulated joint positions on motions that the fit did not use.
 
     Attributes:
         source: names of the motions.
         seconds: total length of the motions, s.
         rms_before, rms_after: RMS error with the original model and with the identified parameters, rad.
-        joints: joint -> the same two errors.
+        joints: name of a joint -> (rms_before, rms_after) of this joint, rad.
     """
 
     source: str
@@ -61,7 +62,7 @@ class HeldOutError:
 
     @property
     def reduction(self) -> float:
-        """Relative reduction of the error; negative if the error grew."""
+        """Relative reduction of the error by the identification, 0..1; negative if the error grew."""
         return 1 - self.rms_after / self.rms_before if self.rms_before else 0.0
 
     def to_json_data(self) -> dict[str, Any]:
@@ -84,11 +85,11 @@ class IdentificationResult:
     Attributes:
         arm: name of the arm in the rig.
         side: `left` or `right`; empty for a single arm.
-        dynamics: the new revision of the arm's model.
+        dynamics: identified parameters, as a named revision of the arm's model that rigs can use.
         estimates: estimates of all parameters.
         undetermined: one sentence for each quantity that the logs do not determine.
         fitted_rms: RMS of the errors that remain after the fit, rad.
-        gap: error on the held-out motions.
+        gap: error on motions that the fit did not use.
     """
 
     arm: str
@@ -111,8 +112,9 @@ def identify(
     """Identify each arm of a rig, or the arm on one side, and return the results, the left arm first.
 
     Args:
-        held_out: motions for the held-out error; if empty, the last third of each motion is held out.
-        revision: name of the new revision.
+        held_out: motions that test the fit; if empty, the last third of each motion tests the fit and is not fitted.
+        revision: name for the identified parameters, by which rigs refer to this revision of the arm's model.
+        side: `left` or `right` to identify only the arm on that side; None for all arms.
         step: called with the arm's name, the number of finished simulations, and their approximate total.
 
     Raises:
@@ -188,7 +190,7 @@ def _held_out_gap(plant: ParametricArm, values: PlantParameters, logs: Sequence[
 
 
 def revised_dynamics(plant: ParametricArm, was: Dynamics, found: Sequence[Estimate]) -> Dynamics:
-    """Return the revision `was` with the estimates. Parameters that the logs do not determine keep their values."""
+    """Return the dynamics `was` with the estimated values. Parameters that the logs do not determine stay unchanged."""
     known = {(each.joint, each.name): each.value if each.is_determined else each.model_value for each in found}
     joints = {}
     for k, name in enumerate(plant.robot.joint_names):
@@ -202,7 +204,7 @@ def revised_dynamics(plant: ParametricArm, was: Dynamics, found: Sequence[Estima
             offset_rad=_round(known[name, "offset_rad"]),
             gravity_factor=_round(known[name, "gravity_factor"]),
         )
-    # The logs determine only the sum of the two delays.
+    # The logs determine only the sum of command delay and sensor delay, so the command delay gets all of it.
     delays = {"command_delay_ms": _round(1000 * known["", "delay_s"]), "sensor_delay_ms": 0.0}
     return was.model_copy(update={"joints": joints, **delays})
 
@@ -244,7 +246,7 @@ def check_usable(logs: Sequence[ArmLog], names: Sequence[str], side: str = "") -
 
 
 def _too_little_motion(paths: Sequence[tuple[Array, Array]]) -> str | None:
-    """Return a text on what a joint's motion lacks, with advice on the recording; None if nothing is missing.
+    """Return why a joint's motion does not determine its parameters, with advice; None if the motion suffices.
 
     Args:
         paths: times (n,), s, and positions (n,), rad, of the joint in each log.

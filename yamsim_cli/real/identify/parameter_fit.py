@@ -17,10 +17,10 @@ from yamsim_cli.core.geometry.se3 import Array
 from .plant_model import FINE_TIMESTEP, ArmLog, LogSimulation, ParametricArm, PlantParameters
 
 _SKIPPED_START = 0.5  # s at the start of a log that are not compared, as speed and friction are unknown there
-_MIN_ERROR = 1e-4  # rad, least error from which the weight of a joint is computed
+_MIN_ERROR = 1e-4  # rad, lower bound of a joint's RMS error, whose inverse is the weight of the joint's errors
 _ACCELERATION_PERIOD = 0.04  # s between the positions from which accelerations are computed
-_MAX_STEPS, _MAX_FINE_STEPS = 6, 4  # descent steps with the timestep of tasks, and with the fine timestep
-_DELAYS = tuple(0.01 * k for k in range(11))  # s, delays tried first: a descent from a wrong delay fails
+_MAX_STEPS, _MAX_FINE_STEPS = 6, 4  # largest numbers of fit steps: with TIMESTEP, then with FINE_TIMESTEP
+_DELAYS = tuple(0.01 * k for k in range(11))  # s; the fit starts from the best of these, as a wrong delay makes it fail
 # A fit has converged when a step changes each parameter by less than _MIN_STEP of its scale. A step that reduces the
 # cost by less than the share _MIN_GAIN also ends the fit.
 _MIN_STEP, _MIN_GAIN = 0.01, 1e-3
@@ -63,13 +63,13 @@ def all_parameters(plant: ParametricArm) -> list[FitParameter]:
 
 
 def parameter_value(values: PlantParameters, parameter: FitParameter) -> float:
-    """Return the value of one parameter."""
+    """Return the value of `parameter` in `values`, in the unit of `PlantParameters`."""
     found = getattr(values, parameter.name)
     return float(found if parameter.joint is None else found[parameter.joint])
 
 
 def replace_value(values: PlantParameters, parameter: FitParameter, number: float) -> PlantParameters:
-    """Return the values with one parameter replaced."""
+    """Return a copy of `values` with `parameter` set to `number`."""
     if parameter.joint is None:
         return replace(values, delay=number)
     changed: Array = getattr(values, parameter.name).copy()
@@ -79,7 +79,7 @@ def replace_value(values: PlantParameters, parameter: FitParameter, number: floa
 
 
 class _LinearizedFit:
-    """The least-squares problem at given values; see `geometry.least_squares.Linearized`."""
+    """Errors, cost and derivatives of the least-squares problem at given parameter values."""
 
     def __init__(self, problem: _Problem, values: PlantParameters) -> None:
         self._problem, self.values = problem, values
@@ -105,7 +105,7 @@ class _LinearizedFit:
 
 
 class _Problem(LeastSquares[PlantParameters, _LinearizedFit]):
-    """The least-squares problem of an arm that follows its logs.
+    """Least-squares problem: find the parameters with which the simulated arm moves as in its logs.
 
     Args:
         weights: weights of the joints' errors (dof,), 1/rad.
@@ -122,7 +122,7 @@ class _Problem(LeastSquares[PlantParameters, _LinearizedFit]):
         self._runs, self._step = runs, step
 
     def errors(self, values: PlantParameters) -> Array:
-        """Return simulated minus measured joints (samples, dof), rad, for the compared samples of all runs."""
+        """Simulate all logs, and return simulated minus measured joints (samples, dof), rad, of compared samples."""
         self._step()
         return np.concatenate([(run.simulate(values) - run.log.joints)[compared_samples(run)] for run in self._runs])
 
@@ -159,7 +159,7 @@ class _Problem(LeastSquares[PlantParameters, _LinearizedFit]):
 
 
 def compared_samples(run: LogSimulation) -> NDArray[np.bool_]:
-    """Return the mask of the samples of a run that are compared (n,)."""
+    """Return the mask (n,) of a log's samples that a fit compares: those with measured joints, without the start."""
     found: NDArray[np.bool_] = run.read & (run.log.times >= min(_SKIPPED_START, run.log.seconds / 10))
     return found
 
@@ -174,7 +174,7 @@ class FitResult:
         errors: simulated minus measured joints (samples, dof), rad.
         slopes: change of the errors (samples, dof, parameters) when each parameter grows by its scale.
         weights: weights of the joints' errors (dof,), 1/rad.
-        times: times of the samples (samples,), s; each run follows the run before.
+        times: times of the samples (samples,), s, as if the logs were recorded one after another.
         accelerations: RMS acceleration of each joint in the logs (dof,), rad/s2.
     """
 
@@ -190,8 +190,8 @@ class FitResult:
 def fit_parameters(arm: ArmConfig, logs: Sequence[ArmLog], step: Callable[[], None] = lambda: None) -> FitResult:
     """Fit the parameters of an arm to its logs.
 
-    A long physics timestep biases inertia and delay. So the fit descends with the timestep of tasks first. It then
-    descends with a finer timestep along the slopes of the first descent.
+    The fit first uses `TIMESTEP`, the physics timestep of tasks, which biases inertia and delay. It then continues
+    with the shorter `FINE_TIMESTEP`, but reuses the derivatives of the first part.
 
     Args:
         step: called before each simulation of the logs.

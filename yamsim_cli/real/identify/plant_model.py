@@ -15,9 +15,9 @@ from yamsim_cli.core.recorded_motion import ArmMotion, RecordedMotion
 from yamsim_cli.core.robots.dynamics import Dynamics
 from yamsim_cli.core.scene.arm_model import arm_spec
 
-TIMESTEP, FINE_TIMESTEP = 0.002, 0.0005  # s; the timestep of tasks, and one that is short enough not to bias the fit
+TIMESTEP, FINE_TIMESTEP = 0.002, 0.0005  # s, physics timesteps: of tasks, and one too short to bias a fit
 
-_MIN_INERTIA = 2e-4  # kg m2, lower bound of the armature plus half the inertia of the joint's links
+_MIN_INERTIA = 2e-4  # kg m2, lower bound of a joint's armature plus half the inertia of the links that it moves
 _POSES = 64  # random poses from which the least inertia of a joint's links is computed
 _DEFAULT_FRICTION_SPEED = 0.005  # rad/s, prior mean of `PlantParameters.friction_velocity`
 _GRAVITY_PERIOD = 0.01  # s between computations of the gravity torques
@@ -116,7 +116,10 @@ class ParametricArm:
         self.values = _values_of(model, self.dof, robot.joint_names, arm.dynamics)
 
     def plain_model(self, values: PlantParameters) -> mujoco.MjModel:
-        """Return the model that a revision with these values has, without the delay, offsets and gravity factors."""
+        """Return the arm's model with these values of friction, armature and damping, as tasks simulate the arm.
+
+        Delay, offsets and gravity factors are not part of a MuJoCo model; `LogSimulation.simulate` applies them.
+        """
         model, drives = copy.copy(self.model), self.drives
         model.dof_frictionloss[self.dof] = values.friction
         model.dof_armature[self.dof] = values.armature
@@ -127,7 +130,7 @@ class ParametricArm:
         return model
 
     def fitted_model(self, values: PlantParameters) -> mujoco.MjModel:
-        """Return the plain model, corrected for the timestep, with friction that rises with the speed."""
+        """Return `plain_model` with armatures corrected for the timestep and friction that rises with the speed."""
         model = self.plain_model(values)
         # The integrator evaluates damping at the end of a step. Uncorrected, a fit would find too little inertia.
         taken = values.armature - (self.kv + values.damping) * self.timestep / 2
@@ -153,7 +156,7 @@ class ParametricArm:
 
 
 class LogSimulation:
-    """Repeated simulation of one log with different parameter values.
+    """Simulates an arm under the commands of one log, with any parameter values.
 
     Attributes:
         read: mask of the samples with measured joints (n,).
@@ -179,7 +182,7 @@ class LogSimulation:
         """Return the simulated encoder readings at the log's times (n, dof), rad.
 
         Args:
-            plain: use `ParametricArm.plain_model`, as simulations of a revision do, instead of `fitted_model`.
+            plain: use `ParametricArm.plain_model`, as tasks do, instead of `fitted_model`, as the fit does.
         """
         plant, log = self.plant, self.log
         model = plant.plain_model(values) if plain else plant.fitted_model(values)
@@ -200,7 +203,7 @@ class LogSimulation:
         return read + values.offset
 
     def _delayed(self, delay: float) -> Array:
-        """Return the mean command of each step (steps, dof), delayed by `delay` s."""
+        """Return the mean command (steps, dof), rad, during each physics step, if commands act `delay` s late."""
         # A drive applies the command of the beginning of a step, so the mean is centered on that time.
         when, log = self._grid - self.plant.timestep / 2 - delay, self.log
         columns = []
@@ -224,7 +227,7 @@ class LogSimulation:
 
 
 def _forward_fill(commands: Array) -> Array:
-    """Replace each NaN in commands (n, dof) by the last command before, or else by the first known command."""
+    """Replace each NaN in commands (n, dof) by the last number before it in its column, or else by the first number."""
     filled = commands.copy()
     for column in filled.T:
         known = np.flatnonzero(np.isfinite(column))
@@ -246,7 +249,10 @@ def _values_of(model: mujoco.MjModel, dof: Array, names: tuple[str, ...], dynami
 
 
 def _link_inertias(model: mujoco.MjModel, qpos: Array, dof: Array, ranges: Array) -> Array:
-    """Return the least inertia of the links at each joint (dof,), kg m2, without armature, with other joints free."""
+    """Return the least inertia (dof,), kg m2, that the links have at each joint in random poses, without armature.
+
+    The other joints can move freely.
+    """
     data, full = mujoco.MjData(model), np.empty((model.nv, model.nv))
     rng = np.random.default_rng(0)
     least = np.full(len(dof), np.inf)

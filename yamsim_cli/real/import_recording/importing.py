@@ -40,7 +40,7 @@ from ..recordings.motion_faults import MotionFault, MotionProblem, find_faults, 
 from ..recordings.motion_reading import detect_format, format_reader
 from ..recordings.recording import Recording, Samples
 
-# Faults for which an import is refused -> the flag that corrects the fault. The record lists all other faults.
+# Fault for which an import is refused -> flag that corrects the fault. An episode's record lists all other faults.
 _CORRECTED_BY = {
     MotionFault.DEGREES: "--degrees",
     MotionFault.SWAPPED_ARMS: "--swap-arms",
@@ -56,8 +56,8 @@ class Corrections:
     Attributes:
         degrees: whether joints are in degrees.
         swap_arms: whether the measurements of the two arms are swapped.
-        gripper: unit of the openings; None for the unit of the format.
-        mirrored: which openings are counted from the other end, with 0 open and the largest value closed.
+        gripper: unit of the gripper openings; None for the usual unit of the recording's format.
+        mirrored: which openings are recorded with 0 for open and the largest value for closed; None for none.
     """
 
     degrees: bool = False
@@ -72,11 +72,12 @@ class ImportRequest:
 
     Attributes:
         sources: files and folders to import.
-        rig: rig of the recordings.
+        rig: rig (arms and cameras) with which the recordings were made.
         format: format of all sources; None detects the format of each source.
-        mapping: naming of the columns; None detects the naming.
-        corrections: corrections of the recordings.
-        out, mode: directory of the dataset, and the handling of a directory that is not empty.
+        mapping: config or YAML file that assigns columns to joints; None selects one that fits.
+        corrections: corrections of wrong units, swapped arms and mirrored grippers.
+        out: directory of the written dataset.
+        mode: whether a directory that is not empty is an error, is continued, or is replaced.
     """
 
     sources: Sequence[Path]
@@ -95,9 +96,9 @@ class ImportReport:
     Attributes:
         path: directory of the dataset.
         episodes, frames: number of written episodes and frames.
-        kept: number of episodes that existed before.
+        kept: number of episodes that existed before the import and were not written again.
         problems: name of the episode -> faults of the episode.
-        moved_aside: backup of an older dataset; None without an older dataset.
+        moved_aside: path to which an older dataset was moved; None if no dataset was moved.
     """
 
     path: Path
@@ -201,7 +202,7 @@ def _full_opening(rig: RigConfig, arm: int, unit: GripperUnit) -> float:
 
 
 def _mirror_openings(arm: ArmMotion, full: float, which: str) -> ArmMotion:
-    """Return an arm's motion with openings counted from the other end."""
+    """Return an arm's motion with the openings that `which` selects subtracted from `full`, the fully open value."""
     measured, commanded = arm.openings, arm.commanded_openings
     if measured is not None and which != "commanded":
         measured = full - measured
@@ -294,7 +295,7 @@ def _jpegs(recording: Recording, camera: str, samples: Samples) -> Iterator[byte
 
 
 def _frame(motion: RecordedMotion, recording: Recording, sample: int) -> dict[str, Any]:
-    """Return the frame of a sample, without keys for values that were not recorded."""
+    """Return the frame of a dataset for one sample of a motion, without keys for values that were not recorded."""
     arms = motion.arms
     frame: dict[str, Any] = {"joints": _row([(arm.joints, arm.openings) for arm in arms], sample)}
     frame["timestamp"] = float(motion.times[sample])

@@ -51,7 +51,8 @@ class GripperCanConfig(Config):
     """A gripper's motor, which moves both fingers.
 
     Attributes:
-        id, kind: CAN identifier and motor kind, as in `JointMotor`.
+        id: CAN identifier of the motor.
+        kind: motor kind, a key of `motor.KINDS`.
         closed, opened: shaft angles with closed and with fully opened fingers, rad.
         stroke: travel of one finger from closed to opened, m.
         armature: inertia of the rotor at the shaft, kg m2.
@@ -84,7 +85,7 @@ class CanConfig:
 
 
 def load_can_config(model: str, gripper: str | None, joints: int, locations: Locations) -> CanConfig:
-    """Return the motors of an arm and its gripper.
+    """Read the motors of an arm and of its gripper from the `can.yaml` files in their model folders.
 
     Args:
         model, gripper: folder names of the two models; `gripper` is None for a gripper without fingers.

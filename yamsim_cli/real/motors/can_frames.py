@@ -9,14 +9,14 @@ from typing import NamedTuple
 _CAN_FRAME = struct.Struct("=IB3x8s")
 FRAME_BYTES = _CAN_FRAME.size
 _FLAGS = 0xE0000000  # flag bits of extended, remote and error frames, which motors ignore
-_MAX_DATA_BYTES = 8
+_MAX_DATA_BYTES = 8  # largest number of data bytes in a CAN frame
 
 TO_ALL = 0x7FF  # identifier of register and status frames, which all motors receive; the data names one motor
 # Last byte of a special command; its other seven bytes are 0xFF. Source: DAMIAO's DM-J43 manual, "MIT mode".
 CLEAR_ERROR, ENABLE, DISABLE, SET_ZERO = 0xFB, 0xFC, 0xFD, 0xFE
-# Third byte of a frame to TO_ALL. Source: the same manual.
+# Third byte of a frame to TO_ALL: access to a register, or request of the status. Source: DAMIAO's DM-J43 manual.
 READ, WRITE, SAVE, REFRESH = 0x33, 0x55, 0xAA, 0xCC
-# Largest gains in a MIT frame, N m/rad and N m s/rad, the same for all of these motors. Source: the same manual.
+# Largest gains kp and kd in a MIT frame, N m/rad and N m s/rad, of all emulated motors. Source: DAMIAO's DM-J43 manual.
 KP_MAX, KD_MAX = 500.0, 5.0
 
 
@@ -28,7 +28,10 @@ class CanFrame(NamedTuple):
 
 
 class MitCommand(NamedTuple):
-    """MIT command: the torque at position p and velocity v is `kp (position - p) + kd (velocity - v) + torque`."""
+    """Command in a motor's MIT mode. At position p and velocity v, the motor gives the following torque.
+
+    The torque is `kp (position - p) + kd (velocity - v) + torque`, in rad, rad/s and N m.
+    """
 
     position: float
     velocity: float
@@ -46,7 +49,7 @@ class MotorRange(NamedTuple):
 
 
 def parse_frame(wire: bytes) -> CanFrame | None:
-    """Return the frame in 16 bytes from a socket, or None for a frame that motors ignore."""
+    """Decode the 16 bytes of a frame from a socket. Return None for a frame that motors ignore."""
     identifier, length, data = _CAN_FRAME.unpack(wire)
     if identifier & _FLAGS or identifier > TO_ALL or length > _MAX_DATA_BYTES:
         return None
@@ -54,7 +57,7 @@ def parse_frame(wire: bytes) -> CanFrame | None:
 
 
 def to_wire(frame: CanFrame) -> bytes:
-    """Return the 16 bytes of a frame on a socket."""
+    """Encode a frame as the 16 bytes that are sent on a socket."""
     return _CAN_FRAME.pack(frame.id, len(frame.data), frame.data)
 
 
@@ -76,7 +79,7 @@ def dequantize(number: int, maximum: float, bits: int) -> float:
 
 
 def read_mit(data: bytes, scale: MotorRange) -> MitCommand:
-    """Return the command in the 8 bytes of a MIT frame."""
+    """Decode the 8 data bytes of a frame in MIT mode. `scale` has the ranges of the motor."""
     bits = int.from_bytes(data, "big")
     return MitCommand(
         position=dequantize(bits >> 48, scale.position, 16),
@@ -101,6 +104,7 @@ def feedback_bytes(
     Args:
         motor: identifier of the motor; the frame has its lowest four bits.
         status: 0 for disabled, 1 for enabled, 8 and more for an error.
+        position, velocity, torque: state of the shaft, rad, rad/s and N m.
         celsius: temperatures of the driver and of the rotor, degrees Celsius.
     """
     bits = (status & 0xF) << 4 | motor & 0xF

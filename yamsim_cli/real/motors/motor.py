@@ -18,21 +18,21 @@ _THERMAL_SECONDS = 300.0  # s, thermal time constant of the rotor. An assumption
 _DRIVER_SHARE = 0.5  # temperature rise of the driver as a share of the rotor's. An assumption
 # Degrees Celsius, limit of the driver; a register has the rotor's limit. Source: DAMIAO's DM-J43 manual, "protections".
 _DRIVER_LIMIT = 120.0
-_REST = MitCommand(0.0, 0.0, 0.0, 0.0, 0.0)
+_REST = MitCommand(0.0, 0.0, 0.0, 0.0, 0.0)  # command without torque
 
 # Numbers of the registers that affect the emulated motor. Source: DAMIAO's manual.
 OT_VALUE, MST_ID, ESC_ID, TIMEOUT, CTRL_MODE, GR, PMAX, VMAX, TMAX, XOUT = 2, 7, 8, 9, 10, 20, 21, 22, 23, 81
-ROTOR_POSITION = 80
-MIT_MODE = 1
+ROTOR_POSITION = 80  # register of the rotor's angle before the gear, rad
+MIT_MODE = 1  # value of CTRL_MODE in which the motor executes a `MitCommand`
 
 # Registers that hold an integer; all others hold a float32. Source: DAMIAO's manual.
 _INTEGER_REGISTERS = frozenset({7, 8, 9, 10, 13, 14, 15, 16, 35, 36})
-# Registers that can be written. Source: the same manual.
+# Registers that can be written. Source: DAMIAO's manual.
 _WRITABLE = frozenset({*range(11), *range(21, 36)})
 _POSITIVE = frozenset({PMAX, VMAX, TMAX})  # must be positive and finite: `quantize` divides by their values
-_LARGEST_ID = 0x7FE
+_LARGEST_ID = 0x7FE  # largest CAN identifier that a register accepts
 _VERSION = 0x53494D  # "SIM" in ASCII: the version registers identify a simulated motor
-# Factory values: protections (V, degrees Celsius, A), and gains of control loops that MIT mode does not use.
+# Register -> factory value: protections (V, degrees Celsius, A), and gains of control loops that MIT mode does not use.
 _FACTORY = {
     0: 15.0, 1: 0.0, OT_VALUE: 100.0, 3: 0.98, 4: 2.0, 5: -2.0, 6: 600.0, 11: 0.0, 12: 0.0, 13: _VERSION, 14: _VERSION,
     16: 14, 17: 0.0, 18: 0.0, 19: 0.0, 24: 1000.0, 25: 0.0, 26: 0.0, 27: 0.0, 28: 0.0, 29: 32.0, 30: 1.0, 31: 4.0,
@@ -45,12 +45,12 @@ _TIMEOUT_UNIT = 50e-6  # s per unit of the TIMEOUT register
 
 @dataclass(frozen=True)
 class MotorKind:
-    """A kind of motor.
+    """Data of a DAMIAO motor type.
 
     Attributes:
         name: name in the maker's SDK.
         scale: ranges of the values in its frames. Source: `motor_drivers/utils.py` in the maker's SDK 1.3.6.
-        gear: gear ratio; programs read its register to identify the kind. Source: the same file.
+        gear: gear ratio; programs read its register to identify the motor type. Source: the file of `scale`.
         rated: continuous torque, N m. Source: DAMIAO's tables.
     """
 
@@ -61,7 +61,7 @@ class MotorKind:
 
     @property
     def heating(self) -> float:
-        """Steady temperature rise of the rotor per squared torque, K/(N m)2."""
+        """Temperature rise of the rotor that a constant torque finally causes, per squared torque, K/(N m)2."""
         return _RATED_RISE / self.rated**2
 
 
@@ -174,7 +174,7 @@ class Motor:
 
     @property
     def max_torque(self) -> float:
-        """Largest torque, N m."""
+        """Largest torque that the motor gives, N m: the smaller one of its register TMAX and its kind's limit."""
         return min(self._scale.torque, self.kind.scale.torque)
 
     @property
@@ -211,7 +211,10 @@ class Motor:
         return self._answer()
 
     def drive(self, command: MitCommand, now: float) -> None:
-        """Enable a disabled motor and apply a command, whose position ignores SET_ZERO. An error state stays."""
+        """Enable a disabled motor and apply a command at time `now`, s. A motor in an error state stays there.
+
+        The commanded position is that of the shaft, regardless of a zero that SET_ZERO has set.
+        """
         if self.lost:
             return
         if self.status is Status.DISABLED:
@@ -222,7 +225,10 @@ class Motor:
         self.control_law_changed = True
 
     def advance(self, now: float, seconds: float) -> None:
-        """Advance time: update the temperature, and fail if the motor is too hot or received no frame in time."""
+        """Advance by `seconds` to time `now`, s: update the temperature, and detect errors.
+
+        An enabled motor enters an error state if it is too hot, or received no frame within its timeout.
+        """
         rise = self.kind.heating * self.torque**2
         self.celsius += (AMBIENT + rise - self.celsius) * min(1.0, seconds / _THERMAL_SECONDS)
         if self.status is not Status.ENABLED:

@@ -15,16 +15,17 @@ from .motor import Motor
 _UPDATE_SECONDS = 0.01  # s between updates of temperatures, timeouts and faults
 
 LOST, HOT, DROP, STUCK = "lost", "hot", "drop", "stuck"
-# Kind of fault -> its specific keys. Every fault also has the keys in _COMMON.
+# Kind of fault -> keys that only this kind accepts in a `--fault` flag. Every kind also accepts the keys in _COMMON.
 _KEYS = {LOST: ("motor",), HOT: ("motor", "celsius"), DROP: ("share",), STUCK: ()}
 _COMMON = ("channel", "at", "for")
+# Key -> least and largest valid value; `at` and `for` are in s, `celsius` in degrees Celsius.
 _RANGES = {"motor": (1, 15), "at": (0, 86_400), "for": (0, 86_400), "celsius": (0, 250), "share": (0, 1)}
 _EXAMPLE = "lost:motor=3,at=5,for=2"
 
 
 @dataclass(frozen=True)
 class BusFault:
-    """A fault of a bus and the time at which it occurs.
+    """A fault to inject into a bus, and the time at which it occurs.
 
     Attributes:
         kind: LOST, HOT, DROP or STUCK.
@@ -81,7 +82,7 @@ def _number(text: str, key: str, value: str) -> float:
 
 
 class MotorBus:
-    """A bus with motors. All times are simulation time, s.
+    """Simulated CAN bus that passes frames to its motors and injects faults. All times are simulation time, s.
 
     Attributes:
         channel: name of the bus, such as `can0`.
@@ -103,7 +104,7 @@ class MotorBus:
         self._drop_share = 0.0
 
     def send(self, frame: CanFrame, now: float) -> list[CanFrame]:
-        """Send a frame to all motors and return their answers."""
+        """Send a frame to all motors and return their answers, without frames that a fault drops."""
         self.frames_received += 1
         if self._drops_frame():
             return []

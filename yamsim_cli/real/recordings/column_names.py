@@ -1,4 +1,4 @@
-"""Namings of the columns in recordings of other programs, which map columns to joints and grippers of arms."""
+"""Namings of columns: configs that say which column of another program's recording is which joint or gripper."""
 
 from __future__ import annotations
 
@@ -26,14 +26,20 @@ def candidate_namings(mapping: str | None, locations: Locations) -> list[Recordi
 
 
 def arm_keys(rig: RigConfig) -> list[str]:
-    """Return the key of each arm in a naming, in the order of recordings."""
+    """Return each arm's key in a naming, the left arm's first: `left` and `right`, or `only` for a single arm."""
     return [side or "only" for side in motion_sides(rig)]
 
 
 def find_naming(
     columns: Sequence[str], rig: RigConfig, mapping: str | None, source: str, locations: Locations
 ) -> RecordingNames:
-    """Return `mapping`, or if None, the first naming that fits: of `configs/recordings/`, else the drives' names.
+    """Return the naming `mapping`, or if None, the first naming that fits the columns of a recording and the rig.
+
+    Namings of `configs/recordings/` are tried first, then the names of the rig's drives and joints.
+
+    Args:
+        columns: names of the recording's columns.
+        source: name of the recording, for error messages.
 
     Raises:
         ConfigError: `mapping` does not exist or does not fit.
@@ -58,7 +64,10 @@ def find_naming(
 def named_arms(
     names: RecordingNames, rig: RigConfig, measured: Mapping[str, Array], commanded: Mapping[str, Array] | None
 ) -> tuple[ArmMotion, ...]:
-    """Return the motions of the arms in named columns (n,), the left arm's first. Openings keep the naming's unit."""
+    """Return the motion of each arm, the left arm's first, from columns (n,) that a naming assigns to the arms.
+
+    Openings keep the unit of the naming. `commanded` is None if the recording has no commands.
+    """
     motions = []
     for side, key in zip(motion_sides(rig), arm_keys(rig), strict=True):
         joints, gripper = names.arms[key].joints, names.arms[key].gripper
@@ -75,12 +84,12 @@ def named_arms(
 
 
 def arm_columns(arm: ArmNames) -> tuple[str, ...]:
-    """Return the names of all columns of an arm."""
+    """Return the names of the columns of an arm's joints, and last of its gripper if it has one."""
     return arm.joints if arm.gripper is None else (*arm.joints, arm.gripper)
 
 
 def _missing(names: RecordingNames, columns: Sequence[str], rig: RigConfig) -> str | None:
-    """Describe the first item that the rig needs and the naming or the columns lack. Return None if all items exist."""
+    """Return a text on the first arm, joint or column that the rig needs but `names` or `columns` lack, else None."""
     keys = arm_keys(rig)
     if set(keys) != set(names.arms):
         return " and ".join(f"arm {key!r} in it" for key in keys)

@@ -28,7 +28,7 @@ _MAX_BYTES = 1 << 30  # largest size of a file; three hours at 250 Hz are 0.6 GB
 
 
 def csv_columns(rig: RigConfig) -> list[str]:
-    """Return the column names of a motion, in the order in which yamsim writes them."""
+    """Return the column names of a CSV file that yamsim writes: time, all commands, and all measured positions."""
     robots = [rig.arms[k].robot for k in rig.recording_order]
     return [
         TIME,
@@ -42,7 +42,7 @@ def csv_columns(rig: RigConfig) -> list[str]:
 
 
 def read_csv(path: Path, rig: RigConfig) -> RecordedMotion:
-    """Return the motion in a CSV.
+    """Read the motion of a rig's arms from a CSV file. Columns with other names are ignored.
 
     Raises:
         DatasetError: the file cannot be read, lacks columns, or has an invalid row.
@@ -66,7 +66,7 @@ def read_csv(path: Path, rig: RigConfig) -> RecordedMotion:
 
 
 def csv_bytes(rig: RigConfig, times: Sequence[float] | Array, columns: Array) -> bytes:
-    """Return the bytes of a CSV of a motion. `read_csv` restores the same numbers.
+    """Encode a motion as a CSV file, from which `read_csv` restores exactly the same numbers.
 
     Args:
         times: times of the samples (n,), s.
@@ -119,7 +119,7 @@ def _rows(path: Path, names: Sequence[str], lines: Iterator[list[str]]) -> Itera
 
 
 def _arm_motions(columns: Mapping[str, Array], rig: RigConfig, path: Path) -> tuple[ArmMotion, ...]:
-    """Return the motions of the arms, the left arm's first. Columns (n,) with other names are ignored.
+    """Return each arm's motion, the left arm's first, from columns (n,) of a CSV file. Other columns are ignored.
 
     Raises:
         DatasetError: a joint has no position, or only some joints have a command.

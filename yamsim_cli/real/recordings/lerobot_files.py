@@ -51,7 +51,7 @@ _CHUNK_SIZE = 1000  # episodes in a chunk, if a dataset of version 2 states no `
 
 @dataclass(frozen=True)
 class VideoPaths:
-    """Paths of the videos of a dataset.
+    """Finds the video files of a LeRobot dataset from the path pattern in its `meta/info.json`.
 
     Attributes:
         path: folder of the dataset.
@@ -74,7 +74,7 @@ class VideoPaths:
         return float(fps)
 
     def check(self) -> None:
-        """Check the values of `info.json` on videos.
+        """Check the values of `info.json` that describe videos: frame rate, path pattern and chunk size.
 
         Raises:
             DatasetError: a value is missing or invalid.
@@ -85,7 +85,7 @@ class VideoPaths:
         """Return the file with a camera's video of an episode, and the time at which the episode begins in it, s.
 
         Args:
-            key: feature of the camera.
+            key: name of the camera's feature, such as `observation.images.wrist`.
             number: number of the episode.
             row: row of the episode in `meta/episodes/` of version 3; None for version 2.
 
@@ -155,7 +155,7 @@ def _short(value: object) -> str:
 
 @dataclass(frozen=True)
 class _Dataset:
-    """The folder of a dataset, the content of its `info.json`, and the user's rig and naming."""
+    """A dataset's folder, the content of its `info.json`, and the user's rig and naming of columns (`mapping`)."""
 
     path: Path
     info: Mapping[str, Any]
@@ -201,7 +201,7 @@ def read_lerobot(path: Path, rig: RigConfig, mapping: str | None, locations: Loc
     """Return the episodes of a LeRobot dataset.
 
     Args:
-        mapping: a naming of `configs/recordings/` or a YAML file; None for the first naming that fits.
+        mapping: config in `configs/recordings/` or YAML file that assigns columns to joints; None to find one.
 
     Raises:
         DatasetError: the dataset is damaged or has an unsupported version, or no naming fits.
@@ -323,7 +323,7 @@ def _tasks(path: Path) -> dict[int, str]:
 
 
 def _episode_rows(path: Path, version: str) -> dict[int, dict[str, Any]]:
-    """Return each episode's row in `meta/`, with its length and, in version 3, the places of its videos."""
+    """Return number of an episode -> its metadata in `meta/`: its length and, in version 3, where its videos are."""
     if not version.startswith("v3"):
         rows = _json_lines(path / "meta/episodes.jsonl")
         return {row["episode_index"]: row for row in rows if isinstance(row.get("episode_index"), int)}

@@ -22,15 +22,16 @@ from yamsim_cli.core.recorded_motion import ArmMotion, RecordedMotion
 from .column_names import KIND, arm_keys, candidate_namings
 from .recording import JPEG_QUALITY, CameraImages, Recording, Samples, motion_sides, times_from_nanoseconds
 
-_MAX_MESSAGES = 5_000_000  # messages of a file
-# s; a topic that starts later than this after the first arm's state is refused, and an earlier end is reported
+_MAX_MESSAGES = 5_000_000  # largest number of messages in a file
+# s; a topic may start this much later, and end this much earlier, than the topic of the first arm's state. A later
+# start is an error, and an earlier end is reported as a problem.
 _LATEST_START = _EARLIEST_END = 1.0
 
 Rows = list[tuple[int, Array]]  # time (ns) and values of each message of a topic
 
 
 def read_mcap(path: Path, rig: RigConfig, mapping: str | None, locations: Locations) -> list[Recording]:
-    """Return the recording in an MCAP file, in a list.
+    """Read the one recording in an MCAP file, and return it in a list.
 
     The samples are the messages of the first arm's state. Each other topic gives its last value before each sample.
 
@@ -92,7 +93,7 @@ def _arms(
 
 
 def _early_ends(rows: Mapping[str, Rows], stamps: Samples) -> Iterator[str]:
-    """Yield a line of text for each topic that ends long before the motion."""
+    """Yield a line of text for each topic that ends more than `_EARLIEST_END` s before the last of `stamps`, ns."""
     for topic, messages in sorted(rows.items()):
         if messages and (early := (stamps[-1] - messages[-1][0]) * 1e-9) > _EARLIEST_END:
             yield f"{topic} ends {early:.1f} s before the arm's state, and keeps its last value: was it cut off?"
@@ -114,7 +115,7 @@ def _naming(
 
 
 def _last_values(rows: Rows, stamps: Samples, width: int, source: str) -> Array:
-    """Return the last value of a topic at each time stamp (n, width)."""
+    """Return the last value (n, width) of a topic before each of the time stamps (n,), ns."""
     if not rows:
         raise DatasetError(f"{source}: holds no message")
     when = np.array([time for time, _ in rows], dtype=np.int64)

@@ -28,14 +28,14 @@ _OPENING_FACTOR = 1.1  # openings above this multiple of the fingers' range are 
 # A joint is frozen if its measurement stays constant for this time, s, while its command moves by this angle, rad.
 _FROZEN_SECONDS, _FROZEN_COMMAND = 1.0, 0.1
 _MIRRORED = -0.5  # correlation of openings with commanded openings below which one of them is mirrored
-_MIN_OPENING = 0.2  # share of the fingers' range; smaller motions are not correlated
+_MIN_OPENING = 0.2  # share of the fingers' range; motions below this are too small for a correlation
 # Fingers stall if they stand still for this time, s, at this distance from their command, as a share of their range.
 _STALL_SECONDS, _STALL_DISTANCE = 0.5, 0.2
 _STILL_SPEED = 0.2  # shares of the range per s; slower fingers stand still; noise of an encoder is half of this speed
 
 
 class MotionFault(StrEnum):
-    """Kind of a fault in a recorded motion."""
+    """Kind of a fault that a recorded motion can have, such as gaps, degrees instead of rad, or swapped arms."""
 
     GAP = "gap"
     DEGREES = "degrees"
@@ -82,7 +82,7 @@ def find_faults(motion: RecordedMotion, rig: RigConfig) -> list[MotionProblem]:
 
 
 def require_units(name: str, problems: Iterable[MotionProblem]) -> None:
-    """Check that a recording is in s and rad.
+    """Check that times are in s and joints in rad, from the problems that `find_faults` found in a recording.
 
     Raises:
         DatasetError: a problem is a wrong unit.
@@ -106,7 +106,7 @@ def find_gaps(times: Array, what: str = "nothing was recorded") -> Iterator[Moti
     """Yield the gaps between recorded times (n,), s.
 
     Args:
-        what: beginning of the text of each gap; the length of the gap follows.
+        what: first words of each gap's text; the text goes on with the length of the gap.
     """
     if len(times) < 2:
         return
@@ -211,7 +211,7 @@ def _mirrored_gripper(name: str, times: Array, measured: Array, commanded: Array
 
 
 def _first_stall(times: Array, measured: Array, commanded: Array) -> float | None:
-    """Return the time of the first stall while opening, s, or None if there is none or a stall while closing."""
+    """Return the time, s, at which fingers first stall while opening; None if they never do, or stall while closing."""
     ahead = measured - commanded
     still = np.abs(np.gradient(measured, times)) < _STILL_SPEED
     stalls = np.where(still & (np.abs(ahead) > _STALL_DISTANCE), np.sign(ahead), 0)

@@ -23,7 +23,7 @@ from .mcap_file import read_mcap
 from .raiden_files import ROBOT_DATA, read_lowdim, read_raiden_raw
 from .recording import Recording, split_arms
 
-# Reads the recordings at a path, given the rig, the naming of --mapping, and the locations.
+# Function that reads the recordings at a path. Arguments: path, rig, naming of columns (None to find one), locations.
 Reader = Callable[[Path, RigConfig, str | None, Locations], list[Recording]]
 
 _READERS: Mapping[str, Reader] = {
@@ -62,7 +62,7 @@ def detect_format(path: Path) -> str:
 
 
 def format_reader(name: str) -> Reader:
-    """Return the reader of a format.
+    """Return the function that reads recordings of the format `name`, such as `csv`.
 
     Raises:
         UsageError: no format has that name.
@@ -78,7 +78,7 @@ def read_motions(
     """Return the motions of recordings, in order, with all samples. A dataset gives one motion for each episode.
 
     Args:
-        mapping: naming of the columns, see `column_names.find_naming`.
+        mapping: config or YAML file that assigns columns to joints; None to find one that fits.
 
     Raises:
         DatasetError: a recording is missing, unreadable or damaged, or does not fit the rig.

@@ -45,7 +45,7 @@ from .recording import (
 
 ROBOT_DATA = "robot_data.npz"
 
-_FOLLOWERS = {"left": "follower_l", "right": "follower_r"}
+_FOLLOWERS = {"left": "follower_l", "right": "follower_r"}  # side of an arm -> prefix of its arrays in a raw recording
 _METADATA = "metadata.json"
 _TIMESTAMPS = "timestamps.npy"
 _JPEG = (".jpg", ".jpeg")
@@ -56,7 +56,7 @@ _SHARE_FACTOR = 1.5  # openings above this multiple of the fingers' range are sh
 
 
 def read_raiden_raw(path: Path, rig: RigConfig) -> list[Recording]:
-    """Return the recording in a `robot_data.npz` or its folder, in a list. Videos are not read.
+    """Read the one recording in a `robot_data.npz`, or in its folder, and return it in a list. Videos are not read.
 
     Raises:
         DatasetError: the file cannot be read, is damaged, or lacks an arm of the rig.
@@ -110,7 +110,7 @@ def _raw_rows(arrays: Mapping[str, NDArray[np.generic]], key: str, shape: tuple[
 
 
 def read_lowdim(path: Path, rig: RigConfig) -> list[Recording]:
-    """Return the recordings in a folder: the folder itself, or its subfolders.
+    """Read recordings with `lowdim/` and `rgb/`: the recording in the folder, or one in each of its subfolders.
 
     Raises:
         DatasetError: the folder has no recording, or a recording is damaged or does not fit the rig.
@@ -177,7 +177,7 @@ def _frame(file: Path) -> dict[str, Any]:
 
 
 def _frame_rows(frames: Sequence[dict[str, Any]], key: str, files: Sequence[Path], rig: RigConfig) -> Array:
-    """Return the values of all drives (frames, arms, drives)."""
+    """Return the values of `key` in each frame as an array (frames, arms, drives)."""
     arms, drives = len(rig.arms), rig.drives
     rows = []
     for frame, file in zip(frames, files, strict=True):
@@ -186,7 +186,8 @@ def _frame_rows(frames: Sequence[dict[str, Any]], key: str, files: Sequence[Path
         except (KeyError, TypeError, ValueError):
             raise DatasetError(f"{file}: has no numbers under {key!r}, but {', '.join(map(str, frame))}") from None
         if arms == 1 and len(row) == 2 * drives:
-            # A station's file has values for both arms. Take the arm's half, or the left half if the right half is 0.
+            # The file has values of two arms and the rig has one: take the half of the rig's arm. An arm that is not
+            # on the left takes the left half if the right half is 0.
             row = row[:drives] if rig.arms[0].side == "left" or not np.any(row[drives:]) else row[drives:]
         if len(row) != arms * drives or not np.isfinite(row).all():
             raise DatasetError(
@@ -244,7 +245,10 @@ def _matrix(frame: dict[str, Any], key: str, camera: str, side: int) -> Array | 
 
 
 def _poses(frames: Sequence[dict[str, Any]], camera: str) -> Array | None:
-    """Return a camera's poses (n, 4, 4), or None if unknown. raiden's converter writes unknown poses as identities."""
+    """Return a camera's pose (n, 4, 4) in each frame, or None if a frame has none or all poses are the identity.
+
+    raiden's converter writes identities for a camera whose pose is unknown.
+    """
     poses = [_matrix(frame, "extrinsics", camera, 4) for frame in frames]
     known = np.array([T for T in poses if T is not None])
     return known if len(known) == len(frames) and np.any(known != np.eye(4)) else None

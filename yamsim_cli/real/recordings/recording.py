@@ -39,12 +39,12 @@ class Recording:
     """A recording made by another program.
 
     Attributes:
-        motion: motion with joints in rad and openings in the unit `gripper`.
-        gripper: unit of the openings.
+        motion: motion of the arms, with joints in rad and gripper openings in the unit `gripper`.
+        gripper: unit of the openings: m of one finger, share that is open, or share that is closed.
         pictures: camera -> its images.
         prompt: instruction of the task; empty if not recorded.
         intrinsics: camera -> K (3, 3), for cameras whose K is known.
-        extrinsics: camera -> poses (n, 4, 4) in the base, for cameras whose pose is known.
+        extrinsics: camera -> its pose (n, 4, 4) in the base at each sample, for cameras whose pose is known.
         problems: texts on faults that the recording itself reports.
 
     Raises:
@@ -68,7 +68,7 @@ class Recording:
                 )
 
     def in_metres(self, rig: RigConfig) -> RecordedMotion:
-        """Return the motion with openings of one finger in m."""
+        """Return the motion with gripper openings converted to m of one finger."""
         if self.gripper == "metres":
             return self.motion
         arms = []
@@ -86,14 +86,17 @@ class Recording:
 
 
 def motion_sides(rig: RigConfig) -> tuple[str, ...]:
-    """Return the `side` of each arm's motion, the left arm's first, or one empty text for a single arm."""
+    """Return `left` and `right`, the sides of a rig's two arms, or one empty text for a single arm."""
     return tuple(rig.arms[k].side for k in rig.recording_order) if len(rig.arms) > 1 else ("",)
 
 
 def split_arms(
     joints: Array, commands: Array | None, rig: RigConfig, velocities: Array | None = None
 ) -> tuple[ArmMotion, ...]:
-    """Return each arm's motion, from rows (n, arms, drives) with the gripper last. Openings keep their unit."""
+    """Split joints and commands (n, arms, drives), with the gripper last, into a motion per arm.
+
+    Velocities have the same shape. Gripper openings keep their unit.
+    """
     motions = []
     for k, (side, number) in enumerate(zip(motion_sides(rig), rig.recording_order, strict=True)):
         robot = rig.arms[number].robot
@@ -112,7 +115,7 @@ def split_arms(
 
 
 def times_from_nanoseconds(stamps: ArrayLike, source: str) -> Array:
-    """Return the times (n,), s, after the first of the time stamps (n,), ns.
+    """Convert time stamps (n,), ns, to times (n,), s, that start at 0.
 
     Raises:
         DatasetError: the time stamps are not integers (n,); further causes are those of `times_from_seconds`.
@@ -125,7 +128,7 @@ def times_from_nanoseconds(stamps: ArrayLike, source: str) -> Array:
 
 
 def times_from_seconds(times: Array, source: str) -> Array:
-    """Return the times (n,), s, after the first of the times (n,), s.
+    """Subtract the first of the times (n,), s, and return times (n,), s, that start at 0.
 
     Raises:
         DatasetError: there are fewer than two times, or the times do not increase.

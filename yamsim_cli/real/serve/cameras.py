@@ -1,4 +1,4 @@
-"""Server of camera images on a Unix socket. A message has its length (4 bytes), JSON, and raw bytes.
+"""Server of camera images on a Unix socket. A message has the JSON's length (4 bytes), JSON, and raw image bytes.
 
 `yamsim_cli.camera_reader` is the client. A client requests `cameras`, or the `picture` of one camera with a number
 `after`. The server answers as soon as it has an image with a larger number.
@@ -13,8 +13,8 @@ from typing import Any
 from .render_process import CameraFrames, RenderProcess
 from .socket_servers import CAMERA_SOCKET, ClientConnection, UnixServer
 
-_MAX_REQUEST_BYTES = 4096
-_READ_BYTES = 4096
+_MAX_REQUEST_BYTES = 4096  # largest length of a request; a client with a longer request is disconnected
+_READ_BYTES = 4096  # largest number of bytes per read from a client
 
 
 class _InvalidRequestError(ValueError):

@@ -21,12 +21,12 @@ _READ_FRAMES = 256  # frames per read, limited so that a flood of frames does no
 _READ_BYTES = _READ_FRAMES * frames.FRAME_BYTES
 _BACKLOG_BYTES = 4096 * frames.FRAME_BYTES  # unsent bytes of a client; further frames are lost, as in a full adapter
 
-# Folder of a separate distribution, which is only on the path of programs that `can-run` starts.
+# Folder with the plugin that replaces python-can's `socketcan`. Only programs that `yamsim can-run` starts import it.
 _SITE = Path(__file__).resolve().parents[2] / "can_site"
 
 
 class UnixBus(UnixServer):
-    """A bus on the Unix socket `<folder>/<channel>`. The caller must close the bus.
+    """CAN bus for other programs on the Unix socket `<folder>/<channel>`. The caller must close the bus.
 
     Raises:
         ResourceError: another program serves the channel, or the socket cannot be made.
@@ -63,7 +63,7 @@ class UnixBus(UnixServer):
 
 
 class KernelBus:
-    """A bus on a CAN interface of the kernel, such as from `ip link add can0 type vcan`. The caller must close the bus.
+    """CAN bus on a kernel interface, such as made by `ip link add can0 type vcan`. The caller must close the bus.
 
     Raises:
         ResourceError: the system has no CAN, or no interface with the name is up.
@@ -108,7 +108,7 @@ class KernelBus:
             return
 
     def flush(self) -> None:
-        """Do nothing, because no frames wait to be sent."""
+        """Do nothing, because `send` sends each frame at once."""
 
     def close(self) -> None:
         """Close the socket."""
@@ -116,7 +116,7 @@ class KernelBus:
 
 
 def program_environment(environ: Mapping[str, str], folder: Path) -> dict[str, str]:
-    """Return the environment variables with which python-can opens the buses on a folder's sockets.
+    """Return environment variables with which a program's python-can opens the buses whose sockets are in `folder`.
 
     Raises:
         ResourceError: the folder has no sockets.

@@ -22,16 +22,16 @@ from yamsim_cli.core.http_origin import refusal_reason
 from .policy_robot import PolicyRobot, RobotObservation
 from .socket_servers import ClientConnection, TcpServer
 
-_READ_BYTES = 65_536
+_READ_BYTES = 65_536  # largest number of bytes per read from a client
 _HANDSHAKE_S = 5.0  # s in which a client must complete the WebSocket handshake
 _MAX_QUEUED = 256  # unanswered messages above which a client is dropped
 _PER_STEP = 2  # messages of a client that are answered before physics continues
 
 MAX_MESSAGE_BYTES = 65_536  # largest accepted message; an action has some hundred bytes
-_MAX_ACTION_NUMBERS = 256
-_DTYPES = ("float16", "float32", "float64")
+_MAX_ACTION_NUMBERS = 256  # largest accepted number of values in an action
+_DTYPES = ("float16", "float32", "float64")  # accepted types of an action's values
 
-_METADATA, _RESET, _OBSERVATION, _ACTION = "metadata", "reset", "obs_request", "apply_action"
+_METADATA, _RESET, _OBSERVATION, _ACTION = "metadata", "reset", "obs_request", "apply_action"  # types of requests
 
 
 class ChiralError(ValueError):
@@ -48,7 +48,7 @@ class _ChiralConnection:
         messages: unanswered messages, oldest first.
         parts: received parts of an incomplete message.
         pending: type of the request that waits for images from the simulated time `since`, s, or later; "" for none.
-        drives: whether the client has sent an action.
+        drives: whether the client has sent an action, so that the arms stop when its connection ends.
     """
 
     protocol: Any
@@ -226,7 +226,7 @@ def _action_numbers(shape: Any, dtype: Any, data: bytes) -> Array:
 
 
 def _observation_message(observation: RobotObservation, *, is_reset: bool) -> bytes:
-    """Return the answer to an observation request or a reset."""
+    """Encode an observation as the answer to an observation request, or to a reset if `is_reset`."""
     parts: list[bytes] = []
     at = 0
 

@@ -1,4 +1,4 @@
-"""Joint-level control of a simulated arm, as in the maker's SDK."""
+"""Joint controller of a simulated arm, with the methods of a robot in the SDK of the arm's maker."""
 
 from __future__ import annotations
 
@@ -15,7 +15,8 @@ from .motor_simulation import MotorSimulation
 
 # N, largest force of a finger. Source: `limit_gripper_force` in robots/get_robot.py of the maker's SDK 1.3.6.
 _GRIP_FORCE = 50.0
-_LIMIT_TOLERANCE = 0.15  # rad that a commanded joint may exceed its limit. Source: the same file, "safety buffer"
+# rad by which a commanded joint may exceed its limit. Source: `get_robot.py` of the SDK, "safety buffer".
+_LIMIT_TOLERANCE = 0.15
 
 
 class Follower:
@@ -34,14 +35,14 @@ class Follower:
         self._low, self._high = arm.joint_range[:, 0] - _LIMIT_TOLERANCE, arm.joint_range[:, 1] + _LIMIT_TOLERANCE
         self._grip_torque = 0.0
         if hand is not None and arm.fingers is not None:
-            # Fully open is at the limit of the fingers, where the maker's SDK detects the opening.
+            # The gripper is fully open (1) at the fingers' joint limit, which the maker's SDK detects on the real arm.
             self._ratio = np.append(self._ratio, hand.ratio * max(arm.fingers.opening_limits))
             self._offset = np.append(self._offset, hand.closed)
             self._kp, self._kd = np.append(self._kp, hand.kp), np.append(self._kd, hand.kd)
             self._low, self._high = np.append(self._low, 0.0), np.append(self._high, 1.0)
-            # Two fingers press.
+            # Largest torque of the gripper's motor, N m: both fingers press with `_GRIP_FORCE`.
             self._grip_torque = 2 * _GRIP_FORCE / abs(hand.ratio) + hand.friction
-        # Positions, velocities, and gains kp and kd of the last command.
+        # Last command: positions, velocities, and gains kp and kd, each (dofs,).
         self._command: tuple[Array, Array, Array, Array] | None = None
 
     @property
@@ -60,7 +61,10 @@ class Follower:
         return position
 
     def observations(self) -> dict[str, Array]:
-        """Return positions, velocities and torques of joints and gripper, as `get_observations` of the maker's SDK."""
+        """Return positions, velocities and motor torques (N m) of joints and gripper, each with its own key.
+
+        Keys are those of `get_observations` of the maker's SDK, such as `joint_pos` and `gripper_eff`.
+        """
         values = {
             "pos": self.joint_pos(),
             "vel": np.array([motor.velocity for motor in self._motors]) / self._ratio,
@@ -98,13 +102,14 @@ class Follower:
         self._command = pos, vel, kp, kd
 
     def tick(self) -> None:
-        """Command the motors for the next physics step."""
+        """Send the last command and the gravity torques to the motors, for the next physics step."""
         if self._command is None:
             return
         position, velocity, kp, kd = self._command
         angles = np.clip(position, self._low, self._high) * self._ratio + self._offset
         if self._wiring.gripper is not None and kp[-1] > 0:
-            # The distance to the commanded angle limits the torque: it allows for the force limit and the damping.
+            # kp times the distance to the commanded angle is a torque. The distance is limited, so that this torque is
+            # at most the largest grip torque plus the damping torque.
             motor = self._motors[-1]
             reach = (self._grip_torque + kd[-1] * abs(motor.velocity)) / kp[-1]
             angles[-1] = min(max(angles[-1], motor.position - reach), motor.position + reach)

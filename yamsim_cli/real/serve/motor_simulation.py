@@ -18,7 +18,7 @@ from ..motors.motor import Motor
 from ..motors.motor_bus import MotorBus
 
 _STUCK_MASS = 1e9  # kg, armature of stuck fingers, which no motor can move
-_IMPRATIO = 10.0  # MuJoCo's impratio, as in scenes where friction alone holds objects
+_IMPRATIO = 10.0  # MuJoCo's option impratio; values above 1 reduce slip, for scenes where friction alone holds objects
 _CHECK_STEPS = 50  # steps between two checks for a breakdown of physics
 
 
@@ -30,7 +30,7 @@ class _Transmission:
         arm: number of the arm.
         drive: index of MuJoCo's actuator.
         qpos, dof: addresses of the joint, or of a gripper's left finger.
-        gravity_scale: factor of the links' weight that the motor holds; 0 for grippers, whose fingers are balanced.
+        gravity_scale: factor of the links' weight that the motor must hold; 0 for grippers: their fingers are balanced.
     """
 
     arm: int
@@ -44,7 +44,7 @@ class _Transmission:
 
 
 class MotorSimulation:
-    """Simulation of a scene whose arms have a bus of motors each.
+    """Simulates a scene in which the motors on one bus per arm drive the arm's joints and gripper.
 
     Attributes:
         data: MuJoCo's current state.
@@ -53,7 +53,7 @@ class MotorSimulation:
         timestep: physics timestep, s.
 
     Args:
-        scene: scene whose model is changed: motors control the drives, and arms have their real weight.
+        scene: scene to simulate; its model is changed, so that motors control the drives and arms have their weight.
         start: initial positions (nq,), at rest; a joint beyond a limit starts at the limit.
         wirings: CAN config of each arm, in the order of the scene.
         buses: bus of each arm, with the motors of the arm's config in the same order.
@@ -171,14 +171,14 @@ def _transmissions(number: int, arm: ArmAddresses, can_config: CanConfig, bus: M
 
 
 def _compensate_attachments(model: mujoco.MjModel, data: mujoco.MjData, arm: ArmAddresses) -> None:
-    """Cancel the weight of parts that the maker's model lacks, such as a camera: the motors' loads include it."""
+    """Cancel the weight of parts that the maker's model lacks, such as a camera: a motor's `load` has this weight."""
     root = model.body_rootid[model.body(arm.flange).id]
     for body in np.flatnonzero((model.body_rootid == root) & (model.body_gravcomp == 0)):
         data.xfrc_applied[body, :3] = -model.opt.gravity * model.body_mass[body]
 
 
 def _weight_factors(model: mujoco.MjModel, shafts: Sequence[_Transmission]) -> Array:
-    """Return the factor of the links' weight at each degree of freedom (nv,)."""
+    """Return the factor (nv,) by which the links' weight loads each degree of freedom."""
     factors = np.ones(model.nv)
     for shaft in shafts:
         if shaft.gravity_scale:

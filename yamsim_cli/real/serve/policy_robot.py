@@ -28,12 +28,13 @@ _ACTION_S = 0.1  # s, duration of an action
 _HOME_S = 2.0  # s, duration of the motion home after a reset
 _COMMAND_S = 0.01  # s between the interpolated commands of a motion
 _MAX_JOINT_STEP = 0.2  # rad, largest distance from a joint's position to its commanded position
-_MAX_QUEUED = 32  # waiting actions; further actions are discarded
+_MAX_QUEUED = 32  # largest number of actions that wait to be executed; further actions are discarded
 _SIDE = 384  # px, side of the square to which each image is stretched
 
 _IK_ITERATIONS = 20  # iterations for one pose, which is near the previous pose
 _ROTATION_COSTS = (1.0, 1.0, 1.0)  # the position has priority if the arm cannot reach the whole pose
-_MIN_ROW_LENGTH = 1e-3  # shorter rows, or rows whose angle has a smaller sine, define no rotation
+# Least length of each of the two given rows of a rotation, and least sine of the angle between the rows.
+_MIN_ROW_LENGTH = 1e-3
 
 
 @dataclass(frozen=True)
@@ -80,7 +81,10 @@ class HandKinematics:
         return self._forward.T_grasp_in_base(joints)
 
     def joints(self, T_hand_in_base: Array, near: Array) -> Array:
-        """Return joint positions (dof,), rad, for a hand pose (4, 4), or the nearest found from `near` (dof,)."""
+        """Solve inverse kinematics from joint positions `near` (dof,), rad, and return joint positions (dof,), rad.
+
+        If the arm cannot reach the hand pose (4, 4), the returned joints are the nearest that were found.
+        """
         start = np.clip(near, *self._range.T)
         return self._solver.solve_next(T_hand_in_base, self._solver.solution_at(start), _IK_ITERATIONS).joints
 
@@ -121,8 +125,9 @@ class PolicyRobot:
         discarded: number of actions that were discarded because the queue was full.
 
     Args:
-        sides, followers, hands: side, follower and kinematics of each arm, the left arm first.
-        names: camera -> its name for the policy.
+        sides, followers, hands: side, joint controller and kinematics of each arm, the left arm first.
+        source: process that renders the cameras.
+        names: camera in the scene -> name of the camera in the policy's observations.
     """
 
     def __init__(
@@ -188,7 +193,9 @@ class PolicyRobot:
         self._send(self._row())
 
     def act(self, numbers: Array) -> None:
-        """Queue an action: a row of joints, or 10 numbers per arm as in `metadata`. Stop if a joint would move too far.
+        """Queue an action: all arms' joints and grippers, or hand poses of 10 numbers per arm in `metadata`'s layout.
+
+        If a joint would move too far, stop the arms instead. While the arms are stopped or go home, ignore actions.
 
         Raises:
             ValueError: the action has a wrong shape, is not finite, or has an invalid rotation.
@@ -226,7 +233,7 @@ class PolicyRobot:
             self._motion = None
 
     def observe(self, shot: CameraFrames) -> RobotObservation:
-        """Return the observation at the time of the camera frames."""
+        """Return the observation with these camera frames, and with the joints at the time of the frames."""
         proprios: dict[str, Array] = {}
         for side, hand, joints in zip(self._sides, self._hands, shot.joints, strict=True):
             T = hand.T_in_base(joints[:-1])
@@ -249,7 +256,7 @@ class PolicyRobot:
         return CameraView(picture, K, shot.T_cam_in_base[camera], shot.time_ns)
 
     def _joints_from_hand_poses(self, numbers: Array) -> Array:
-        """Return the row for hand poses, given as all positions (3), then all rotations (6), then all grippers."""
+        """Return the joint row for an action of hand poses: all positions (3), all rotations (6), all grippers (1)."""
         arms = len(self._widths)
         positions, rows, grips = np.split(numbers, [3 * arms, 9 * arms])
         near = np.split(self._commanded if self._commanded is not None else self._row(), np.cumsum(self._widths)[:-1])

@@ -1,4 +1,4 @@
-"""Server for remote calls through portal, as in the maker's `minimum_gello.py`.
+"""Server for remote calls by the Python library `portal`, as the arm's maker has in `minimum_gello.py`.
 
 A message has its length (8 bytes), the number of the request, a method's name or a status, and a packed tree. A packed
 tree has the number of buffers, their sizes, and the buffers. The first two buffers are msgpack: the tree, and the type
@@ -20,15 +20,15 @@ from yamsim_cli.core.extras import require_library
 from .follower import Follower
 from .socket_servers import ClientConnection, TcpServer
 
-_READ_BYTES = 65_536
+_READ_BYTES = 65_536  # largest number of bytes per read from a client
 _BACKLOG_BYTES = 1_000_000  # unsent bytes above which a client that reads nothing is dropped
 
-HANDSHAKE = b"portal_handshake"
+HANDSHAKE = b"portal_handshake"  # first bytes of a client
 _MAX_MESSAGE_BYTES = 65_536  # largest accepted message; a command has some hundred bytes
-_MAX_LEAVES = 256
-_MAX_DEPTH = 8
-_DTYPE_KINDS = "biuf"
-_STATUS_ERROR = 4
+_MAX_LEAVES = 256  # largest number of buffers in a packed tree
+_MAX_DEPTH = 8  # largest nesting of lists and dictionaries in a call's arguments
+_DTYPE_KINDS = "biuf"  # accepted kinds of NumPy dtypes: booleans, integers and floats
+_STATUS_ERROR = 4  # status of an answer that reports an error
 
 
 class PortalError(ValueError):
@@ -227,7 +227,7 @@ def _leaf(spec: Any, data: bytes) -> Any:
 
 
 def _filled(tree: Any, leaves: Iterator[Any], depth: int) -> Any:
-    """Return a tree with its None values replaced by the leaves."""
+    """Return `tree` with each value that is no list or dictionary replaced by the next one of `leaves`."""
     if depth > _MAX_DEPTH:
         raise PortalError("the arguments are nested too deeply")
     if isinstance(tree, dict):

@@ -15,12 +15,12 @@ from .can_bus import KernelBus, UnixBus
 from .motor_simulation import MotorSimulation
 
 _MAX_CATCH_UP = 0.1  # s; a simulation that is later skips the lost time
-_EARLY_ANSWERS = 7  # answers that a late program gets without gaps, to regain its rate
+_EARLY_ANSWERS = 7  # answers that a bus sends without gaps to a program that was late, so that it regains its rate
 _MAX_QUEUED = 64  # waiting answers of a bus; further frames are lost, as in an adapter with a full buffer
 
 
 class PolledServer(Protocol):
-    """A server in the loop in addition to the buses. No method blocks."""
+    """Interface of servers that the loop polls in addition to the CAN buses. No method may block."""
 
     @property
     def readers(self) -> Sequence[Any]:
@@ -66,7 +66,7 @@ class ServeLoop:
     Args:
         sockets: sockets of the buses, in the order of `plant.buses`.
         gap: time between two answers on a bus, s, while no program is late.
-        ports: further servers.
+        ports: further servers, such as for camera images.
         tick: function to call before every physics step.
     """
 
@@ -93,7 +93,7 @@ class ServeLoop:
 
     @property
     def pace(self) -> RealtimeStats:
-        """Timing so far."""
+        """Timing since the start of `run`."""
         buses = self._plant.buses
         return RealtimeStats(
             seconds=time.monotonic() - self._began,

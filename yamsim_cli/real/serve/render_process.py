@@ -35,9 +35,9 @@ class CameraFrames:
         number: number of the set of images, from 0.
         time_ns: time by the machine's clock, ns since 1970.
         sim_time: simulated time, s.
-        joints: joint positions (dofs,) of each arm with the gripper last, see `Follower.joint_pos`.
+        joints: positions (dofs,) of each arm: joints in rad, and last the gripper from 0 (closed) to 1 (fully open).
         T_cam_in_base: pose (4, 4) of each camera in the left arm's base, in OpenCV's convention.
-        pictures: RGB image (height, width, 3) of each camera; overwritten after the next set.
+        pictures: RGB image (height, width, 3) of each camera; set `number + 2` overwrites its memory.
     """
 
     number: int
@@ -61,14 +61,14 @@ class RenderProcess:
     """Process that renders the cameras of a scene. The caller must close it.
 
     Attributes:
-        cameras: names of the cameras, in order.
+        cameras: names of the rendered cameras.
         size: width and height of the images, px.
         fps: largest rate of sets of images, 1/s.
         K: camera -> intrinsics (3, 3).
         shot: newest set of images; None until the first is rendered.
 
     Args:
-        state: returns the current state.
+        state: returns the current state of the simulation, which is rendered next.
         clock: returns the current time, ns since 1970.
 
     Raises:

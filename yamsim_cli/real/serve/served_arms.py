@@ -34,7 +34,7 @@ class ServedArms:
     Attributes:
         plant: simulation of the arms and the task's objects.
         sides: "left" or "right" for each arm, in the order of `plant.buses`.
-        followers: follower of each arm, in the same order.
+        followers: joint controller of each arm, in the order of `plant.buses`.
     """
 
     motor_simulation: MotorSimulation
@@ -91,8 +91,9 @@ def serve_arms(
     """Return the simulated arms of a session's rig, with the task's objects at their initial poses.
 
     Args:
-        channels: names of the buses, see `channel_names`.
-        start: one of STARTS.
+        channels: names of the arms' buses; if empty, `can0` for one arm, `can_left` and `can_right` for two.
+        faults: faults to inject into the buses.
+        start: initial posture of the arms, one of `STARTS`.
 
     Raises:
         ConfigError: the motors of an arm or a gripper are unknown.

@@ -18,7 +18,7 @@ _MAX_CLIENTS = 16  # connections to one server; further connections are closed a
 
 
 def default_folder(environ: Mapping[str, str]) -> Path:
-    """Return the user's folder for the sockets."""
+    """Return the folder for this user's sockets, in XDG_RUNTIME_DIR if set, else in the temporary folder."""
     runtime = environ.get("XDG_RUNTIME_DIR")
     return Path(runtime) / "yamsim-can" if runtime else Path(tempfile.gettempdir()) / f"yamsim-can-{os.getuid()}"
 
