@@ -38,8 +38,8 @@ def summarize(
     if html:
         require_unused("--html", html, overwrite=overwrite)
 
-    from yamsim_cli.core.cpu_limits import usable_cores
     from yamsim_cli.core.statistics import THRESHOLDS
+    from yamsim_cli.cpu_limits import usable_cores
     from yamsim_cli.datasets.check_summary import summarize as count
     from yamsim_cli.datasets.summarize import check_dataset
 

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from yamsim_cli.core import cpu_limits as machine
-from yamsim_cli.core.cpu_limits import usable_cores, usable_memory
+from yamsim_cli import cpu_limits as machine
+from yamsim_cli.cpu_limits import usable_cores, usable_memory
 
 
 @pytest.fixture
