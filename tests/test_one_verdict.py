@@ -146,8 +146,8 @@ class TrialCase:
 def by_repeat(case: TrialCase, played: Played, end: End, folder: Path) -> Verdict:
     rules = EpisodeRules(EndRule(end), max_ticks=case.limit)
     done = run_actions(case.simulator, case.attempt, case.actions(played), rules)
-    assert done.played is not None and done.outcome.success == done.played.success
-    return Verdict(done.outcome.success, done.played.end.tick)
+    assert done.result is not None and done.outcome.success == done.result.success
+    return Verdict(done.outcome.success, done.result.end.tick)
 
 
 def by_eval(case: TrialCase, played: Played, end: End, folder: Path) -> Verdict:
@@ -249,8 +249,8 @@ def by_teleop(case: TrialCase, played: Played, end: End, folder: Path) -> Verdic
         driven.settle()
         return Verdict(tray.attempts[0].outcome.success, case.limit)
     (handed_in,) = tray.attempts
-    assert handed_in.played is not None
-    return Verdict(handed_in.outcome.success, handed_in.played.end.tick)
+    assert handed_in.result is not None
+    return Verdict(handed_in.outcome.success, handed_in.result.end.tick)
 
 
 Way = Callable[[TrialCase, Played, End, Path], Verdict]
@@ -378,7 +378,7 @@ def test_a_success_at_the_last_moment_and_one_a_tick_too_late(case: TrialCase, t
     @functools.cache
     def reached(waits: tuple[int, int]) -> int | None:
         done = run_actions(case.simulator, case.attempt, case.actions(waiting(*waits)), EpisodeRules(EndRule.SUCCESS))
-        return done.played.end.tick if done.played and done.outcome.success else None
+        return done.result.end.tick if done.result and done.outcome.success else None
 
     # The goal may be reached a little sooner or later after a wait, in which things go on settling.
     about = case.limit - by_repeat(case, case.padded(case.base), "success", tmp_path).tick

@@ -104,10 +104,10 @@ def assert_same(one: EpisodeResult, other: EpisodeResult) -> None:
 def test_the_same_commands_in_pieces_or_at_once_give_the_same_bits(
     simulator: Simulator, done: SimulatedAttempt
 ) -> None:
-    assert done.played is not None and done.attempt.start is not None
+    assert done.result is not None and done.attempt.start is not None
     actions = all_actions(done.states)
     whole = played_to(open_at(simulator, done.attempt.start, EXPERT_RULES), actions)
-    assert_same(whole, done.played)
+    assert_same(whole, done.result)
     pieces = open_at(simulator, done.attempt.start, EXPERT_RULES)
     for first, last in ((0, 1), (1, 8), (8, 8), (8, 75), (75, len(actions.ctrl))):
         pieces.act(ActionSequence(actions.ctrl[first:last], actions.magnet[first:last], actions.joints[first:last]))
@@ -126,8 +126,8 @@ def test_what_happened_in_another_episode_leaves_no_trace(
     assert other.outcome.success
     open_at(simulator, over_plate).act(still(simulator, over_plate, 10))
     again = run_actions(simulator, done.attempt, all_actions(done.states), EXPERT_RULES)
-    assert again.played is not None and done.played is not None
-    assert_same(again.played, done.played)
+    assert again.result is not None and done.result is not None
+    assert_same(again.result, done.result)
 
 
 def test_one_command_a_frame_would_not_be_enough(simulator: Simulator, done: SimulatedAttempt) -> None:

@@ -57,8 +57,8 @@ def test_an_attempt_that_holds_says_nothing_of_it(config: RecordConfig, location
     with Simulator(Session(config, locations)) as simulator:
         done = planned(simulator, 0)
     assert done.outcome.cause is not FailureCause.UNSTABLE
-    assert done.played is not None
-    assert done.played.end.reason is EndReason.ACTOR
+    assert done.result is not None
+    assert done.result.end.reason is EndReason.ACTOR
 
 
 @pytest.fixture

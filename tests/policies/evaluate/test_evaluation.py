@@ -138,7 +138,7 @@ def test_what_is_still_held_at_the_end_stays_held(config: RecordConfig, location
     (tmp_path / "holder.py").write_text(
         "from yamsim_cli.policies.evaluate.policy_factory import ExpertPolicy\n\n\nclass Holder(ExpertPolicy):\n"
         "    def __call__(self, observation):\n        action = super().__call__(observation)\n"
-        "        return {**action, 'done': action['magnet'].any() and not self._magnet[self._tick].any()}\n"
+        "        return {**action, 'done': action['magnet'].any() and not self._weld_on[self._tick].any()}\n"
     )
     with TrialRunner(Session(config, locations), PolicyChoice("holder.py:Holder", tmp_path)) as runner:
         result = runner.run(AttemptJob(0, 0))

@@ -20,11 +20,11 @@ class FakeRenderProcess:
     K = dict.fromkeys(cameras, np.diag([7.0, 7.0, 1.0]))
 
     def __init__(self, joints: tuple[Any, ...] = ()) -> None:
-        self.shot: CameraFrames | None = None
+        self.newest_frames: CameraFrames | None = None
         self._joints = joints
 
     def take(self, number: int, sim_time: float = 0.0) -> None:
         width, height = self.size
         pictures = {name: np.full((height, width, 3), number, np.uint8) for name in self.cameras}
         poses = dict.fromkeys(self.cameras, np.eye(4))
-        self.shot = CameraFrames(number, 1_000_000_000 + number, sim_time, self._joints, poses, pictures)
+        self.newest_frames = CameraFrames(number, 1_000_000_000 + number, sim_time, self._joints, poses, pictures)

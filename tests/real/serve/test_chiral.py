@@ -39,7 +39,7 @@ class Robot:
 
     @property
     def camera_frames(self) -> Any:
-        return self.shots.shot
+        return self.shots.newest_frames
 
     def act(self, numbers: np.ndarray) -> None:
         if numbers.shape != (20,) or not np.isfinite(numbers).all():
@@ -53,7 +53,7 @@ class Robot:
     def stop(self, why: str) -> None:
         self.stopped = why
 
-    def observed(self, shot: Any) -> RobotObservation:
+    def observe(self, shot: Any) -> RobotObservation:
         view = CameraView(shot.pictures["top"], np.eye(3), np.eye(4), shot.time_ns)
         return RobotObservation(
             {"top": view}, {"follower_l_joint_pos": np.arange(7.0)}, 1.5, {"sim_time": shot.sim_time}

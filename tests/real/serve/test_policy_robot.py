@@ -44,8 +44,8 @@ class Driven:
     def see(self, number: int = 0) -> dict[str, np.ndarray]:
         self.shots._joints = tuple(follower.joint_pos() for follower in self.served.followers)
         self.shots.take(number)
-        assert self.shots.shot is not None
-        return dict(self.robot.observe(self.shots.shot).proprios)
+        assert self.shots.newest_frames is not None
+        return dict(self.robot.observe(self.shots.newest_frames).proprios)
 
 
 @pytest.fixture
@@ -118,8 +118,8 @@ def test_what_is_no_action_is_refused(driven: Driven, numbers: np.ndarray) -> No
 def test_cameras_have_raidens_names_and_squares(driven: Driven, session: Session) -> None:
     assert driven.robot.metadata["cameras"] == ["top", "left_wrist_camera"]
     driven.see()
-    assert driven.shots.shot is not None
-    view = driven.robot.observe(driven.shots.shot).views["left_wrist_camera"]
+    assert driven.shots.newest_frames is not None
+    view = driven.robot.observe(driven.shots.newest_frames).views["left_wrist_camera"]
     assert view.picture.shape == (384, 384, 3)
     width, height = driven.shots.size
     np.testing.assert_allclose(np.diag(view.K), [7 * 384 / width, 7 * 384 / height, 1])

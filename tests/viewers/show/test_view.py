@@ -247,7 +247,7 @@ def test_a_player_shows_cloth_as_each_frame_has_it(tmp_path: Path) -> None:
 def test_the_page_shows_what_its_switches_say(live: LiveRig, open_page: Callable[..., Any]) -> None:
     page = open_page(live, boards=False)
     assert not page._bodies.frames[live.model.body("arm2_base_board").id].visible
-    assert all(node.visible for node in page._bodies.looks)
+    assert all(node.visible for node in page._bodies.visuals)
     page.margin.value = 0.8
     assert live.rig.margin == 0.8
 

@@ -152,7 +152,7 @@ def _dynamics_attributes(model: mujoco.MjModel, arm: ArmConfig) -> dict[str, Any
     gravity = np.array([joint.gravity_factor - 1 for joint in joints])
     offset = np.array([joint.offset_rad for joint in joints])
     return found | {
-        "gravity": gravity if gravity.any() else None,
+        "gravity_error": gravity if gravity.any() else None,
         "offset": offset,
         "command_delay": arm.dynamics.command_delay_ms / 1000,
         "sensor_delay": arm.dynamics.sensor_delay_ms / 1000,

@@ -6,7 +6,7 @@ import math
 
 import pytest
 from pydantic import ValidationError
-from yamsim_cli.still_world import StillWorld, flat_sheet, folded_sheet
+from .still_world import StillWorld, flat_sheet, folded_sheet
 
 from yamsim_cli.core.config.goals.goal import Goal, evaluate_goal
 from yamsim_cli.core.config.goals.predicates import PREDICATES
