@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tests.attempts import planned
-from yamsim_cli.api import PROGRAM
+from yamsim_cli.api import API_SESSION_OPENER
 from yamsim_cli.core.config.session import Session
 from yamsim_cli.core.episode.attempt_payload import frame_records
 from yamsim_cli.core.episode.simulator import Simulator
@@ -57,7 +57,12 @@ def test_the_experts_rows_make_the_recorded_episode_again(end: Literal["actor", 
 
 def made_again(station: Station, end: Literal["actor", "success"]) -> None:
     rows = station.begin_demonstrated(seed=3, trial=1)
-    with Simulator(Session(PROGRAM.config("default", PROGRAM.locations(), **JOINTS.given), PROGRAM.locations())) as one:
+    with Simulator(
+        Session(
+            API_SESSION_OPENER.config("default", API_SESSION_OPENER.locations(), **JOINTS.given),
+            API_SESSION_OPENER.locations(),
+        )
+    ) as one:
         done = planned(one, 3, station.trial)
         recorded = frame_records(one, done.attempt, done.states)
     assert len(rows) == len(recorded)

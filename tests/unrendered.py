@@ -15,7 +15,7 @@ from tests.attempts import planned
 from yamsim_cli.core.attempt_data import AttemptPayload
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.session import Session
-from yamsim_cli.core.dataset.dataset_paths import CONFIG, EPISODE, episode_name, image_name, lowdim_name
+from yamsim_cli.core.dataset.dataset_paths import CONFIG, EPISODE, episode_name, image_path, lowdim_path
 from yamsim_cli.core.dataset.lowdim import content_hash, dump_frame, load_frame
 from yamsim_cli.core.dataset.records import to_json
 from yamsim_cli.core.episode.attempt_payload import frame_records, library_versions
@@ -52,10 +52,10 @@ def write_dataset(
             done = planned(simulator, config.seed, number)
             assert done.outcome.success
             made = frame_records(simulator, done.attempt, done.states)
-            files = {lowdim_name(k): dump_frame(frame) for k, frame in enumerate(made)}
+            files = {lowdim_path(k): dump_frame(frame) for k, frame in enumerate(made)}
             cameras = simulator.scene.cameras
             for camera, k in itertools.product(cameras, range(len(made))):
-                files |= {image_name(camera, k): image(camera, number, k)} | others(camera, number, k)
+                files |= {image_path(camera, k): image(camera, number, k)} | others(camera, number, k)
             payload = AttemptPayload(
                 done.attempt, done.outcome, files, len(made), content_hash(made), library_versions(), "none"
             )
@@ -76,7 +76,7 @@ def change_record(directory: Path, **changes: Any) -> None:
 
 def change_frame(directory: Path, number: int, *, rehash: bool, **changes: Any) -> None:
     """Write other values into one frame, None for no such key; `rehash` covers the traces up."""
-    name = lowdim_name(number)
+    name = lowdim_path(number)
     frame = read_frame(directory, number) | changes
     data = dump_frame({key: value for key, value in frame.items() if value is not None})
     (directory / name).write_bytes(data)
@@ -92,4 +92,4 @@ def frame_count(directory: Path) -> int:
 
 def read_frame(directory: Path, number: int) -> dict[str, Any]:
     """One frame of an episode."""
-    return load_frame((directory / lowdim_name(number)).read_bytes())
+    return load_frame((directory / lowdim_path(number)).read_bytes())

@@ -37,7 +37,7 @@ def _russet(opener: SessionOpener, where: Locations) -> np.ndarray:
     scene = load_config(SceneConfig, "scenes", "studio", where)
     quality = load_config(RenderConfig, "quality", "high", where)
     blueprint = Blueprint(opener.rig("russet", where, None, None), scene)
-    where = opener.find_meshes(where, visual_mesh_sets(blueprint), quality)
+    where = opener.with_mesh_folders(where, visual_mesh_sets(blueprint), quality)
     return render_views(set_up_views(blueprint, where, quality, (720, 480)))["front.png"]
 
 

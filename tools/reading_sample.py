@@ -3,8 +3,8 @@
     python -m tools.reading_sample --seed 37 --n 60 --out out/reading
 
 A reader who does not know the project gets `prose.json` and one source file for each entry, and explains each comment
-in their own words. From `names.json` the reader guesses what each name stands for, without a source file. A second person
-compares the answers with the code.
+in their own words. From `names.json` the reader guesses what each name stands for, without a source file. A second
+person compares the answers with the code.
 """
 
 from __future__ import annotations

@@ -25,7 +25,9 @@ def _keyword(setting: str) -> str:
 
 
 # Opens sessions for Python programs: error messages name keywords, and warnings go to the logger `yamsim`.
-PROGRAM = SessionOpener(os.environ, logging.getLogger("yamsim").warning, _keyword, import_if_file, resolve_scene_task)
+API_SESSION_OPENER = SessionOpener(
+    os.environ, logging.getLogger("yamsim").warning, _keyword, import_if_file, resolve_scene_task
+)
 
 
 def record(
@@ -55,7 +57,7 @@ def record(
         size: width and height of the images, px.
         resume: continue the dataset at `out`.
     """
-    session = PROGRAM.open(
+    session = API_SESSION_OPENER.open(
         config,
         parallel=workers is not None,
         resumes=Path(out) if resume else None,
@@ -123,7 +125,7 @@ def evaluate(
     """
     from .policies.policy_loading import sees_images
 
-    session = PROGRAM.open(
+    session = API_SESSION_OPENER.open(
         config, renders=sees_images(policy), n=n, seed=seed, workers=workers, rig=rig, task=task, arm=arm, wrist=True
     )
 

@@ -9,7 +9,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from .api import PROGRAM
+from .api import API_SESSION_OPENER
 from .core.config.session import Session
 
 ENV_ID = "yamsim/PickPlace-v0"
@@ -77,11 +77,11 @@ class PickPlaceEnv(gymnasium.Env[dict[str, NDArray[Any]], NDArray[np.float32]]):
         self._images = observation == "images"
         given: dict[str, Any] = {"rig": rig, "task": task, "arm": arm, "wrist": True, "size": size, "quality": quality}
         if self._images or render_mode is not None:
-            session = PROGRAM.open(config, parallel=False, **given)
+            session = API_SESSION_OPENER.open(config, parallel=False, **given)
         else:
             # Neither set up nor disable OpenGL: another environment of this process may render.
-            where = PROGRAM.locations()
-            session = Session(PROGRAM.config(config, where, **given), where)
+            where = API_SESSION_OPENER.locations()
+            session = Session(API_SESSION_OPENER.config(config, where, **given), where)
 
         from .core.episode.episode_rules import EndRule
         from .policies.evaluate.observation import policy_cameras
@@ -201,7 +201,7 @@ class PickPlaceEnv(gymnasium.Env[dict[str, NDArray[Any]], NDArray[np.float32]]):
             "time": episode.seconds,
             "success": success,
             "end_rule": task.rules.end.value,
-            "holds": any(episode.held),
+            "holds": any(episode.welds_active),
             "prompt": task.attempt.phrasing or self._config.task.language_prompt,
             "goal": {one.what: one.margin for one in measures},
         }

@@ -165,7 +165,7 @@ class SessionOpener:
         if (
             given.get("task") is not None
             and given.get("rig") is None
-            and (own_rig := self._embedded_rig(given["task"], locations))
+            and (own_rig := self._rig_named_by_task(given["task"], locations))
         ):
             overrides["rig",] = own_rig
         if within:
@@ -206,7 +206,7 @@ class SessionOpener:
             raise UsageError(f"{self.setting_label('fps')}: {error}") from None
         return {("task", "timing", key): (self.setting_label("fps"), value) for key, value in changed.items()}
 
-    def _embedded_rig(self, task: str | dict[str, Any], locations: Locations) -> tuple[str, str] | None:
+    def _rig_named_by_task(self, task: str | dict[str, Any], locations: Locations) -> tuple[str, str] | None:
         """Return the file position and the name of the rig in the config of a task; None if the task names no rig."""
         from .core.config.loader import config_model
         from .core.config.program_task import PROGRAM
@@ -278,10 +278,12 @@ class SessionOpener:
         names = visual_mesh_sets(recording_blueprint(session.config))
         recorded = session.config.meshes or {}
         kept = [name for name in names if recorded.get(name) == PRIMITIVES]
-        where = self.find_meshes(session.locations, set(names).difference(kept), session.config.render)
+        where = self.with_mesh_folders(session.locations, set(names).difference(kept), session.config.render)
         return replace(session, locations=replace(where, meshes={**where.meshes, **dict.fromkeys(kept)}))
 
-    def find_meshes(self, locations: Locations, names: Iterable[str], quality: RenderConfig | None = None) -> Locations:
+    def with_mesh_folders(
+        self, locations: Locations, names: Iterable[str], quality: RenderConfig | None = None
+    ) -> Locations:
         """Return `locations` with the folder of each asset set. Fetch missing sets, and notify the user of failures.
 
         Args:

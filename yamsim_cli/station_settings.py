@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from .api import PROGRAM
+from .api import API_SESSION_OPENER
 from .session_opener import SessionOpener
 
 if TYPE_CHECKING:
@@ -47,7 +47,9 @@ class StationSettings:
     @property
     def opener(self) -> SessionOpener:
         """The session opener, whose messages name settings by `spelling`."""
-        return dataclasses.replace(PROGRAM, setting_label=lambda name: self.spelling.format(_FIELDS.get(name, name)))
+        return dataclasses.replace(
+            API_SESSION_OPENER, setting_label=lambda name: self.spelling.format(_FIELDS.get(name, name))
+        )
 
     @property
     def given(self) -> dict[str, Any]:

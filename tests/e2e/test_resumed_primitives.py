@@ -20,7 +20,7 @@ RECORD = ("record", "--size", "64x48", "--quality", "fast", "--seed", "1", "--wo
 
 def test_a_dataset_of_primitives_goes_on_when_the_meshes_are_here(locations: Locations, tmp_path: Path) -> None:
     opener = SessionOpener({"YAMSIM_OFFLINE": "1"}, lambda text: None, str)
-    if None in opener.find_meshes(locations, ["i2rt_yam_crank", "ycb"]).meshes.values():
+    if None in opener.with_mesh_folders(locations, ["i2rt_yam_crank", "ycb"]).meshes.values():
         pytest.skip("the meshes of i2rt_yam_crank and ycb are not here: yamsim assets fetch")
     dataset = tmp_path / "dataset"
     bare = {"YAMSIM_ASSETS": str(tmp_path / "none")}

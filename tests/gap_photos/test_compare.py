@@ -15,7 +15,7 @@ from tests.truth_photos import CAMERA
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.rendering import RenderConfig
 from yamsim_cli.core.config.scene import SceneConfig
-from yamsim_cli.core.dataset.dataset_paths import image_name, lowdim_name
+from yamsim_cli.core.dataset.dataset_paths import image_path, lowdim_path
 from yamsim_cli.core.dataset.lowdim import dump_frame
 from yamsim_cli.core.errors import ConfigError, ResourceError, UsageError
 from yamsim_cli.core.files.resources import Locations
@@ -63,8 +63,8 @@ def photographed(gap: MotionGap, locations: Locations) -> MotionGap:
 
 def _write(episode: Path, k: int, image: np.ndarray, frame: dict[str, object]) -> None:
     for name, data in (
-        (image_name(SCENE_CAMERA, k), cv2.imencode(".jpg", cv2.cvtColor(image, cv2.COLOR_RGB2BGR))[1].tobytes()),
-        (lowdim_name(k), dump_frame(frame)),
+        (image_path(SCENE_CAMERA, k), cv2.imencode(".jpg", cv2.cvtColor(image, cv2.COLOR_RGB2BGR))[1].tobytes()),
+        (lowdim_path(k), dump_frame(frame)),
     ):
         (episode / name).parent.mkdir(parents=True, exist_ok=True)
         (episode / name).write_bytes(data)
@@ -100,7 +100,7 @@ def test_a_board_says_where_a_camera_stood_that_nobody_recorded(
 ) -> None:
     episode = tmp_path / "ep_000001"
     for k in TAKEN[:2]:
-        image = cv2.imread(str(Path(photographed.name) / image_name(SCENE_CAMERA, k)))
+        image = cv2.imread(str(Path(photographed.name) / image_path(SCENE_CAMERA, k)))
         _write(episode, k, cv2.cvtColor(image, cv2.COLOR_BGR2RGB), {})
     other = replace(photographed, name=str(episode))
     report, _ = _compare(other, locations, PhotoRequest(10, CAMERA))
@@ -121,7 +121,7 @@ def test_photos_that_do_not_say_where_they_were_taken_from(
 
 def _with_files(gap: MotionGap, episode: Path, camera: str, samples: range) -> MotionGap:
     for k in samples:
-        path = episode / image_name(camera, k)
+        path = episode / image_path(camera, k)
         path.parent.mkdir(parents=True, exist_ok=True)
         path.touch()
     return replace(gap, name=str(episode))

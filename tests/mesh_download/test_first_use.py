@@ -26,7 +26,7 @@ def look(world: AssetFixture, local_pip: None, monkeypatch: pytest.MonkeyPatch) 
 
     def found(**environ: str) -> tuple[Meshes, list[str]]:
         told = list[str]()
-        return SessionOpener(environ, told.append, str).find_meshes(world.locations, ["tiny"]).meshes, told
+        return SessionOpener(environ, told.append, str).with_mesh_folders(world.locations, ["tiny"]).meshes, told
 
     return found
 
@@ -46,7 +46,7 @@ def test_offline_nothing_is_fetched(look: Look, world: AssetFixture) -> None:
     ]
     opener = SessionOpener({}, told.append, str)
     opener.stay_offline()
-    assert opener.find_meshes(world.locations, ["tiny"]).meshes == {"tiny": None}
+    assert opener.with_mesh_folders(world.locations, ["tiny"]).meshes == {"tiny": None}
     assert not world.store.root.exists()
     assert look(YAMSIM_OFFLINE="0")[0]["tiny"] is not None
 
@@ -103,7 +103,7 @@ def test_an_index_that_says_nothing_is_given_up_after_the_first_set(
         monkeypatch.setenv("PIP_INDEX_URL", f"http://127.0.0.1:{silent.getsockname()[1]}/simple")
         told = list[str]()
         began = time.monotonic()
-        meshes = SessionOpener({}, told.append, str).find_meshes(world.locations, ["tiny", "other"]).meshes
+        meshes = SessionOpener({}, told.append, str).with_mesh_folders(world.locations, ["tiny", "other"]).meshes
         took = time.monotonic() - began
     assert meshes == {"tiny": None, "other": None}
     assert "nothing arrived for 1 s" in told[1]

@@ -37,7 +37,7 @@ def played(player: ChunkScheduler, ticks: int, actions: int = 5, *, per: int = 1
 def test_all_of_a_chunk_acts_before_the_next_is_asked_for() -> None:
     player = ChunkScheduler(ChunkSettings(), TICK, 1, REST)
     assert played(player, 7) == [0, 1, 2, 3, 4, 5.001, 6.001]
-    assert player.count == ChunkStats(chunks=2, actions=10)
+    assert player.chunk_stats == ChunkStats(chunks=2, actions=10)
 
 
 def test_actions_may_last_several_ticks_or_parts_of_one() -> None:
@@ -68,20 +68,20 @@ def test_an_answer_that_comes_late_is_taken_up_where_it_would_be() -> None:
     player = ChunkScheduler(ChunkSettings(execute=3, latency=2 * TICK), TICK, 1, REST)
     #                            waits   stale 0, 1       asked at 3: 0.001 from 5 on
     assert played(player, 9) == [-1, -1, 2, 3, 4, 5.001, 6.001, 7.001, 8.002]
-    assert player.count == ChunkStats(chunks=3, actions=15, stale=6, waited=2)
+    assert player.chunk_stats == ChunkStats(chunks=3, actions=15, stale=6, waited=2)
 
 
 def test_while_there_is_nothing_for_now_the_last_action_stays() -> None:
     player = ChunkScheduler(ChunkSettings(latency=2 * TICK), TICK, 1, REST)
     #                               asked at 0, 4 and 8, answered two ticks later
     assert played(player, 8, 4) == [-1, -1, 2, 3, 3, 3, 6.001, 7.001]
-    assert player.count.waited == 4
+    assert player.chunk_stats.waited == 4
 
 
 def test_of_a_chunk_that_is_all_too_late_the_last_action_acts() -> None:
     player = ChunkScheduler(ChunkSettings(latency=3 * TICK), TICK, 1, REST)
     assert played(player, 7, 1) == [-1, -1, -1, 0, 0, 0, 3.001]
-    assert (player.count.stale, player.count.waited) == (3, 7)
+    assert (player.chunk_stats.stale, player.chunk_stats.waited) == (3, 7)
 
 
 def test_the_measured_latency_is_how_long_the_answer_took() -> None:

@@ -10,7 +10,7 @@ from yamsim_cli.core.attempt_data import Attempt, AttemptJob, AttemptPayload, Fa
 from yamsim_cli.core.closable import Closable
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.session import Session
-from yamsim_cli.core.dataset.dataset_paths import image_name, lowdim_name
+from yamsim_cli.core.dataset.dataset_paths import image_path, lowdim_path
 from yamsim_cli.core.dataset.writing.directory_claim import OpenMode
 from yamsim_cli.core.dataset.writing.ledger import Ledger
 from yamsim_cli.core.files.resources import Locations
@@ -28,7 +28,7 @@ def payload(job: AttemptJob) -> AttemptPayload:
     attempt = Attempt(job, Layout.from_places({"banana": (0.3 + job.attempt / 1000, 0.0, 0.0, float(job.seed % 3))}))
     if job.attempt % 3 == 1:
         return AttemptPayload(attempt, Outcome(False, FailureCause.OFF_TARGET, "far off", dxy=0.2, dz=0.0))
-    names = [name for k in range(FRAMES) for name in (lowdim_name(k), image_name("scene_camera", k))]
+    names = [name for k in range(FRAMES) for name in (lowdim_path(k), image_path("scene_camera", k))]
     files = {name: f"{job.seed} {job.attempt} {name}".encode() * 3 for name in names}
     return AttemptPayload(attempt, Outcome(True, dxy=0.01, dz=0.0), files, FRAMES, "c0ffee", {"numpy": "2"}, "none")
 

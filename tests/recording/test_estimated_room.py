@@ -8,7 +8,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from yamsim_cli.api import PROGRAM, record
+from yamsim_cli.api import API_SESSION_OPENER, record
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.dataset.writing.directory_claim import OpenMode
 from yamsim_cli.core.errors import ResourceError
@@ -38,7 +38,7 @@ RECORDED_FRAMES = {
 
 
 def config_of(task: str) -> RecordConfig:
-    return PROGRAM.open("default", parallel=False, task=task, n=3, size=(64, 48), quality="fast").config
+    return API_SESSION_OPENER.open("default", parallel=False, task=task, n=3, size=(64, 48), quality="fast").config
 
 
 def test_every_skill_has_a_duration() -> None:

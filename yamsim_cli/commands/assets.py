@@ -226,7 +226,7 @@ def _certify(thing: str) -> CertificationResult:
 
     where = opener.locations()
     item = load_config(ObjectConfig, "objects", thing, where)
-    where = opener.find_meshes(where, item.mesh_sets)
+    where = opener.with_mesh_folders(where, item.mesh_sets)
     with progress_bar(f"certifying {item.name}", "checks") as advance:
         certified = certify(item, where.meshes, where, advance)
     made_with = {"yamsim": __version__, "mujoco": version("mujoco")}

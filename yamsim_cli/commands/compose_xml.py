@@ -66,7 +66,7 @@ def compose_xml(
         )
         config, home = first_attempt_start(Session(config, where))
         blueprint = task_blueprint(config, boards=boards, background=background)
-    where = opener.find_meshes(where, visual_mesh_sets(blueprint))
+    where = opener.with_mesh_folders(where, visual_mesh_sets(blueprint))
     spec, model = compose_at_home(blueprint, where, home)
     target = out.with_name(f"{out.name}.zip") if as_zip and out.suffix != ".zip" else out
     report = write_scene(spec, model, target, as_zip=as_zip, overwrite=overwrite, reader=mujoco)

@@ -186,6 +186,6 @@ def _photos(
     from yamsim_cli.gap_photos.photo_comparison import compare_photos
 
     quality = load_config(RenderConfig, "quality", "fast", locations)
-    locations = opener.find_meshes(locations, rig_mesh_sets(rig))
+    locations = opener.with_mesh_folders(locations, rig_mesh_sets(rig))
     with progress_bar("photos", "photos") as advance:
         return compare_photos(gaps, rig, request, surroundings, quality, locations, advance)

@@ -126,7 +126,7 @@ def overlay(
         fail_if_moved=fail_if_moved,
     )
     require_unused("--out", request.files, overwrite=overwrite)
-    where = opener.find_meshes(where, visual_mesh_sets(Blueprint(settings, scene)))
+    where = opener.with_mesh_folders(where, visual_mesh_sets(Blueprint(settings, scene)))
     with progress_bar("overlays", "photos") as advance:
         report = run_overlays(settings, request, scene, quality, where, advance)
     if json:

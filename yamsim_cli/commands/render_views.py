@@ -51,7 +51,7 @@ def render_views(
     from yamsim_cli.viewers.show.rig_views import set_up_views, write_views
 
     blueprint = Blueprint(settings, scene)
-    where = opener.find_meshes(where, visual_mesh_sets(blueprint), render)
+    where = opener.with_mesh_folders(where, visual_mesh_sets(blueprint), render)
     files = write_views(run(set_up_views(blueprint, where, render, pixels)), out)
     if json:
         print_json({"files": [str(file) for file in files]})

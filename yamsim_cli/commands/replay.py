@@ -66,7 +66,7 @@ def replay(
     if render and not isinstance(stored, StoredEpisode):
         raise UsageError("--render: a real recording was not simulated; leave --render out to show its pictures")
     if video is None:
-        watch(stored, where, speed, choose_viewer(web, port, host), json)
+        play_episode(stored, where, speed, choose_viewer(web, port, host), json)
         return
     pixels = parse_size(size) if size else None
     report = _film(stored, where, video, camera or [], render, pixels, speed, overwrite)
@@ -116,7 +116,9 @@ def _film(
     }
 
 
-def watch(stored: RecordedEpisode, locations: Locations, speed: float, page: PageAddress | None, json: bool) -> None:
+def play_episode(
+    stored: RecordedEpisode, locations: Locations, speed: float, page: PageAddress | None, json: bool
+) -> None:
     """Play an episode on a web page, or in MuJoCo's window if `page` is None. A real recording shows only its arms."""
     prepare_viewer(page)
     from yamsim_cli.core.dataset.reader import StoredEpisode
@@ -149,7 +151,7 @@ def watch(stored: RecordedEpisode, locations: Locations, speed: float, page: Pag
         real_config(stored.dataset, locations).rig, load_config(SceneConfig, "scenes", "studio", locations)
     )
     motion = read_episode(stored, blueprint.rig)
-    locations = opener.find_meshes(locations, visual_mesh_sets(blueprint))
+    locations = opener.with_mesh_folders(locations, visual_mesh_sets(blueprint))
     with defer_signals() as stopped:
         play_real(stored, motion, blueprint, locations, speed, page, ready, stopped)
 

@@ -102,7 +102,7 @@ def serve_robot(
     settings = session_settings(locals())
     session = opener.open(config, renders=cameras or chiral is not None, parallel=False, **settings)
 
-    from yamsim_cli.real.serve.realtime_loop import ServeLoop
+    from yamsim_cli.real.serve.realtime_loop import RealtimeLoop
     from yamsim_cli.real.serve.served_arms import STARTS, make_policy_robot, serve_arms
 
     if start not in STARTS:
@@ -130,7 +130,7 @@ def serve_robot(
             for follower in served.followers:
                 follower.tick()
 
-        loop = ServeLoop(served.motor_simulation, sockets, gap * 1e-6, ports, drive)
+        loop = RealtimeLoop(served.motor_simulation, sockets, gap * 1e-6, ports, drive)
         loop.run(lambda: stop.is_requested, float("inf") if seconds is None else seconds)
         pace = loop.pace
     if json:

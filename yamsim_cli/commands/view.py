@@ -56,9 +56,9 @@ def view(
     if episode is not None:
         from yamsim_cli.core.dataset.reader import find_episode
 
-        from .replay import watch
+        from .replay import play_episode
 
-        watch(find_episode(episode, None), where, 1.0, page, json)
+        play_episode(find_episode(episode, None), where, 1.0, page, json)
         return
 
     settings: RigConfig | RecordConfig
@@ -107,9 +107,9 @@ def _live(
 
     quality: RenderConfig | None = load_config(RenderConfig, "quality", "fast", locations) if pictures else None
     if isinstance(settings, RecordConfig):
-        locations = opener.find_meshes(locations, visual_mesh_sets(task_blueprint(settings)))
+        locations = opener.with_mesh_folders(locations, visual_mesh_sets(task_blueprint(settings)))
         return make_live_task(Session(settings, locations), boards=boards, quality=quality), task_viewpoint(settings)
     assert isinstance(settings, RigConfig)
     scene = load_config(SceneConfig, "scenes", "studio", locations)
     blueprint = Blueprint(settings, scene, boards=boards)
-    return make_live_rig(blueprint, opener.find_meshes(locations, visual_mesh_sets(blueprint)), quality), None
+    return make_live_rig(blueprint, opener.with_mesh_folders(locations, visual_mesh_sets(blueprint)), quality), None

@@ -19,7 +19,7 @@ from ..core.attempt_data import AttemptJob
 from ..core.closable import Closable
 from ..core.config.mesh_provenance import describe, mesh_differences
 from ..core.config.session import Session
-from ..core.dataset.dataset_paths import CONFIG, EPISODE, TRUTH_FOLDERS, image_name, lowdim_name
+from ..core.dataset.dataset_paths import CONFIG, EPISODE, TRUTH_FOLDERS, image_path, lowdim_path
 from ..core.dataset.lowdim import recorded_actions
 from ..core.dataset.reader import StoredEpisode, open_episode
 from ..core.dataset.records import EpisodeRecord, OutcomeRecord, recorded_attempt
@@ -248,7 +248,7 @@ def _read_frames(episode: StoredEpisode, problems: dict[str, str]) -> list[dict[
     """Read all frames of an episode. Altered files are reported in `problems`, and read too."""
     frames = []
     for k in range(episode.record.frames):
-        data = episode.read(name := lowdim_name(k))
+        data = episode.read(name := lowdim_path(k))
         if episode.is_altered(name, data):
             problems[name] = "its content is not what was recorded: sha256 differs from episode.json"
         frames.append(episode.frame(k, data))
@@ -278,7 +278,7 @@ def _compare_images(episode: StoredEpisode, images: Mapping[str, bytes], limit: 
     record = episode.record
     for k in range(record.frames):
         for camera in record.cameras:
-            name = image_name(camera, k)
+            name = image_path(camera, k)
             stored, made = episode.read(name), images.get(name, b"")
             apart = 0.0 if stored == made else _pixels_apart(stored, made)
             result.largest[camera] = max(result.largest.get(camera, 0.0), 255.0 if apart is None else apart)

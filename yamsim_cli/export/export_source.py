@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 from ..core.config.real_recordings import RealConfig
 from ..core.config.recording import RecordConfig
 from ..core.config.rig import RigConfig
-from ..core.dataset.dataset_paths import depth_name, image_name, lowdim_name
+from ..core.dataset.dataset_paths import depth_name, image_path, lowdim_path
 from ..core.dataset.imported_records import RealEpisodeRecord, real_config
 from ..core.dataset.reader import (
     RecordedEpisode,
@@ -128,12 +128,12 @@ class RealEpisode(RecordedEpisode):
 
     def frames(self) -> list[dict[str, Any]]:
         """Read the low-dimensional data of the selected frames. Raise DatasetError if a file is missing or damaged."""
-        recorded = {k: self.frame(k, self.read_verified(lowdim_name(k))) for k in dict.fromkeys(self.chosen)}
+        recorded = {k: self.frame(k, self.read_verified(lowdim_path(k))) for k in dict.fromkeys(self.chosen)}
         return [recorded[k] for k in self.chosen]
 
     def image(self, camera: str, number: int) -> bytes:
         """Return the JPEG bytes of exported frame `number`. Raise DatasetError if the file is missing or altered."""
-        return self.read_verified(image_name(camera, self.chosen[number]))
+        return self.read_verified(image_path(camera, self.chosen[number]))
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from ..core.attempt_data import ArmPosture
 from ..core.config.rendering import RenderConfig
 from ..core.config.rig import RigConfig
 from ..core.config.scene import SceneConfig
-from ..core.dataset.dataset_paths import image_name, lowdim_name
+from ..core.dataset.dataset_paths import image_path, lowdim_path
 from ..core.dataset.lowdim import load_frame
 from ..core.errors import DatasetError, ResourceError, UsageError, suggest
 from ..core.files.resources import Locations
@@ -72,7 +72,7 @@ def photos_in_parts(gaps: Sequence[MotionGap], camera: str | None) -> tuple[str,
         known = np.logical_and.reduce([np.isfinite(arm.joints).all(axis=1) for arm in gap.motion.arms])
         for frame, sample in enumerate(np.flatnonzero(known).tolist()):
             if gap.name in folders and gap.compared[sample]:
-                path = folders[gap.name] / image_name(camera, frame)
+                path = folders[gap.name] / image_path(camera, frame)
                 if path.is_file():
                     taken.append(RecordedPhoto(gap, frame, sample, path))
     if not taken:
@@ -114,7 +114,7 @@ def make_photo(recorded: RecordedPhoto, camera: str, rig: RigConfig, image: Imag
     Raises:
         DatasetError: the frame cannot be read, or is damaged.
     """
-    file = Path(recorded.gap.name) / lowdim_name(recorded.frame)
+    file = Path(recorded.gap.name) / lowdim_path(recorded.frame)
     try:
         frame = load_frame(file.read_bytes())
         K, T_cam_in_base = (

@@ -161,7 +161,7 @@ class YamsimEmbodiment:
         self._motion.act(np.asarray(action.data, dtype=np.float64))
         reached, explanation = self._judge.evaluate()
         reason = "success" if reached else None
-        if broken := self._motion.broken():
+        if broken := self._motion.physics_failure():
             reason = f"physics broke down: {broken}"
         return StepResult(
             observation=self._observe(self._simulator),

@@ -143,7 +143,7 @@ class FoldSmall(Skill):
 def _first_reachable_fold(
     context: PlanningContext, thing: str, points: Array, folds: Sequence[CreaseFold]
 ) -> tuple[CreaseFold, list[PointGrasp]] | tuple[None, None]:
-    tried = ((fold, reachable_grasps(context, thing, fold.placements, points)) for fold in folds)
+    tried = ((fold, reachable_grasps(context, thing, fold.point_targets, points)) for fold in folds)
     return next(((fold, grasps) for fold, grasps in tried if grasps), (None, None))
 
 
@@ -193,7 +193,7 @@ class CreaseFold:
         return tuple(point for point, _ in self.corners)
 
     @property
-    def placements(self) -> list[PointPlacement]:
+    def point_targets(self) -> list[PointPlacement]:
         """The grasped points and their targets, for `reachable_grasps`."""
         return [PointPlacement(point, target_at_place(to)) for point, to in self.corners]
 

@@ -89,7 +89,7 @@ class SceneStepper:
             self.episode.step(self._ctrl(before, after), (False,) * len(scene.arms))
         self._reference = goal
 
-    def broken(self) -> str | None:
+    def physics_failure(self) -> str | None:
         """Return MuJoCo's fatal warning that ended the episode, as text; None without one."""
         end = self.episode.end
         return end.detail if end is not None and end.reason is EndReason.UNSTABLE else None

@@ -26,7 +26,9 @@ from ..core.scene.assets.child_process import python_call, run_child
 from ..core.scene.assets.sources import SourceError
 from .part_surfaces import simplified_mesh
 
-CACHE = "decomposed"  # name of the folder of cached results, in the folder that also contains the mesh sets
+DECOMPOSITION_FOLDER = (
+    "decomposed"  # name of the folder of cached results, in the folder that also contains the mesh sets
+)
 
 # Triangle counts to which a body is reduced first, and the largest deviation, mm. The parts deviate by 1 to 2 mm.
 _FACES, _LIMIT_MM = (1_000, 2_000, 4_000, 8_000), 0.3

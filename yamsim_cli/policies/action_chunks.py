@@ -103,7 +103,7 @@ class ChunkScheduler:
         self._chunking, self._tick, self._hold, self._rest = chunking, tick, hold, rest
         self._chunks: list[_TimedChunk] = []
         self._next = 0
-        self.count = ChunkStats()
+        self.chunk_stats = ChunkStats()
 
     def is_due(self, now: int) -> bool:
         """Whether the policy must be asked for the next chunk at tick `now`."""
@@ -128,9 +128,11 @@ class ChunkScheduler:
         # At least a tick passes between two requests, and a request waits for the previous answer.
         self._next = max(timed.arrival_tick, now + max(1, _ticks(execute * per_action)))
         self._chunks.append(timed)
-        count = self.count
+        count = self.chunk_stats
         stale = min(timed.actions, timed.index(timed.arrival_tick))
-        self.count = ChunkStats(count.chunks + 1, count.actions + timed.actions, count.stale + stale, count.waited)
+        self.chunk_stats = ChunkStats(
+            count.chunks + 1, count.actions + timed.actions, count.stale + stale, count.waited
+        )
 
     def next_command(self, now: int) -> tuple[Array, WeldStates]:
         """Return the commands to drives (arms, drives) and welds (arms,) at a tick. Call it once per tick, in order."""
@@ -138,8 +140,8 @@ class ChunkScheduler:
         here = [timed for timed in self._chunks if timed.arrival_tick <= now]
         acting = [timed for timed in here if timed.index(now) < timed.actions]
         if not acting:
-            count = self.count
-            self.count = ChunkStats(count.chunks, count.actions, count.stale, count.waited + 1)
+            count = self.chunk_stats
+            self.chunk_stats = ChunkStats(count.chunks, count.actions, count.stale, count.waited + 1)
             if not here:
                 return self._rest, np.zeros(len(self._rest), dtype=bool)
         if self._chunking.ensemble is None or len(acting) < 2:

@@ -71,17 +71,17 @@ class Collector:
         self._renderer = ""
 
     @property
-    def outstanding(self) -> int:
+    def remaining_episodes(self) -> int:
         """Number of episodes that are still to be recorded, including lost episodes of a resumed dataset."""
         return max(0, self._config.episodes - self._sink.episodes) + len(self._lost_attempts)
 
     @property
-    def work(self) -> int:
+    def attempts_needed(self) -> int:
         """Smallest number of attempts that are still needed."""
-        return self.outstanding + len(self._sink.lost_lines)
+        return self.remaining_episodes + len(self._sink.lost_lines)
 
     @property
-    def done(self) -> int:
+    def complete_episodes(self) -> int:
         """Number of episodes that are completely in the dataset."""
         return self._sink.episodes - len(self._lost_attempts)
 
@@ -96,7 +96,7 @@ class Collector:
             OSError: a write failed.
         """
         self._report()
-        while self.work:
+        while self.attempts_needed:
             while not self._stop.is_requested and executor.idle and self._can_start(executor):
                 executor.submit(AttemptJob(self._config.seed, self._next_attempt()))
             # Write after submitting, so that workers are busy in the meantime.
@@ -148,7 +148,7 @@ class Collector:
         ahead = self._next - len(self._sink.attempts)
         # An uncertain attempt blocks writing until another attempt has finished.
         near = ahead < _LOOKAHEAD * self._config.workers or (self._uncertain_attempts and not executor.in_flight)
-        return promised < self.outstanding and bool(near)
+        return promised < self.remaining_episodes and bool(near)
 
     def _next_attempt(self) -> int:
         if self._queue:
@@ -185,7 +185,7 @@ class Collector:
         if self._sink.lost_lines:
             # The results of these attempts are still unknown.
             return
-        if self.outstanding > len(self._lost_attempts) and (
+        if self.remaining_episodes > len(self._lost_attempts) and (
             error := self._limit.stop_error(self._sink.attempts, self._sink.episodes)
         ):
             raise error
@@ -233,4 +233,4 @@ class Collector:
         self._renderer = payload.renderer or self._renderer
 
     def _report(self) -> None:
-        self._watch.progress(self.done, self._config.episodes, len(self._sink.attempts))
+        self._watch.progress(self.complete_episodes, self._config.episodes, len(self._sink.attempts))

@@ -17,7 +17,7 @@ from typing import Any, Generic, cast
 
 from ..core.errors import ResourceError
 from ..core.workers.executors import Factory, J, R
-from ..core.workers.job_server import STOP_SIGNALS, JobServer
+from ..core.workers.job_server import STOP_SIGNALS, WorkerJobRunner
 from ..core.workers.worker_pool import JOB_SECONDS, BaseWorkerPool, Event, Worker, WorkerDied
 
 _CONNECT_SECONDS = 5.0  # s, timeout for a connection to the head of a cluster
@@ -86,7 +86,7 @@ class _Cluster(Generic[J, R]):
         options: dict[str, Any] = {"num_cpus": 1, "max_restarts": 0, "scheduling_strategy": "SPREAD"}
         if environ:
             options["runtime_env"] = {"env_vars": environ}
-        self._actors = self._ray.remote(**options)(JobServer)
+        self._actors = self._ray.remote(**options)(WorkerJobRunner)
 
     def start(self, number: int) -> Worker[J]:
         handle = self._actors.remote()

@@ -58,10 +58,10 @@ def record(
         starts = functools.partial(all_starts_fail, session)
         collector = Collector(destination.config, destination.sink, callbacks, stop, starts)
         with _report_on_early_end(config, collector, destination):
-            if collector.work:
+            if collector.attempts_needed:
                 # A resumed recording may have reached the retry limit in its earlier run.
                 collector.check_retry_limit()
-                workers = min(config.workers, collector.work)
+                workers = min(config.workers, collector.attempts_needed)
                 with executor_factory.open(session, workers) as executor:
                     collector.run(executor)
             destination.finish(callbacks, stop)
@@ -94,10 +94,11 @@ def _report_on_early_end(
     place = destination.writer.path
 
     def whole() -> str:
-        return f"{collector.done} of {config.episodes} episodes are whole in {place}{destination.describe_staged}"
+        complete = collector.complete_episodes
+        return f"{complete} of {config.episodes} episodes are whole in {place}{destination.describe_staged}"
 
     def state() -> str:
-        return f"{whole()}, {collector.outstanding} are left; continue with --resume"
+        return f"{whole()}, {collector.remaining_episodes} are left; continue with --resume"
 
     try:
         try:

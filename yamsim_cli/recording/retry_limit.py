@@ -24,8 +24,10 @@ from ..core.episode.simulator import Simulators
 from ..core.errors import PartialJobError, SimulationError, YamsimError
 from ..core.expert.skills.program import build_program
 
-SAME_CAUSE = 10  # first attempts; if all fail for one cause, the starts of `MORE_STARTS` further attempts are checked
-MORE_STARTS = 100  # attempts whose start layouts are checked without physics after `SAME_CAUSE` failures
+SAME_CAUSE_LIMIT = (
+    10  # first attempts; if all fail for one cause, the starts of `STARTS_TO_CHECK` further attempts are checked
+)
+STARTS_TO_CHECK = 100  # attempts whose start layouts are checked without physics after `SAME_CAUSE_LIMIT` failures
 MIN_ATTEMPTS = 100  # attempts; a task without a success among them is considered impossible
 _ATTEMPTS_PER_EPISODE = 20  # attempts per requested episode; a task that needs more succeeds too rarely
 
@@ -78,12 +80,12 @@ class RetryLimit:
         if tried >= MIN_ATTEMPTS:
             return self._infeasible_task_error(f"none of {tried} attempts succeeded", attempts)
         causes = {attempt.outcome.cause for attempt in attempts}
-        if tried < SAME_CAUSE or len(causes) > 1 or self._checked:
+        if tried < SAME_CAUSE_LIMIT or len(causes) > 1 or self._checked:
             return None
         self._checked = True
         if not self._no_better_start(FailureCause(str(last.cause)), tried):
             return None
-        more = f"its first {tried} attempts all failed in one way, and {MORE_STARTS} more would start no better"
+        more = f"its first {tried} attempts all failed in one way, and {STARTS_TO_CHECK} more would start no better"
         return self._infeasible_task_error(more, attempts)
 
     def _infeasible_task_error(self, why: str, attempts: Sequence[AttemptRecord]) -> SimulationError:
@@ -113,7 +115,7 @@ def all_starts_fail(session: Session, cause: FailureCause, first: int) -> bool:
     with Simulators(session.without_meshes()) as simulators:
         return not any(
             _start_is_feasible(simulators, cause, AttemptJob(session.config.seed, number))
-            for number in range(first, first + MORE_STARTS)
+            for number in range(first, first + STARTS_TO_CHECK)
         )
 
 

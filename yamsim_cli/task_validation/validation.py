@@ -95,7 +95,7 @@ def check_holding_still(simulators: Simulators, seed: int, n: int) -> TaskCheck:
         episode = open_episode(simulator, attempt, REPLAY_RULES)
         task = simulator.config.task
         ticks = math.ceil(_STILL_SECONDS / task.timing.tick) + task.hold_ticks
-        episode.act(_hold_actions(simulator.scene, attempt.start, ticks))
+        episode.run_commands(_hold_actions(simulator.scene, attempt.start, ticks))
         reached.append(episode.succeeds)
     return _never_reached("hold_still", reached, "attempts in which nothing is done")
 
@@ -121,7 +121,7 @@ def check_near_misses(simulator: Simulator, done: SimulatedAttempt) -> TaskCheck
     """
     episode = open_episode(simulator, done.attempt, REPLAY_RULES)
     for state in done.states:
-        episode.act(state.actions)
+        episode.run_commands(state.actions)
     task, roles = simulator.config.task, simulator.roles
     ended = episode.data.qpos.copy()
     counted, count = [], 0

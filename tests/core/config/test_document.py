@@ -165,8 +165,8 @@ def test_the_place_of_what_is_not_there_is_that_of_the_nearest_around_it():
 
 def test_an_overridden_value_forgets_its_line_and_those_inside_it():
     document = parse_yaml("a:\n  b: {c: 1}\n  d: 2\n", "f.yaml")
-    document.set(("a", "b"), {"c": 5}, "--b")
-    document.set(("new", "inner"), 7, "--new")
+    document.override(("a", "b"), {"c": 5}, "--b")
+    document.override(("new", "inner"), 7, "--new")
     assert document.data == {"a": {"b": {"c": 5}, "d": 2}, "new": {"inner": 7}}
     assert document.place(("a", "b", "c")) == "--b"
     assert document.place(("a", "d")) == "f.yaml:3"
@@ -176,7 +176,7 @@ def test_an_overridden_value_forgets_its_line_and_those_inside_it():
 def test_an_override_below_a_plain_value_leaves_it_to_be_named_when_checked(value):
     document = parse_yaml(f"a: {value}\n", "f.yaml")
     before = dict(document.data)
-    document.set(("a", "b", "c"), 1, "--c")
+    document.override(("a", "b", "c"), 1, "--c")
     assert document.data == before
     assert document.place(("a",)) == "f.yaml:1"
 

@@ -2,7 +2,7 @@ from typing import Any
 
 import pytest
 
-from yamsim_cli.core.config.loader import KINDS, REVISION, config_model, load_config, parse_config, validate_file
+from yamsim_cli.core.config.loader import KINDS, REVISION_KEY, config_model, load_config, parse_config, validate_file
 from yamsim_cli.core.config.objects.object_config import ObjectConfig
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.rig import RigConfig
@@ -368,7 +368,7 @@ def test_a_randomization_given_as_a_task_names_the_flag(record, locations):
 
 
 def _rig(name: str, locations: Locations, revision: str | None = None) -> RigConfig:
-    overrides = {} if revision is None else {(REVISION,): ("--revision", revision)}
+    overrides = {} if revision is None else {(REVISION_KEY,): ("--revision", revision)}
     return load_config(RigConfig, "rigs", name, locations, overrides)
 
 

@@ -318,7 +318,7 @@ def test_of_two_arms_one_may_act(arm: str, other: str, tmp_path: Path) -> None:
     config = session_of(tmp_path, ONE_ARM, rig="yam_station_linear_4310_d405", arm=arm).config
     assert [one.side for one in config.acting_arms] == [arm]
     assert (config.rig.arms[config.first_arm].side, config.rig.arms[config.second_arm].side) == (arm, other)
-    place = config.rig.base_y(config.first_arm)
+    place = config.rig.arm_origin_y(config.first_arm)
     assert config.starts["object"].y == pytest.approx((0.10 + place, 0.14 + place))
     assert config.starts["target"].y == pytest.approx((-0.16 - place, -0.14 - place))
     assert all(start.from_arm is None for start in config.starts.values())

@@ -6,7 +6,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from yamsim_cli.core.dataset.dataset_paths import image_name, lowdim_name
+from yamsim_cli.core.dataset.dataset_paths import image_path, lowdim_path
 from yamsim_cli.core.dataset.lowdim import content_hash, dump_frame, frame_data
 from yamsim_cli.core.dataset.records import AttemptRecord, EpisodeRecord, OutcomeRecord, file_hashes
 from yamsim_cli.core.dataset.writing.directory_claim import OpenMode
@@ -68,8 +68,8 @@ def made(
     episode: int, attempt: int | None = None, frames: list[dict] | None = None, outcome: OutcomeRecord = SUCCESS
 ) -> HandmadeEpisode:
     frames = [frame(k, episode) for k in range(FRAMES)] if frames is None else frames
-    files = {lowdim_name(k): dump_frame(data) for k, data in enumerate(frames)}
-    files |= {image_name(CAMERA, k): jpeg(seed=10 * episode + k) for k in range(len(frames))}
+    files = {lowdim_path(k): dump_frame(data) for k, data in enumerate(frames)}
+    files |= {image_path(CAMERA, k): jpeg(seed=10 * episode + k) for k in range(len(frames))}
     record = EpisodeRecord(
         episode=episode,
         attempt=episode if attempt is None else attempt,

@@ -9,7 +9,7 @@ import pytest
 from tests.core.dataset.making import CONFIG, failed_attempt, made, publish, tree
 from yamsim_cli.core.dataset.records import AttemptRecord, Manifest, from_json, to_json
 from yamsim_cli.core.dataset.writing.directory_claim import OpenMode
-from yamsim_cli.core.dataset.writing.ledger import LINE_LOST, Ledger
+from yamsim_cli.core.dataset.writing.ledger import LOST_LINE_OUTCOME, Ledger
 from yamsim_cli.core.dataset.writing.writer import DatasetWriter
 from yamsim_cli.core.errors import ConfigError, DatasetError, ResourceError, UsageError
 from yamsim_cli.core.files.documents.yaml_document import load_yaml
@@ -260,7 +260,7 @@ def test_the_line_of_a_failure_has_to_be_made_again(with_failures, broken):
         writer = resume(with_failures)
         assert writer.lost_lines == {1}
         assert numbers(writer) == [(0, 0), (1, None), (2, 1), (3, 2), (4, None), (5, 3)]
-        assert writer.attempts[1].outcome == LINE_LOST
+        assert writer.attempts[1].outcome == LOST_LINE_OUTCOME
         assert writer.repairs[-1] == "the line of attempt 1 in attempts.jsonl is lost, and made again"
     writer.log(failed_attempt(1))
     assert (writer.lost_lines, writer.attempts[1]) == (set(), failed_attempt(1))

@@ -83,7 +83,7 @@ def over_plate(simulator: Simulator, start: Array) -> Array:
 
 
 def played_to(episode: Episode, actions: ActionSequence) -> EpisodeResult:
-    episode.act(actions)
+    episode.run_commands(actions)
     return episode.finish()
 
 
@@ -110,7 +110,9 @@ def test_the_same_commands_in_pieces_or_at_once_give_the_same_bits(
     assert_same(whole, done.result)
     pieces = open_at(simulator, done.attempt.start, EXPERT_RULES)
     for first, last in ((0, 1), (1, 8), (8, 8), (8, 75), (75, len(actions.ctrl))):
-        pieces.act(ActionSequence(actions.ctrl[first:last], actions.magnet[first:last], actions.joints[first:last]))
+        pieces.run_commands(
+            ActionSequence(actions.ctrl[first:last], actions.magnet[first:last], actions.joints[first:last])
+        )
     assert_same(pieces.finish(), whole)
     ticks = open_at(simulator, done.attempt.start, EXPERT_RULES)
     for ctrl, magnet, joints in zip(actions.ctrl, actions.magnet, actions.joints, strict=True):
@@ -124,7 +126,7 @@ def test_what_happened_in_another_episode_leaves_no_trace(
     """The scene's model is shared, and welds are written into it."""
     other = planned(simulator, 9)
     assert other.outcome.success
-    open_at(simulator, over_plate).act(still(simulator, over_plate, 10))
+    open_at(simulator, over_plate).run_commands(still(simulator, over_plate, 10))
     again = run_actions(simulator, done.attempt, all_actions(done.states), EXPERT_RULES)
     assert again.result is not None and done.result is not None
     assert_same(again.result, done.result)
@@ -145,7 +147,7 @@ def test_one_command_a_frame_would_not_be_enough(simulator: Simulator, done: Sim
 
 def test_frames_are_states_before_their_first_command(simulator: Simulator, start: Array) -> None:
     episode = open_at(simulator, start)
-    episode.act(still(simulator, start, 5))
+    episode.run_commands(still(simulator, start, 5))
     timing, played = simulator.config.task.timing, episode.finish()
     assert timing.ticks_per_frame == 2
     np.testing.assert_array_equal(played.states[0].qpos, start)
@@ -160,7 +162,7 @@ def test_the_state_is_looked_at_after_every_physics_step(simulator: Simulator, s
     episode = Episode(
         simulator.scene, start, timing, ("right",), None, on_step=lambda data: times.append(float(data.time))
     )
-    episode.act(still(simulator, start, 2))
+    episode.run_commands(still(simulator, start, 2))
     np.testing.assert_allclose(times, np.arange(2 * timing.physics_steps_per_tick + 1) * timing.timestep)
 
 
@@ -187,7 +189,7 @@ def _first_held(simulator: Simulator, start: Array) -> int:
     """The first tick after which the goal holds where nothing is done."""
     episode = open_at(simulator, start)
     for tick in range(1, 40):
-        episode.act(still(simulator, start, 1))
+        episode.run_commands(still(simulator, start, 1))
         assert episode.verdict is not None
         if episode.verdict.reached:
             return tick
@@ -198,7 +200,7 @@ def test_the_goal_has_to_hold_for_its_hold_time(simulator: Simulator, over_plate
     first = _first_held(simulator, over_plate)
     assert first > 1
     episode = open_at(simulator, over_plate)
-    episode.act(still(simulator, over_plate, first + HOLD - 1))
+    episode.run_commands(still(simulator, over_plate, first + HOLD - 1))
     assert (episode.held_ticks, episode.succeeds) == (HOLD - 1, False)
     assert episode.status == "the goal holds, and has to for 0.0 s more"
     played = episode.finish()
@@ -211,7 +213,7 @@ def test_the_goal_has_to_hold_for_its_hold_time(simulator: Simulator, over_plate
     assert not played.success
 
     longer = open_at(simulator, over_plate)
-    longer.act(still(simulator, over_plate, first + HOLD))
+    longer.run_commands(still(simulator, over_plate, first + HOLD))
     assert (longer.held_ticks, longer.succeeds, longer.status) == (HOLD, True, "the goal holds")
     played = longer.finish()
     assert played.success and played.verdict is not None and played.verdict.reached
@@ -221,7 +223,7 @@ def test_the_goal_has_to_hold_for_its_hold_time(simulator: Simulator, over_plate
 def test_a_goal_without_a_hold_time_holds_at_once(simulator: Simulator, over_plate: Array) -> None:
     first = _first_held(simulator, over_plate)
     episode = open_at(simulator, over_plate, SUCCESS_RULES, goal_of(simulator, hold_ticks=0))
-    episode.act(still(simulator, over_plate, 40))
+    episode.run_commands(still(simulator, over_plate, 40))
     assert episode.end == EpisodeEnd(EndReason.SUCCESS, first)
 
 
@@ -230,23 +232,23 @@ def test_success_ends_at_the_first_tick_at_which_it_has_held_and_an_actor_goes_o
 ) -> None:
     first = _first_held(simulator, over_plate)
     at_success = open_at(simulator, over_plate, SUCCESS_RULES)
-    at_success.act(still(simulator, over_plate, 40))
+    at_success.run_commands(still(simulator, over_plate, 40))
     assert at_success.end == EpisodeEnd(EndReason.SUCCESS, first + HOLD)
     assert at_success.ticks == len(at_success.actions.ctrl) == first + HOLD
     # Nothing acts any more.
     before = at_success.data.qpos.copy()
-    at_success.act(still(simulator, over_plate, 3))
+    at_success.run_commands(still(simulator, over_plate, 3))
     np.testing.assert_array_equal(at_success.data.qpos, before)
     assert at_success.finish().end == EpisodeEnd(EndReason.SUCCESS, first + HOLD)
 
     by_actor = open_at(simulator, over_plate)
-    by_actor.act(still(simulator, over_plate, 40))
+    by_actor.run_commands(still(simulator, over_plate, 40))
     assert by_actor.end is None and by_actor.ticks == 40
     assert by_actor.finish().end == EpisodeEnd(EndReason.ACTOR, 40)
 
     # An actor can leave out the rest.
     waiting = open_at(simulator, over_plate)
-    waiting.act(still(simulator, over_plate, 40), until_success=True)
+    waiting.run_commands(still(simulator, over_plate, 40), until_success=True)
     assert (waiting.ticks, waiting.end, waiting.succeeds) == (first + HOLD, None, True)
 
 
@@ -258,10 +260,10 @@ def test_what_is_put_and_taken_back_counts_only_where_success_ends_the_episode(
     ends = {}
     for rules in (EpisodeRules(), SUCCESS_RULES):
         episode = open_at(simulator, over_plate, rules)
-        episode.act(still(simulator, over_plate, first + held))
+        episode.run_commands(still(simulator, over_plate, first + held))
         address = simulator.scene.object_qpos["banana"]
         put(simulator, episode.data.qpos, "banana", start[address : address + 3])
-        episode.act(still(simulator, over_plate, 4))
+        episode.run_commands(still(simulator, over_plate, 4))
         ends[rules.end] = episode.finish()
     taken_back = ends[EndRule.ACTOR]
     assert taken_back.end == EpisodeEnd(
@@ -274,11 +276,11 @@ def test_what_is_put_and_taken_back_counts_only_where_success_ends_the_episode(
 def test_an_interruption_starts_the_hold_time_anew(simulator: Simulator, start: Array, over_plate: Array) -> None:
     first = _first_held(simulator, over_plate)
     episode = open_at(simulator, over_plate, SUCCESS_RULES)
-    episode.act(still(simulator, over_plate, first + HOLD - 2))
+    episode.run_commands(still(simulator, over_plate, first + HOLD - 2))
     put(simulator, episode.data.qpos, "banana", over_plate[simulator.scene.object_qpos["banana"] :][:3])
-    episode.act(still(simulator, over_plate, 1))
+    episode.run_commands(still(simulator, over_plate, 1))
     assert episode.held_ticks == 0 and episode.verdict is not None and not episode.verdict.reached
-    episode.act(still(simulator, over_plate, 40))
+    episode.run_commands(still(simulator, over_plate, 40))
     assert episode.end is not None and episode.end.reason is EndReason.SUCCESS
     assert episode.end.tick > first + 2 * HOLD - 1
     assert episode.held_ticks == HOLD
@@ -286,13 +288,13 @@ def test_an_interruption_starts_the_hold_time_anew(simulator: Simulator, start: 
 
 def test_the_time_limit_ends_it(simulator: Simulator, start: Array, over_plate: Array) -> None:
     episode = open_at(simulator, start, EpisodeRules(max_ticks=5))
-    episode.act(still(simulator, start, 9))
+    episode.run_commands(still(simulator, start, 9))
     assert episode.end == EpisodeEnd(EndReason.TIME_LIMIT, 5, FailureCause.GOAL, "on(banana, plate): they do not touch")
     # Success at the last tick counts.
     last = _first_held(simulator, over_plate) + HOLD
     for limit, reason in ((last, EndReason.SUCCESS), (last - 1, EndReason.TIME_LIMIT)):
         episode = open_at(simulator, over_plate, EpisodeRules(EndRule.SUCCESS, max_ticks=limit))
-        episode.act(still(simulator, over_plate, 60))
+        episode.run_commands(still(simulator, over_plate, 60))
         assert episode.end is not None
         assert (episode.end.reason, episode.end.tick) == (reason, limit)
         assert (episode.end.cause is None) is (reason is EndReason.SUCCESS)
@@ -308,20 +310,20 @@ def _bows(simulator: Simulator, start: Array, ticks: int = 60) -> ActionSequence
 def test_a_strict_rule_ends_it_at_the_first_forbidden_contact(simulator: Simulator, start: Array) -> None:
     actions = _bows(simulator, start)
     strict = open_at(simulator, start, EXPERT_RULES)
-    strict.act(actions)
+    strict.run_commands(actions)
     assert strict.end is not None
     assert (strict.end.reason, strict.end.cause) == (EndReason.FORBIDDEN, FailureCause.COLLIDED)
     assert "table" in strict.end.detail and "finger" in strict.end.detail
     assert 0 < strict.end.tick < len(actions.ctrl)
     # The tick before ends without one.
     shorter = open_at(simulator, start, EXPERT_RULES)
-    shorter.act(
+    shorter.run_commands(
         ActionSequence(*(part[: strict.end.tick - 1] for part in (actions.ctrl, actions.magnet, actions.joints)))
     )
     assert shorter.end is None and shorter.finish().collision is None
 
     free = open_at(simulator, start, REPLAY_RULES)
-    free.act(actions)
+    free.run_commands(actions)
     played = free.finish()
     assert (played.end.reason, played.end.tick, played.collision) == (
         EndReason.ACTOR, len(actions.ctrl), strict.end.detail
@@ -335,21 +337,21 @@ def test_a_strict_rule_ends_it_at_an_exceeded_limit(simulator: Simulator, start:
     actions, (arm,) = still(simulator, start, 20), simulator.scene.arms
     actions.ctrl[5:, arm.arm_ctrl[0]] += 2.0
     strict = open_at(simulator, start, EXPERT_RULES)
-    strict.act(actions)
+    strict.run_commands(actions)
     assert strict.end is not None
     assert (strict.end.reason, strict.end.cause) == (EndReason.FORBIDDEN, FailureCause.LIMITS)
     assert 5 < strict.end.tick < 20
     free = open_at(simulator, start, REPLAY_RULES)
-    free.act(actions)
+    free.run_commands(actions)
     margins = free.finish().margins
     assert free.ticks == 20 and margins is not None and max(margins.velocity, margins.torque) >= 1
 
 
 def test_physics_that_breaks_down_ends_it_whatever_the_rules(simulator: Simulator, start: Array) -> None:
     episode = open_at(simulator, start, REPLAY_RULES)
-    episode.act(still(simulator, start, 2))
+    episode.run_commands(still(simulator, start, 2))
     episode.data.qvel[simulator.scene.object_dof["banana"] + 2] = 1e20
-    episode.act(still(simulator, start, 5))
+    episode.run_commands(still(simulator, start, 5))
     assert episode.end is not None
     assert (episode.end.reason, episode.end.tick, episode.end.cause) == (EndReason.UNSTABLE, 3, FailureCause.UNSTABLE)
     assert "physics broke down within 0.0" in episode.end.detail
@@ -359,7 +361,7 @@ def test_without_a_goal_nobody_succeeds_and_nothing_failed(simulator: Simulator,
     episode = Episode(
         simulator.scene, over_plate, simulator.config.task.timing, ("right",), None, EpisodeRules(EndRule.SUCCESS)
     )
-    episode.act(still(simulator, over_plate, 30))
+    episode.run_commands(still(simulator, over_plate, 30))
     assert (episode.verdict, episode.succeeds, episode.status, episode.end) == (None, False, "", None)
     assert episode.finish().end == EpisodeEnd(EndReason.ACTOR, 30)
 

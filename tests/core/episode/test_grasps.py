@@ -123,7 +123,7 @@ def test_a_magnet_has_no_effect_where_friction_holds(friction: Simulator) -> Non
     episode = Episode(friction.scene, start, task.timing, ("right",), None)
     for _ in range(3):
         episode.step(start[friction.scene.arm.recorded_qpos][None], ON)
-    assert not episode.actions.magnet.any() and episode.held == (False,)
+    assert not episode.actions.magnet.any() and episode.welds_active == (False,)
 
 
 def test_records_say_whether_a_weld_holds_and_not_what_was_commanded(simulator: Simulator) -> None:
@@ -136,7 +136,7 @@ def test_records_say_whether_a_weld_holds_and_not_what_was_commanded(simulator: 
     )
     near.step(command, ON)
     assert (far.actions.magnet[0, 0], near.actions.magnet[0, 0]) == (False, True)
-    assert (far.held, near.held) == ((False,), (True,))
+    assert (far.welds_active, near.welds_active) == ((False,), (True,))
     assert near.world.holding_sides("banana") == {"right"}
 
 
@@ -168,7 +168,7 @@ def test_cloth_is_held_by_fingers_that_press_on_it_and_let_go_when_they_open(tmp
             assert bool(episode.actions.magnet[-1, 0]) is holds, opening
             assert episode.world.holding_sides("napkin") == ({arm_sides(config)[0]} if holds else frozenset())
         # A weld there is none, whatever holds.
-        assert episode.held == (False, False)
+        assert episode.welds_active == (False, False)
 
 
 class InHand:

@@ -89,7 +89,7 @@ def test_a_finger_under_cloth_would_lift_it_and_one_on_it_would_not(tmp_path: Pa
         scene, model = simulator.scene, simulator.scene.model
         world = make_sim_world(scene, data, arm_sides(simulator.config))
         cloth = scene.cloths["napkin"]
-        assert not world.hands_beneath("napkin")
+        assert not world.sides_with_finger_under_cloth("napkin")
         # Around the tip that is lowest now.
         tips = [k for k in range(model.ngeom) if "finger_collide" in model.geom(k).name]
         tip = min((geom_aabb(model, data, k)[0][2], k) for k in tips)
@@ -97,7 +97,7 @@ def test_a_finger_under_cloth_would_lift_it_and_one_on_it_would_not(tmp_path: Pa
             data.qpos[cloth.qpos] = [*(data.geom_xpos[tip[1], :2] + 0.005), tip[0] + over]
             mujoco.mj_forward(model, data)
             assert (data.contact.flex >= 0).any()
-            assert len(world.hands_beneath("napkin")) == expected
+            assert len(world.sides_with_finger_under_cloth("napkin")) == expected
 
 
 def test_what_a_pull_would_lead_to_changes_nothing(tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ import numpy as np
 
 from yamsim_cli.core.dataset.checks.context import find_episodes, read_context
 from yamsim_cli.core.dataset.checks.problem import ProblemCollector
-from yamsim_cli.core.dataset.dataset_paths import episode_name, image_name, lowdim_name
+from yamsim_cli.core.dataset.dataset_paths import episode_name, image_path, lowdim_path
 from yamsim_cli.core.dataset.lowdim import content_hash, dump_frame, frame_data
 from yamsim_cli.core.dataset.records import (
     AttemptRecord,
@@ -82,8 +82,8 @@ class Episode:
 
     @property
     def files(self) -> dict[str, bytes]:
-        files = {lowdim_name(k): dump_frame(frame) for k, frame in enumerate(self.frames)}
-        files |= {image_name(c, k): data for c, images in self.images.items() for k, data in enumerate(images)}
+        files = {lowdim_path(k): dump_frame(frame) for k, frame in enumerate(self.frames)}
+        files |= {image_path(c, k): data for c, images in self.images.items() for k, data in enumerate(images)}
         return files | self.others
 
     @property
@@ -211,7 +211,7 @@ class SampleDataset:
                 file.parent.mkdir(parents=True, exist_ok=True)
                 file.write_bytes(data)
             for k, frame in enumerate(made.frames):
-                (path / str(made.number) / lowdim_name(k)).write_bytes(pickle.dumps(change(frame)))
+                (path / str(made.number) / lowdim_path(k)).write_bytes(pickle.dumps(change(frame)))
         return path
 
 

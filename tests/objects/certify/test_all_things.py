@@ -24,7 +24,7 @@ CLOTH = ("soft_cloth", "soft_dish_towel", "soft_napkin")
 @pytest.mark.parametrize("name", [name for name in WHERE.config_names("objects") if name not in CLOTH])
 def test_it_passes(name: str) -> None:
     item = load_config(ObjectConfig, "objects", name, WHERE)
-    meshes = SessionOpener(os.environ, lambda text: None, str).find_meshes(WHERE, item.mesh_sets).meshes
+    meshes = SessionOpener(os.environ, lambda text: None, str).with_mesh_folders(WHERE, item.mesh_sets).meshes
     assert item.cloth is None
     certified = certify(item, meshes, WHERE)
     assert certified.failed == (("grasp.slips",) if name in TOO_LOW else ()), certified.to_json_data()

@@ -16,7 +16,7 @@ from yamsim_cli.core.geometry.closed_surface import is_closed, uniform_mass_prop
 from yamsim_cli.core.images.png import decode_png
 from yamsim_cli.objects.part_surfaces import merged_surface
 from yamsim_cli.objects.readers.object_parts import ObjectDescription, Surface
-from yamsim_cli.objects.readers.object_reader import UnitOptions, in_metres, read_object
+from yamsim_cli.objects.readers.object_reader import UnitOptions, convert_to_metres, read_object
 from yamsim_cli.objects.readers.reader_process import read_file
 
 pytestmark = pytest.mark.skipif(not has_import_extra(), reason="needs the extra: pip install 'yamsim[import]'")
@@ -29,7 +29,7 @@ def mugs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 
 def read_here(path: Path, told: UnitOptions | None = None) -> ObjectDescription:
     """As `read_object` does, in this process."""
-    return in_metres(read_file(path, path.parent), told or UnitOptions())
+    return convert_to_metres(read_file(path, path.parent), told or UnitOptions())
 
 
 def told(kind: str) -> UnitOptions:

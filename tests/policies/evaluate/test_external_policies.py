@@ -305,8 +305,8 @@ def test_the_served_expert_does_what_the_local_one_does(
                     served.actions.ctrl[late : own.ticks], own.actions.ctrl[late:], rtol=0, atol=1e-12
                 )
                 np.testing.assert_array_equal(served.actions.magnet[: own.ticks], own.actions.magnet)
-                assert served.count.waited == late
-                assert served.count.stale == late * served.count.chunks
+                assert served.chunk_stats.waited == late
+                assert served.chunk_stats.stale == late * served.chunk_stats.chunks
 
 
 def answers(attempt: int, calls: int) -> Any:

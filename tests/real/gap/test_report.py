@@ -11,7 +11,7 @@ import pytest
 from tests.rig_scenes import later, plant, rig_scene, swings
 from yamsim_cli.core.errors import SimulationError
 from yamsim_cli.real.gap.gap_figures import MotionGap, measure_gap
-from yamsim_cli.real.gap.report import build_report, require_gap_below, student95, write_gap_page
+from yamsim_cli.real.gap.report import build_report, mean_interval95, require_gap_below, write_gap_page
 
 TIMES = np.arange(0, 4.0, 0.01)
 
@@ -27,16 +27,16 @@ def gaps() -> list[MotionGap]:
 
 def test_an_interval_of_a_mean_is_students() -> None:
     # Source: R, t.test(c(1, 2, 4)).
-    assert student95([1.0, 2.0, 4.0]) == pytest.approx((-1.461253, 6.127920), abs=1e-3)
-    assert student95([1.0]) is None
+    assert mean_interval95([1.0, 2.0, 4.0]) == pytest.approx((-1.461253, 6.127920), abs=1e-3)
+    assert mean_interval95([1.0]) is None
     # Many values approach the normal distribution, without a step where the table ends.
     wide = np.random.default_rng(0).normal(size=400)
-    low, high = student95(list(wide)) or (0.0, 0.0)
+    low, high = mean_interval95(list(wide)) or (0.0, 0.0)
     assert (high - low) / 2 == pytest.approx(1.966 * wide.std(ddof=1) / 20, rel=1e-3)
     halves = [
         (bounds[1] - bounds[0]) / 2
         for n in (31, 32)
-        if (bounds := student95([-1.0, 1.0] * (n // 2) + [0.0] * (n % 2))) is not None
+        if (bounds := mean_interval95([-1.0, 1.0] * (n // 2) + [0.0] * (n % 2))) is not None
     ]
     assert halves[1] == pytest.approx(halves[0], rel=0.03)
 

@@ -17,7 +17,7 @@ from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.core.recorded_motion import ArmMotion, RecordedMotion
 from yamsim_cli.core.robots.dynamics import Dynamics, JointDynamics
 from yamsim_cli.real.identify import parameter_fit as fitting
-from yamsim_cli.real.identify.estimates import NAMES, Estimate, estimates, half_widths
+from yamsim_cli.real.identify.estimates import NAMES, Estimate, estimate_parameters, half_widths
 from yamsim_cli.real.identify.excitation import excite
 from yamsim_cli.real.identify.identification import check_usable, identify, revised_dynamics
 from yamsim_cli.real.identify.parameter_fit import FitParameter, all_parameters, fit_parameters
@@ -203,7 +203,7 @@ def test_intervals_are_wide_where_a_log_says_nothing() -> None:
     )
     fitted = fitting.FitResult(plant.values, problem_parameters, errors, slopes, np.full(6, 1e4), times, np.ones(6))
 
-    told = {(each.joint, each.name): each for each in estimates(plant, fitted)}
+    told = {(each.joint, each.name): each for each in estimate_parameters(plant, fitted)}
 
     # The first joint turns about the vertical: nothing weighs on it.
     assert not told["joint1", "gravity_factor"].is_determined

@@ -11,7 +11,7 @@ import numpy as np
 from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.core.recorded_motion import ArmMotion, RecordedMotion
-from yamsim_cli.real.recordings.csv_file import csv_bytes, csv_columns
+from yamsim_cli.real.recordings.csv_file import csv_columns, encode_csv
 from yamsim_cli.real.recordings.recording import motion_sides
 
 RATE = 100.0
@@ -47,7 +47,7 @@ def write_csv(path: Path, motion: RecordedMotion, rig: RigConfig) -> Path:
             path, np.column_stack([motion.times, *rows]), "%.17g", delimiter=",", header=",".join(names), comments=""
         )
         return path
-    path.write_bytes(csv_bytes(rig, motion.times, np.hstack(rows)))
+    path.write_bytes(encode_csv(rig, motion.times, np.hstack(rows)))
     return path
 
 

@@ -14,7 +14,7 @@ from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.session import Session
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.real.serve.can_bus import UnixBus
-from yamsim_cli.real.serve.realtime_loop import ServeLoop
+from yamsim_cli.real.serve.realtime_loop import RealtimeLoop
 from yamsim_cli.real.serve.served_arms import serve_arms
 
 ENABLE = struct.pack("=IB3x8s", 1, 8, b"\xff" * 7 + b"\xfc")
@@ -23,14 +23,14 @@ ENABLE = struct.pack("=IB3x8s", 1, 8, b"\xff" * 7 + b"\xfc")
 @pytest.fixture
 def loop(
     make_config: Callable[..., RecordConfig], locations: Locations, tmp_path: Path, request: pytest.FixtureRequest
-) -> ServeLoop:
+) -> RealtimeLoop:
     served = serve_arms(Session(make_config({("rig",): "yam_v1+linear_4310"}), locations))
     bus = UnixBus(tmp_path / "buses", "can0")
     request.addfinalizer(bus.close)
-    return ServeLoop(served.motor_simulation, [bus], 571e-6)
+    return RealtimeLoop(served.motor_simulation, [bus], 571e-6)
 
 
-def beside(loop: ServeLoop, seconds: float, work: Callable[[socket.socket], None], folder: Path) -> None:
+def beside(loop: RealtimeLoop, seconds: float, work: Callable[[socket.socket], None], folder: Path) -> None:
     """Let the loop run while a program works on its bus."""
 
     def program() -> None:
@@ -46,7 +46,7 @@ def beside(loop: ServeLoop, seconds: float, work: Callable[[socket.socket], None
     thread.join()
 
 
-def test_a_program_is_answered_at_the_buses_pace(loop: ServeLoop, tmp_path: Path) -> None:
+def test_a_program_is_answered_at_the_buses_pace(loop: RealtimeLoop, tmp_path: Path) -> None:
     got = []
 
     def ask(one: socket.socket) -> None:
@@ -62,7 +62,7 @@ def test_a_program_is_answered_at_the_buses_pace(loop: ServeLoop, tmp_path: Path
     assert pace.seconds >= (200 - 8) * 571e-6
 
 
-def test_a_flood_fills_no_queue_and_stops_no_physics(loop: ServeLoop, tmp_path: Path) -> None:
+def test_a_flood_fills_no_queue_and_stops_no_physics(loop: RealtimeLoop, tmp_path: Path) -> None:
     def flood(one: socket.socket) -> None:
         for _ in range(100):
             one.sendall(ENABLE * 200)

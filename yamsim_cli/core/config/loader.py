@@ -52,8 +52,8 @@ KINDS: Mapping[str, type[Config]] = {
     "revisions": Dynamics,
 }
 
-REVISION = "revision"  # last key of an override path below a rig: the version of its arm models to use
-ROBOT = "robot"  # last key of an override path below a rig: files with measured dynamics of its arms
+REVISION_KEY = "revision"  # last key of an override path below a rig: the version of its arm models to use
+DYNAMICS_KEY = "robot"  # last key of an override path below a rig: files with measured dynamics of its arms
 _JOINED = "+"  # separator of arm and gripper in the name of a rig, such as `yam_pro+linear_4310`
 _DYNAMICS = "revisions"
 
@@ -107,16 +107,16 @@ def load_config(
     # Override top-level keys first, then insert named configs, then override other keys, also of inserted configs.
     changes = overrides or {}
     for path, (place, value) in changes.items():
-        if len(path) == 1 and path[-1] not in (REVISION, ROBOT):
-            document.set(path, value, place)
+        if len(path) == 1 and path[-1] not in (REVISION_KEY, DYNAMICS_KEY):
+            document.override(path, value, place)
     _resolve_references(model, document, (), locations)
     for path, (place, value) in changes.items():
-        if path[-1] == REVISION:
+        if path[-1] == REVISION_KEY:
             _set_revision(document, path[:-1], value, place, locations)
-        elif path[-1] == ROBOT:
+        elif path[-1] == DYNAMICS_KEY:
             _add_dynamics(document, path[:-1], value, place, locations)
         elif len(path) > 1:
-            document.set(path, value, place)
+            document.override(path, value, place)
     flags = {path: place for path, (place, _) in changes.items() if is_setting(place)}
     return _check(model, document, locations, flags, check=check)
 
@@ -162,7 +162,7 @@ def _set_revision(document: Document, path: KeyPath, revision: str, place: str, 
             name = robot_names.other_revision(model, str(revision), locations)
         except ConfigError as error:
             raise (UsageError if is_setting(place) else ConfigError)(f"{place}: {error}") from error
-        document.set((*path, "arms", k, "model"), name, place)
+        document.override((*path, "arms", k, "model"), name, place)
 
 
 def _add_dynamics(document: Document, path: KeyPath, files: Sequence[str], place: str, locations: Locations) -> None:

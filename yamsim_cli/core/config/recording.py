@@ -202,7 +202,7 @@ class RecordConfig(Config):
     @property
     def starts(self) -> Mapping[str, Start]:
         """Role -> ranges of the initial poses of its objects, all in `world`."""
-        places = {"first": self.rig.base_y(self.first_arm), "second": self.rig.base_y(self.second_arm)}
+        places = {"first": self.rig.arm_origin_y(self.first_arm), "second": self.rig.arm_origin_y(self.second_arm)}
         return {
             role: start if start.from_arm is None else start.to_world(places[start.from_arm])
             for role, start in self.task.starts.items()

@@ -275,13 +275,13 @@ class RigConfig(Config):
         """Number of drives of each arm: one for each joint, and one for the fingers if any."""
         return len(self.arms[0].robot.drives)
 
-    def base_y(self, arm: int) -> float:
+    def arm_origin_y(self, arm: int) -> float:
         """Return the world y (m) of the point to which the base pose of an arm is relative."""
         return (arm - (len(self.arms) - 1) / 2) * self.margin
 
     def T_base_in_world(self, arm: int) -> Array:
         """Return the pose (4, 4) in `world` of an arm's base."""
-        return pose((0.0, self.base_y(arm), 0.0)) @ self.arms[arm].base.T
+        return pose((0.0, self.arm_origin_y(arm), 0.0)) @ self.arms[arm].base.T
 
     @model_validator(mode="after")
     def _arms_go_together(self) -> RigConfig:

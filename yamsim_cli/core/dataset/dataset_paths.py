@@ -44,12 +44,12 @@ def episode_name(number: int) -> str:
     return f"ep_{number:06d}"
 
 
-def image_name(camera: str, frame: int) -> str:
+def image_path(camera: str, frame: int) -> str:
     """Return the path of a colour image, relative to its episode."""
     return f"rgb/{camera}/{frame:06d}.jpg"
 
 
-def lowdim_name(frame: int) -> str:
+def lowdim_path(frame: int) -> str:
     """Return the path of a frame's low-dimensional data, relative to its episode."""
     return f"lowdim/{frame:06d}.pkl"
 

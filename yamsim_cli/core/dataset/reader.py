@@ -19,7 +19,7 @@ from ..files.writing import sha256_bytes
 from ..images.image import Image
 from .checks.context import find_episodes
 from .checks.lowdim import frame_faults, recorded_specs
-from .dataset_paths import CONFIG, EPISODE, episode_directories, episode_name, image_name, lowdim_name
+from .dataset_paths import CONFIG, EPISODE, episode_directories, episode_name, image_path, lowdim_path
 from .imported_records import RealEpisodeRecord, is_real, real_config
 from .lowdim import load_frame
 from .records import EpisodeRecord, from_json
@@ -66,15 +66,15 @@ class RecordedEpisode:
         try:
             return load_frame(data)
         except DatasetError as error:
-            raise DatasetError(f"{self.directory / lowdim_name(number)}: {error}") from error
+            raise DatasetError(f"{self.directory / lowdim_path(number)}: {error}") from error
 
     def frames(self) -> list[dict[str, Any]]:
         """Read the low-dimensional data of all frames. Raise DatasetError if a file is missing, damaged or altered."""
-        return [self.frame(k, self.read_verified(lowdim_name(k))) for k in range(self.record.frames)]
+        return [self.frame(k, self.read_verified(lowdim_path(k))) for k in range(self.record.frames)]
 
     def image(self, camera: str, number: int) -> bytes:
         """Return the JPEG bytes of a frame. Raise DatasetError if the file is missing or altered."""
-        return self.read_verified(image_name(camera, number))
+        return self.read_verified(image_path(camera, number))
 
 
 @dataclass(frozen=True)
@@ -88,7 +88,7 @@ class StoredEpisode(RecordedEpisode):
         frame = super().frame(number, data)
         faults = frame_faults(frame, recorded_specs(self.record))
         if faults:
-            raise DatasetError(f"{self.directory / lowdim_name(number)}: {'; '.join(faults)}")
+            raise DatasetError(f"{self.directory / lowdim_path(number)}: {'; '.join(faults)}")
         return frame
 
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from ... import __version__
 from ..attempt_data import Attempt, AttemptPayload, StepState
 from ..config.recording import RecordConfig
-from ..dataset.dataset_paths import TRUTH_LABELS, depth_name, image_name, lowdim_name, segmentation_name, truth_name
+from ..dataset.dataset_paths import TRUTH_LABELS, depth_name, image_path, lowdim_path, segmentation_name, truth_name
 from ..dataset.ground_truth_files import array_specs, dump_arrays, dump_depth
 from ..dataset.lowdim import SimulationData, content_hash, dump_frame, frame_data
 from ..dataset.records import to_json
@@ -59,7 +59,7 @@ def build_payload(simulator: Simulator, simulated: SimulatedAttempt) -> AttemptP
     if not simulated.outcome.success:
         return payload_without_files(simulated)
     recorded = frame_records(simulator, simulated.attempt, simulated.states)
-    files = {lowdim_name(k): dump_frame(frame) for k, frame in enumerate(recorded)}
+    files = {lowdim_path(k): dump_frame(frame) for k, frame in enumerate(recorded)}
     files |= encode_images(simulator, simulated.attempt, [state.qpos for state in simulated.states])
     return AttemptPayload(
         simulated.attempt,
@@ -165,7 +165,7 @@ def encode_images(simulator: Simulator, attempt: Attempt, positions: Iterable[Ar
     if simulator.labels is not None:
         truth = GroundTruthCollector(simulator.labels, simulator.scene.cameras, simulator.scene.T_base_in_world)
     for k, camera, image in recorded_pictures(simulator, attempt, positions):
-        files[image_name(camera, k)] = encode_jpeg(image, simulator.config.image.jpeg_quality)
+        files[image_path(camera, k)] = encode_jpeg(image, simulator.config.image.jpeg_quality)
         if truth:
             truth.add(simulator.state_replay.data, camera, simulator.renderer)
     return files | (truth.files if truth else {})

@@ -165,7 +165,7 @@ class Episode:
         return goal is not None and self._goal_holds and self.held_ticks >= goal.hold_ticks
 
     @property
-    def held(self) -> tuple[bool, ...]:
+    def welds_active(self) -> tuple[bool, ...]:
         """Whether each arm's weld holds an object (arms,)."""
         return tuple(is_weld_active(self.data, arm) for arm in self.scene.arms)
 
@@ -208,7 +208,7 @@ class Episode:
         command[self.scene.drives] = ctrl
         self._tick(command, magnet, joints)
 
-    def act(self, actions: ActionSequence, *, until_success: bool = False) -> None:
+    def run_commands(self, actions: ActionSequence, *, until_success: bool = False) -> None:
         """Execute the actions of several control ticks, until the episode ends.
 
         Args:

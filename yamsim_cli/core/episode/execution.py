@@ -71,14 +71,14 @@ def demonstrate(simulator: Simulator, attempt: Attempt, *, grips: bool = True) -
             if episode.ticks + segment.ticks > max_ticks:
                 failure = FailureCause.TIME, f"not done after {episode.seconds:.0f} s"
                 break
-            episode.act(_with_fingers(episode.scene, path_actions(episode.scene, segment.paths), grips))
+            episode.run_commands(_with_fingers(episode.scene, path_actions(episode.scene, segment.paths), grips))
             if episode.end is not None:
                 break
     except SkillFailedError as error:
         failure = error.cause, str(error)
     note_recoveries()
     last = path_actions(episode.scene, context.wait_segment(max(1, task.timing.settle_ticks + task.hold_ticks)).paths)
-    episode.act(_with_fingers(episode.scene, last, grips), until_success=True)
+    episode.run_commands(_with_fingers(episode.scene, last, grips), until_success=True)
     context.clear_cache()
     played = episode.finish()
     outcome = replace(build_outcome(simulator, played, failure), recoveries=tuple(recoveries))
@@ -110,7 +110,7 @@ def run_actions(
         on_step: is called with MuJoCo's state after every physics step.
     """
     episode = open_episode(simulator, attempt, rules, on_step)
-    episode.act(actions)
+    episode.run_commands(actions)
     played = episode.finish()
     return SimulatedAttempt(attempt, build_outcome(simulator, played), played)
 

@@ -84,12 +84,12 @@ class StepMonitor:
             self.collision = f"{names} touch after {data.time:.2f} s"
 
 
-STOP_SLACK = 0.01  # rad, how far beyond its limit a joint may be: joint limits are soft in physics
+JOINT_LIMIT_TOLERANCE = 0.01  # rad, how far beyond its limit a joint may be: joint limits are soft in physics
 
 
 def describe_exceeded_limits(margins: MotionMargins) -> str | None:
     """Describe how a motion exceeds a motor's speed, a drive's torque or a joint limit; None if it does not."""
-    if margins.velocity <= 1 and margins.torque < 1 and margins.joint >= -STOP_SLACK:
+    if margins.velocity <= 1 and margins.torque < 1 and margins.joint >= -JOINT_LIMIT_TOLERANCE:
         return None
     return (
         f"a joint at {margins.velocity:.0%} of its motor's speed, a drive at {margins.torque:.0%} of its torque, "

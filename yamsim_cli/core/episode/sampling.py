@@ -19,7 +19,7 @@ from ..geometry.se3 import Array, pose
 from ..scene.compiled import CompiledScene
 from ..scene.random_streams import Stream, random_generator
 from ..scene.randomization_sampling import sample_variation
-from ..scene.start_sampling import BoundsOf, ObjectPlacement, sample_phrasing, sample_placements
+from ..scene.start_sampling import LocalBoxFunction, ObjectPlacement, sample_phrasing, sample_placements
 from ..sim.cloth import crumple
 from ..sim.settling import settle_objects
 from ..sim.sim_world import make_sim_world
@@ -83,7 +83,7 @@ def _variation(config: RecordConfig, job: AttemptJob) -> Variation:
     return sample_variation(config.randomization, job, len(config.scene.lights), config.task.objects, dofs)
 
 
-def _local_box_function(simulator: Simulator) -> BoundsOf:
+def _local_box_function(simulator: Simulator) -> LocalBoxFunction:
     scene, replica = simulator.scene, simulator.state_replay
     world = make_sim_world(scene, replica.data, arm_sides(simulator.config))
 
@@ -111,7 +111,7 @@ def _drop_objects(simulator: Simulator, places: Mapping[str, ObjectPlacement]) -
     waiting = {name: pose((0.0, 0.0, top + SPARE_HEIGHT * (k + 1))) for k, name in enumerate(places)}
     qpos = scene.start_qpos(Layout(waiting), start_postures(simulator.config))
     for name, placed in places.items():
-        _set_openings(scene, qpos, name, placed.open)
+        _set_openings(scene, qpos, name, placed.joint_openings)
         T = placed.T.copy()
         if name in scene.cloths:
             T[2, 3] = top + scene.cloths[name].radius + SPAWN_GAP

@@ -203,7 +203,7 @@ def measure_cloth(
     return ClothVisibility(visible, places, depths, np.where(inside, shown, Visibility.OUTSIDE).astype(np.uint8))
 
 
-def drawn_sides(points: Array, corners: NDArray[np.int_], radius: float) -> tuple[Array, Array]:
+def rendered_sides(points: Array, corners: NDArray[np.int_], radius: float) -> tuple[Array, Array]:
     """Return the points (n, 3) of the upper and the lower side of a cloth as MuJoCo draws them, m.
 
     Each point is displaced by `radius`, half the thickness, along the mean unit normal of its triangles (m, 3).
@@ -229,7 +229,7 @@ def _visible_points(
     number = np.arange(len(points))
     rim = np.isin(number % columns, (0, columns - 1)) | np.isin(number // columns, (0, rows - 1))
     visible = np.zeros(len(points), bool)
-    for side, facing in zip(drawn_sides(points, corners, cloth.scene.radius), (1.0, -1.0), strict=True):
+    for side, facing in zip(rendered_sides(points, corners, cloth.scene.radius), (1.0, -1.0), strict=True):
         a, b, c = (side[corners[:, k]] for k in range(3))
         normals = facing * np.cross(b - a, c - a)
         # Scaled distance of each triangle's plane from the camera, below 0 for a triangle that faces the camera.

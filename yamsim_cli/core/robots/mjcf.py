@@ -10,7 +10,7 @@ from ..errors import ConfigError
 from ..files.untrusted.refusals import RefusedError
 from ..geometry.se3 import pose_from_quat, quat_from_rotation
 from .dynamics import Dynamics, JointDynamics
-from .finray.segment_chain import add_fingers, get_section
+from .finray.segment_chain import add_fingers, get_or_add_child
 from .models import ArmModel, Element, Fit, Gripper, JointChange, Mjcf, Placement, parse_root
 
 # Sections of a gripper's MJCF that are merged into the arm's MJCF, besides body and default classes.
@@ -67,7 +67,7 @@ def merge_gripper(arm: ArmModel, gripper: Gripper, fit: Fit) -> Element:
     _add(root, hand, "default")
     _add_assets(root, hand, arm.mjcf, gripper.mjcf)
     for one, other in fit.excludes:
-        get_section(root, "contact").append(Element("exclude", {"body1": one, "body2": other}))
+        get_or_add_child(root, "contact").append(Element("exclude", {"body1": one, "body2": other}))
     for section in _SECTIONS[1:]:
         _add(root, hand, section)
     _change_joints(root, arm, fit.joints)
@@ -252,7 +252,7 @@ def _parts(root: Element, section: str) -> Iterator[Element]:
 
 def _add(root: Element, hand: Element, section: str) -> None:
     if parts := list(_parts(hand, section)):
-        get_section(root, section).extend(parts)
+        get_or_add_child(root, section).extend(parts)
 
 
 def _add_assets(root: Element, hand: Element, arms: Mjcf, grippers: Mjcf) -> None:
@@ -260,7 +260,7 @@ def _add_assets(root: Element, hand: Element, arms: Mjcf, grippers: Mjcf) -> Non
     for element in _parts(hand, "asset"):
         same = known.get((element.tag, element.get("name")))
         if same is None:
-            get_section(root, "asset").append(element)
+            get_or_add_child(root, "asset").append(element)
         elif same.attrib != element.attrib:
             raise ConfigError(
                 f"{grippers.file}: <{element.tag}> {element.get('name')!r} is not as in {arms.file}; rename it"

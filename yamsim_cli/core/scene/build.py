@@ -153,7 +153,7 @@ def _dynamics_attributes(model: mujoco.MjModel, arm: ArmConfig) -> dict[str, Any
     offset = np.array([joint.offset_rad for joint in joints])
     return found | {
         "gravity_error": gravity if gravity.any() else None,
-        "offset": offset,
+        "encoder_offset": offset,
         "command_delay": arm.dynamics.command_delay_ms / 1000,
         "sensor_delay": arm.dynamics.sensor_delay_ms / 1000,
         "sensor_noise": arm.dynamics.sensor_noise_rad,

@@ -100,7 +100,7 @@ class ArmAddresses:
     max_torque: Array
     fingers: FingerAddresses | None
     gravity_error: Array | None = None
-    offset: Array | float = 0.0
+    encoder_offset: Array | float = 0.0
     sensors: Ids | None = None
     command_delay: float = 0.0
     sensor_delay: float = 0.0
@@ -110,7 +110,7 @@ class ArmAddresses:
     @property
     def has_ideal_encoders(self) -> bool:
         """Whether readings are exact except for their delay."""
-        return not (self.sensor_noise or self.encoder_step or np.any(self.offset))
+        return not (self.sensor_noise or self.encoder_step or np.any(self.encoder_offset))
 
     @property
     def dof(self) -> int:

@@ -20,7 +20,7 @@ from .random_streams import Stream, random_generator
 _MAX_TRIES = 60  # sampled placements of one object, after which the round fails
 _MAX_ROUNDS = 20  # rounds, each of which samples the placements of all objects again
 
-BoundsOf = Callable[[str, Mapping[str, float]], Array]  # the type of `sample_placements.box_of`
+LocalBoxFunction = Callable[[str, Mapping[str, float]], Array]  # the type of `sample_placements.box_of`
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class ObjectPlacement:
 
     T: Array
     on: str
-    open: Mapping[str, float]
+    joint_openings: Mapping[str, float]
 
 
 def sample_roles(task: ProgramTask, job: AttemptJob) -> RoleAssignment:
@@ -58,7 +58,7 @@ def sample_phrasing(task: ProgramTask, job: AttemptJob) -> str:
 
 
 def sample_placements(
-    task: ProgramTask, roles: RoleAssignment, box_of: BoundsOf, table: Table, job: AttemptJob, number: int = 0
+    task: ProgramTask, roles: RoleAssignment, box_of: LocalBoxFunction, table: Table, job: AttemptJob, number: int = 0
 ) -> dict[str, ObjectPlacement] | str:
     """Sample the initial placements of an attempt.
 
@@ -95,7 +95,7 @@ def _arranged_placements(
 
 
 def _sample_all_placements(
-    task: ProgramTask, roles: RoleAssignment, box_of: BoundsOf, table: Table, rng: np.random.Generator
+    task: ProgramTask, roles: RoleAssignment, box_of: LocalBoxFunction, table: Table, rng: np.random.Generator
 ) -> dict[str, ObjectPlacement] | str:
     placed: dict[str, ObjectPlacement] = {}
     for role, start in task.starts.items():
@@ -113,13 +113,15 @@ def _sample_placement(
     on: str,
     name: str,
     placed: Mapping[str, ObjectPlacement],
-    box_of: BoundsOf,
+    box_of: LocalBoxFunction,
     table: Table,
     rng: np.random.Generator,
 ) -> ObjectPlacement | None:
     T_on = pose((0.0, 0.0, table.top)) if on == TABLE else placed[on].T
     neighbours = [
-        footprint_corners(box_of(other, there.open), there.T) for other, there in placed.items() if there.on == on
+        footprint_corners(box_of(other, there.joint_openings), there.T)
+        for other, there in placed.items()
+        if there.on == on
     ]
     for _ in range(_MAX_TRIES):
         x, y = rng.uniform(*start.x), rng.uniform(*start.y)

@@ -31,7 +31,7 @@ def encoder_readings(scene: CompiledScene, positions: Array, job: AttemptJob, ti
     for k, arm in enumerate(scene.arms):
         if arm.has_ideal_encoders:
             continue
-        joints = read[k, : arm.dof] + arm.offset
+        joints = read[k, : arm.dof] + arm.encoder_offset
         if arm.sensor_noise:
             rng = random_generator(job, Stream.READINGS, tick, k)
             joints = joints + rng.normal(0.0, arm.sensor_noise, arm.dof)

@@ -187,7 +187,7 @@ class SimWorld:
             return False
         return bool(self._model.eq_obj2id[weld] == self._model.body(thing).id)
 
-    def hands_beneath(self, thing: str) -> frozenset[str]:
+    def sides_with_finger_under_cloth(self, thing: str) -> frozenset[str]:
         """Return the sides of the hands that have a finger under a cloth and would lift the cloth."""
         contact = self._data.contact
         flexes = self._cloths[thing].contacts

@@ -27,7 +27,7 @@ STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 HEADER = struct.Struct("!QQ")
 
 
-class JobServer:
+class WorkerJobRunner:
     """Runs jobs. `open` and `run` return a pickled `worker_pool.Event`, which also reports errors, and never raise."""
 
     def __init__(self) -> None:
@@ -72,7 +72,7 @@ def serve_jobs(pipe: Connection, factory: bytes) -> None:
         factory: the pickled function that creates the runner.
     """
     # EOFError or OSError mean that the parent closed the pipe, or has ended.
-    with contextlib.closing(JobServer()) as server, contextlib.suppress(EOFError, OSError):
+    with contextlib.closing(WorkerJobRunner()) as server, contextlib.suppress(EOFError, OSError):
         pipe.send_bytes(HEADER.pack(os.getpid(), 0) + server.open(factory))
         while server.is_ready:
             number, job = pipe.recv()

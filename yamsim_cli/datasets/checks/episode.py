@@ -22,7 +22,7 @@ from yamsim_cli.core.dataset.checks.motion import (
     read_timestamps,
 )
 from yamsim_cli.core.dataset.checks.problem import ProblemCollector
-from yamsim_cli.core.dataset.dataset_paths import EPISODE, lowdim_name
+from yamsim_cli.core.dataset.dataset_paths import EPISODE, lowdim_path
 from yamsim_cli.core.dataset.imported_records import RealEpisodeRecord
 from yamsim_cli.core.dataset.lowdim import content_hash
 from yamsim_cli.core.dataset.records import EpisodeRecord, from_json
@@ -204,7 +204,7 @@ class _EpisodeCheck:
                 self._hash_fits(name, data)
 
     def _frame_name(self, number: int) -> str:
-        return self._files.lowdim.get(number, lowdim_name(number))
+        return self._files.lowdim.get(number, lowdim_path(number))
 
     def _check_times(self, values: Values) -> float | None:
         times = {k: float(time) for k, time in values_by_frame(values, "timestamp").items() if np.ndim(time) == 0}

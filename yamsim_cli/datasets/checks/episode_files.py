@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from yamsim_cli.core.dataset.checks.problem import ProblemCollector
-from yamsim_cli.core.dataset.dataset_paths import EPISODE, depth_name, image_name, lowdim_name, segmentation_name
+from yamsim_cli.core.dataset.dataset_paths import EPISODE, depth_name, image_path, lowdim_path, segmentation_name
 from yamsim_cli.core.dataset.records import EpisodeRecord
 
 _MAX_DEPTH = 4  # folder levels that are searched: the format has no deeper folders, and a link may form a loop
@@ -52,9 +52,9 @@ def list_files(directory: Path, recorded: bool, problems: ProblemCollector) -> E
     files = EpisodeFiles()
     for name in _walk(directory, directory, 0, files, problems):
         image, lowdim, truth = _IMAGE.fullmatch(name), _LOWDIM.fullmatch(name), _TRUTH.fullmatch(name)
-        if lowdim and (not recorded or name == lowdim_name(int(lowdim[1]))):
+        if lowdim and (not recorded or name == lowdim_path(int(lowdim[1]))):
             stream, number = files.lowdim, int(lowdim[1])
-        elif image and (not recorded or name == image_name(image[1], int(image[2]))):
+        elif image and (not recorded or name == image_path(image[1], int(image[2]))):
             stream, number = files.images.setdefault(image[1], {}), int(image[2])
         elif truth and recorded and name == _TRUTH_NAMES[truth[1]](truth[2], int(truth[3])):
             stream, number = files.truth[truth[1]].setdefault(truth[2], {}), int(truth[3])
@@ -164,5 +164,5 @@ def _drop_unrecorded_truth(files: EpisodeFiles, record: EpisodeRecord) -> None:
 def _frame_name(stream: str, number: int) -> str:
     kind, _, camera = stream.partition("/")
     if kind == "lowdim":
-        return lowdim_name(number)
-    return _TRUTH_NAMES.get(kind, image_name)(camera, number)
+        return lowdim_path(number)
+    return _TRUTH_NAMES.get(kind, image_path)(camera, number)

@@ -64,7 +64,7 @@ _ALL = (
     ObjectCheck("drop.breaks", "it goes through the ground, or blows up", "thicken its collision parts",
                physics.check_drop, _MASS),
     ObjectCheck("hollow.filled", "a ball dropped into it does not stay in", "import it with `--collision decompose`",
-               physics.check_ball, (*_MASS, "mesh.open", "mesh.inverted")),
+               physics.check_hollow, (*_MASS, "mesh.open", "mesh.inverted")),
     ObjectCheck("joint.jams", "a joint does not move from stop to stop", "look what its parts touch on their way",
                physics.check_articulation, _MASS),
     ObjectCheck("grasp.slips", "a hand does not take it from a table and hold it", "mend `grasp`, or leave it out",

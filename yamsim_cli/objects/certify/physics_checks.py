@@ -235,7 +235,7 @@ def find_hollow(tested_object: TestedObject) -> Hollow | None:
     return Hollow(wet[best], float(grid.top[deep][best]), float(water), float(room[best]), floors)
 
 
-def check_ball(tested_object: TestedObject) -> CheckOutcome:
+def check_hollow(tested_object: TestedObject) -> CheckOutcome:
     """Check that a ball that is dropped into the hollow comes to rest inside."""
     if not tested_object.visual_surfaces:
         return skipped_check(NO_MESHES)

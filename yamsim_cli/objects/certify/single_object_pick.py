@@ -138,7 +138,7 @@ def _pick_setup(item: ObjectConfig, locations: Locations, heading: float) -> Ite
 def _pick_at_heading(item: ObjectConfig, locations: Locations, heading: float) -> PickedGrasp:
     with _pick_setup(item, locations, heading) as setup:
         for segment in run_program(setup.program, setup.context, setup.roles, RecoveryLog()):
-            setup.episode.act(path_actions(setup.scene, segment.paths))
+            setup.episode.run_commands(path_actions(setup.scene, segment.paths))
         hand = setup.context.hands[0]
         return PickedGrasp(setup.context.update_held(hand).T_thing_in_pinch, hand.opening, hand.grip_force)
 

@@ -19,7 +19,7 @@ from yamsim_cli.core.scene.assets import AssetStore, publish_user_set
 from yamsim_cli.objects.certify.single_object_pick import reachable_grasp_points
 
 from ..building import BuiltObject, ImportOptions, build_object
-from ..convex_decomposition import CACHE, Share
+from ..convex_decomposition import DECOMPOSITION_FOLDER, Share
 from ..readers.object_reader import UnitOptions, read_object
 
 _DIRECT_FOLDER = "imports"  # folder of the configs that `import_directly` writes, in the folder of meshes
@@ -106,7 +106,7 @@ def _build_and_publish(
     if file.suffix.lower() == ".stl":
         # STL files state no unit and no up axis; most of those for robots are in metres, z up.
         units = replace(units, unit=units.unit or "m", up=units.up or "z")
-    made = build_object(read_object(file, units), options, locations.assets / CACHE, share)
+    made = build_object(read_object(file, units), options, locations.assets / DECOMPOSITION_FOLDER, share)
     sha256 = sha256_file(file)
     about = {"source": file.name, "sha256": sha256, "told": asdict(units), "wishes": asdict(options)}
     store = AssetStore(locations.assets)

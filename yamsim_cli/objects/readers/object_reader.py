@@ -20,7 +20,7 @@ from yamsim_cli.core.scene.assets.sources import SourceError
 
 from . import ENDINGS, reader_process
 from .object_parts import ObjectDescription
-from .reader_process import REFUSED, read_written
+from .reader_process import REFUSAL_FILE, read_written
 
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}  # unit -> m
 
@@ -54,7 +54,7 @@ def read_object(path: Path, units: UnitOptions) -> ObjectDescription:
         ResourceError: the file is refused, with one of `untrusted.refusals.CODES`; or the extra is not installed.
     """
     try:
-        return in_metres(_read_as_is(path), units)
+        return convert_to_metres(_read_as_is(path), units)
     except RefusedError as error:
         kind = UsageError if error.code in ("unit", "up", "size") else ResourceError
         raise kind(f"{path}: {error} [{error.code}]") from error
@@ -91,8 +91,8 @@ def _read_in_child(path: Path, scratch: Path, seconds: float) -> ObjectDescripti
         result = run_child([*quiet, *call], scratch, limit_s=limit, idle_s=limit)
     except SourceError as error:
         raise RefusedError("too-slow", f"reading it is {error}: reduce it first") from error
-    if (out / REFUSED).is_file():
-        refusal = json.loads((out / REFUSED).read_bytes())
+    if (out / REFUSAL_FILE).is_file():
+        refusal = json.loads((out / REFUSAL_FILE).read_bytes())
         raise RefusedError(refusal["code"], refusal["text"])
     if result.returncode == 0:
         try:
@@ -107,7 +107,7 @@ def _read_in_child(path: Path, scratch: Path, seconds: float) -> ObjectDescripti
     raise RefusedError("crashed", f"the reader crashed on it ({result.returncode}: {last[:160]})")
 
 
-def in_metres(thing: ObjectDescription, units: UnitOptions) -> ObjectDescription:
+def convert_to_metres(thing: ObjectDescription, units: UnitOptions) -> ObjectDescription:
     """Return an object in metres, z up. Raises `RefusedError` if unit or up axis are unknown, or the size is absurd."""
     size = _extent(thing)
     no_up = units.up is None and thing.up is None

@@ -21,7 +21,7 @@ from yamsim_cli.core.files.untrusted.refusals import RefusedError
 
 from .object_parts import MassProperties, ObjectDescription, RigidPart, Surface, SurfaceMaterial
 
-REFUSED = "refused.json"  # written instead of the object if the child refuses the file
+REFUSAL_FILE = "refused.json"  # written instead of the object if the child refuses the file
 _DESCRIPTION_FILE, _ARRAYS = "thing.json", "arrays.npz"
 
 _BASE_BYTES = 3_000_000_000  # bytes, address space of Python and its libraries, most of it only reserved
@@ -62,7 +62,7 @@ def _set_process_limits(size: int, seconds: int) -> None:
 
 
 def _refuse(out: str, code: str, text: str) -> None:
-    (Path(out) / REFUSED).write_text(json.dumps({"code": code, "text": text}))
+    (Path(out) / REFUSAL_FILE).write_text(json.dumps({"code": code, "text": text}))
 
 
 def read_file(path: Path, root: Path) -> ObjectDescription:

@@ -178,7 +178,7 @@ def judge_detection(
         return detection
     why = (
         "too few, too small or too blurred markers"
-        if shaped.flat > _MIN_FLAT_PROBABILITY
+        if shaped.flat_probability > _MIN_FLAT_PROBABILITY
         else (
             f"its markers lie {rms:.2f} px off a flat print's: a crease, a bent plate, another lens, or other "
             "measures than the rig's"

@@ -103,7 +103,7 @@ def rates_by_objects(evaluation: Evaluation) -> list[dict[str, Any]]:
 
 def _chunks(results: Sequence[TrialResult], tick: float) -> dict[str, Any]:
     """Return sums over all trials: chunks, actions, actions that came too late, and the time without an action, s."""
-    counts = [result.count for result in results]
+    counts = [result.chunk_stats for result in results]
     return {
         "chunks": sum(count.chunks for count in counts),
         "actions": sum(count.actions for count in counts),

@@ -79,7 +79,7 @@ class TrialResult:
     ticks: int = 0
     seconds: tuple[float, ...] = ()
     actions: ActionSequence | None = field(default=None, repr=False)
-    count: ChunkStats = field(default_factory=ChunkStats)
+    chunk_stats: ChunkStats = field(default_factory=ChunkStats)
 
 
 def trial_rules(config: RecordConfig, choice: PolicyChoice) -> EpisodeRules:
@@ -147,7 +147,7 @@ class TrialRunner(Closable):
             ended, fault = self._run_policy(scheduler, episode, observer, attempt, renderer, seconds)
         finally:
             renderer.finish()
-        return episode, ended, fault, scheduler.count
+        return episode, ended, fault, scheduler.chunk_stats
 
     def _run_policy(
         self,

@@ -187,7 +187,7 @@ def _start(scene: CompiledScene, motion: RecordedMotion) -> Array:
     """Return MuJoCo's positions (nq,) with each joint and finger at its first measured position."""
     qpos: Array = scene.model.qpos0.copy()
     for arm, logged in zip(scene.arms, motion.arms, strict=True):
-        qpos[arm.joint_qpos] = _first_known(logged.joints) - arm.offset
+        qpos[arm.joint_qpos] = _first_known(logged.joints) - arm.encoder_offset
         if arm.fingers is not None:
             measured = None if logged.openings is None else _first_known(logged.openings[:, None])[0]
             opening = (
@@ -215,7 +215,7 @@ def _start_error(scene: CompiledScene, motion: RecordedMotion, run: _SimulatedRu
     """Return the RMS difference, rad, between simulated and measured joints over the first `first` samples."""
     times = motion.times[:first]
     off = [
-        _delayed_rows(arm, run, run.qpos[:, arm.joint_qpos], times) + arm.offset - logged.joints[:first]
+        _delayed_rows(arm, run, run.qpos[:, arm.joint_qpos], times) + arm.encoder_offset - logged.joints[:first]
         for arm, logged in zip(scene.arms, motion.arms, strict=True)
     ]
     known = np.concatenate([rows[np.isfinite(rows)] for rows in off])
@@ -233,7 +233,7 @@ def _sampled(arm: ArmAddresses, logged: ArmMotion, run: _SimulatedRun, times: Ar
         openings = _delayed_rows(arm, run, run.qpos[:, arm.fingers.qpos[:1]] * arm.fingers.sign[0], times)[:, 0]
     return replace(
         logged,
-        joints=_delayed_rows(arm, run, run.qpos[:, arm.joint_qpos], times) + arm.offset,
+        joints=_delayed_rows(arm, run, run.qpos[:, arm.joint_qpos], times) + arm.encoder_offset,
         openings=openings,
         velocities=_delayed_rows(arm, run, run.qvel[:, arm.joint_dof], times),
     )
@@ -249,7 +249,7 @@ def hand_poses(scene: CompiledScene, number: int, joints: Array) -> Array:
     site, T_world_in_base = data.site(f"{arm.prefix}grasp_site"), inverse(arm.T_base_in_world)
     poses = np.full((len(joints), 4, 4), np.nan)
     for row in np.flatnonzero(np.isfinite(joints).all(axis=1)):
-        data.qpos[arm.joint_qpos] = joints[row] - arm.offset
+        data.qpos[arm.joint_qpos] = joints[row] - arm.encoder_offset
         mujoco.mj_kinematics(scene.model, data)
         poses[row] = T_world_in_base @ pose(site.xpos, site.xmat.reshape(3, 3))
     return poses

@@ -27,7 +27,7 @@ _T95 = (
 _Z95 = 1.959963984540054  # two-sided 95 % of the standard normal distribution
 
 
-def student95(values: Sequence[float]) -> tuple[float, float] | None:
+def mean_interval95(values: Sequence[float]) -> tuple[float, float] | None:
     """Return the 95 % interval of the mean of normally distributed values, or None for fewer than two values."""
     n = len(values)
     if n < 2:
@@ -116,7 +116,7 @@ def _mean_figures(rows: Sequence[Any], figures: Callable[[Any], Mapping[str, flo
     intervals = {
         key: [max(0.0, bounds[0]) if key in never_negative else bounds[0], bounds[1]]
         for key, values in known.items()
-        if key not in largest and (bounds := student95(values))
+        if key not in largest and (bounds := mean_interval95(values))
     }
     return {**means, **({"intervals": intervals} if intervals else {})}
 

@@ -70,7 +70,7 @@ class Estimate:
         }
 
 
-def estimates(plant: ParametricArm, fitted: FitResult) -> list[Estimate]:
+def estimate_parameters(plant: ParametricArm, fitted: FitResult) -> list[Estimate]:
     """Return the value and the interval of each fitted parameter in `NAMES`, the delay first, then joint by joint."""
     found = []
     for parameter, half in zip(fitted.parameters, half_widths(fitted), strict=True):

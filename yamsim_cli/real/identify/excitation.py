@@ -22,7 +22,7 @@ from yamsim_cli.core.scene.build import build_rig_scene
 from yamsim_cli.core.scene.compose import add_home_key, compose
 from yamsim_cli.real.gap.command_simulation import simulate_commands
 
-from ..recordings.csv_file import TIME, csv_bytes, csv_columns
+from ..recordings.csv_file import TIME, csv_columns, encode_csv
 from .plant_model import ParametricArm
 
 _RATE = 100  # commands per s
@@ -138,7 +138,7 @@ def log_csv(rig: RigConfig, number: int, found: Excitation, surroundings: SceneC
         for arm in followed.arms
         for part in (arm.joints, *([] if arm.openings is None else [arm.openings[:, None]]))
     ]
-    return csv_bytes(rig, found.times, np.column_stack([*commands, *read]))
+    return encode_csv(rig, found.times, np.column_stack([*commands, *read]))
 
 
 def _commands(rig: RigConfig, number: int, found: Excitation) -> list[Array]:

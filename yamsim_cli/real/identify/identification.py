@@ -15,7 +15,7 @@ from yamsim_cli.core.recorded_motion import RecordedMotion
 from yamsim_cli.core.robots.dynamics import Dynamics, JointDynamics
 
 from ..recordings.motion_faults import MotionFault, find_faults
-from .estimates import Estimate, describe_undetermined, estimates, require_determined
+from .estimates import Estimate, describe_undetermined, estimate_parameters, require_determined
 from .parameter_fit import all_parameters, compared_samples, fit_parameters
 from .plant_model import ArmLog, LogSimulation, ParametricArm, PlantParameters
 
@@ -141,7 +141,7 @@ def identify(
         fitted = fit_parameters(
             arm, logs, _step_counter(called or arm.name, _RUNS_PER_PARAMETER * len(all_parameters(plant)), step)
         )
-        estimated = estimates(plant, fitted)
+        estimated = estimate_parameters(plant, fitted)
         require_determined(plant, estimated, ", ".join(log.name for log in logs))
         was = arm.dynamics or Dynamics(revision=revision, base=arm.model.name)
         dynamics = revised_dynamics(plant, was.model_copy(update={"revision": revision, "source": source}), estimated)

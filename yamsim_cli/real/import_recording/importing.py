@@ -18,8 +18,8 @@ from yamsim_cli.core.dataset.dataset_paths import (
     STAGING,
     episode_directories,
     episode_name,
-    image_name,
-    lowdim_name,
+    image_path,
+    lowdim_path,
 )
 from yamsim_cli.core.dataset.disk_errors import describe_disk_error
 from yamsim_cli.core.dataset.imported_records import ImportedFrom, RealEpisodeRecord, real_config
@@ -236,7 +236,7 @@ def _publish(number: int, name: str, recording: Recording, request: ImportReques
     samples = _frame_samples(motion, recording)
     frames = [_frame(motion, recording, int(sample)) for sample in samples]
     problems = [*recording.problems, *(problem.text for problem in _problems(motion, recording, request.rig))]
-    files = {lowdim_name(k): dump_frame(frame) for k, frame in enumerate(frames)}
+    files = {lowdim_path(k): dump_frame(frame) for k, frame in enumerate(frames)}
     sizes: dict[str, tuple[int, int]] = {}
     for camera in recording.pictures:
         for k, data in enumerate(_jpegs(recording, camera, samples)):
@@ -244,7 +244,7 @@ def _publish(number: int, name: str, recording: Recording, request: ImportReques
             size = None if header is None else (header.width, header.height)
             if size is None or sizes.setdefault(camera, size) != size:
                 raise DatasetError(f"{motion.name}: picture {k} of {camera} is no JPEG of {sizes.get(camera)} px")
-            files[image_name(camera, k)] = data
+            files[image_path(camera, k)] = data
     times = motion.times[samples]
     record = RealEpisodeRecord(
         episode=number,

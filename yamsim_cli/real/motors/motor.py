@@ -160,7 +160,7 @@ class Motor:
         self.status = Status.DISABLED
         self.position = self.velocity = self.torque = 0.0
         self.celsius = AMBIENT
-        self.lost = False
+        self.is_unplugged = False
         self.control_law_changed = True
         self._command = _REST
         self._zero = 0.0
@@ -184,7 +184,7 @@ class Motor:
 
     def control_law(self) -> tuple[float, float, float]:
         """Return (kp, kd, constant). The torque is `constant - kp position - kd velocity`, N m, up to `max_torque`."""
-        if self.status is not Status.ENABLED or self.lost:
+        if self.status is not Status.ENABLED or self.is_unplugged:
             return 0.0, 0.0, 0.0
         command = self._command
         constant = command.kp * (command.position + self._zero) + command.kd * command.velocity + command.torque
@@ -192,7 +192,7 @@ class Motor:
 
     def receive(self, frame: CanFrame, now: float) -> CanFrame | None:
         """Receive a frame at time `now`, s. Return the answer, or None if the motor does not answer."""
-        if self.lost:
+        if self.is_unplugged:
             return None
         if frame.id == frames.TO_ALL:
             return self._handle_register_frame(frame.data)
@@ -215,7 +215,7 @@ class Motor:
 
         The commanded position is that of the shaft, regardless of a zero that SET_ZERO has set.
         """
-        if self.lost:
+        if self.is_unplugged:
             return
         if self.status is Status.DISABLED:
             self.status = Status.ENABLED
@@ -243,12 +243,12 @@ class Motor:
 
     def power_off(self) -> None:
         """Unplug the motor."""
-        self.lost = True
+        self.is_unplugged = True
         self.control_law_changed = True
 
     def power_on(self) -> None:
         """Restore the power. The motor is then disabled and has its saved registers."""
-        self.lost = False
+        self.is_unplugged = False
         self.registers.restart()
         self._update_range()
         self.status, self._command = Status.DISABLED, _REST

@@ -125,9 +125,9 @@ class MotorBus:
             if motor.number in hot:
                 motor.celsius = hot[motor.number]
             motor.advance(now, seconds)
-            if motor.lost and motor.number not in lost:
+            if motor.is_unplugged and motor.number not in lost:
                 motor.power_on()
-            elif not motor.lost and motor.number in lost:
+            elif not motor.is_unplugged and motor.number in lost:
                 motor.power_off()
 
     def _drops_frame(self) -> bool:

@@ -65,7 +65,7 @@ def read_csv(path: Path, rig: RigConfig) -> RecordedMotion:
     return RecordedMotion(str(path), times - times[0], _arm_motions(columns, rig, path))
 
 
-def csv_bytes(rig: RigConfig, times: Sequence[float] | Array, columns: Array) -> bytes:
+def encode_csv(rig: RigConfig, times: Sequence[float] | Array, columns: Array) -> bytes:
     """Encode a motion as a CSV file, from which `read_csv` restores exactly the same numbers.
 
     Args:

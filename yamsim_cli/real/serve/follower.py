@@ -19,7 +19,7 @@ _GRIP_FORCE = 50.0
 _LIMIT_TOLERANCE = 0.15
 
 
-class Follower:
+class JointController:
     """Controller of arm `number` of a motor simulation. Until its first command, other programs may drive the motors.
 
     Vectors (dofs,) have the joints in rad, and last the gripper, from 0 (closed) to 1 (fully open).

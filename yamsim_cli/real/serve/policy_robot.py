@@ -20,7 +20,7 @@ from yamsim_cli.core.images.image import Image
 from yamsim_cli.core.images.resize import resize_image
 from yamsim_cli.core.scene.arm_model import kinematic_model
 
-from .follower import Follower
+from .follower import JointController
 from .motor_simulation import MotorSimulation
 from .render_process import CameraFrames, RenderProcess
 
@@ -134,7 +134,7 @@ class PolicyRobot:
         self,
         plant: MotorSimulation,
         sides: Sequence[str],
-        followers: Sequence[Follower],
+        followers: Sequence[JointController],
         hands: Sequence[HandKinematics],
         source: RenderProcess,
         names: Mapping[str, str],

@@ -17,7 +17,7 @@ import numpy as np
 
 from yamsim_cli.core.extras import require_library
 
-from .follower import Follower
+from .follower import JointController
 from .socket_servers import ClientConnection, TcpServer
 
 _READ_BYTES = 65_536  # largest number of bytes per read from a client
@@ -42,7 +42,7 @@ class PortalServer(TcpServer):
         ResourceError: msgpack is not installed, or the server cannot listen on the port.
     """
 
-    def __init__(self, follower: Follower, host: str, port: int) -> None:
+    def __init__(self, follower: JointController, host: str, port: int) -> None:
         require_library("--portal", "msgpack", "remote")
         self._methods: dict[str, Callable[..., Any]] = {
             "num_dofs": follower.num_dofs,

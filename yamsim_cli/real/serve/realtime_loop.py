@@ -60,7 +60,7 @@ class RealtimeStats:
     dropped: int
 
 
-class ServeLoop:
+class RealtimeLoop:
     """Runs a motor simulation in real time, with each of its buses on a socket.
 
     Args:

@@ -18,7 +18,7 @@ from yamsim_cli.core.geometry.se3 import Array
 from ..motors.can_config import load_can_config
 from ..motors.motor import KINDS, Motor
 from ..motors.motor_bus import BusFault, MotorBus
-from .follower import Follower
+from .follower import JointController
 from .motor_simulation import MotorSimulation
 from .policy_robot import HandKinematics, PolicyRobot
 from .render_process import RenderProcess, SceneState
@@ -39,7 +39,7 @@ class ServedArms:
 
     motor_simulation: MotorSimulation
     sides: tuple[str, ...]
-    followers: tuple[Follower, ...]
+    followers: tuple[JointController, ...]
 
     def state(self) -> SceneState:
         """Return the current state for rendering."""
@@ -121,7 +121,7 @@ def serve_arms(
         scene = simulator.scene
         plant = MotorSimulation(scene, _start(simulator, config, start), wirings, buses)
     rows = enumerate(zip(scene.arms, wirings, strict=True))
-    return ServedArms(plant, sides, tuple(Follower(plant, k, arm, wiring) for k, (arm, wiring) in rows))
+    return ServedArms(plant, sides, tuple(JointController(plant, k, arm, wiring) for k, (arm, wiring) in rows))
 
 
 def _start(simulator: Simulator, config: RecordConfig, start: str) -> Array:

@@ -179,7 +179,7 @@ class TeleopScene(TeleopInterface):
                 obstacle=arm.obstacle,
                 gripper_open=arm.is_open,
                 magnet=arm.magnet if self._has_welds else None,
-                is_weld_holding=self._episode.held[self.active_arm],
+                is_weld_holding=self._episode.welds_active[self.active_arm],
                 message=self.message,
                 prompt=self._attempt.phrasing,
                 goal=self._episode.status,
@@ -372,7 +372,7 @@ class TeleopScene(TeleopInterface):
 
     def _tick(self) -> None:
         self._act()
-        for arm, holds in zip(self._arms, self._episode.held, strict=True):
+        for arm, holds in zip(self._arms, self._episode.welds_active, strict=True):
             if arm.magnet and not holds:
                 arm.magnet = False
                 if self._has_welds:

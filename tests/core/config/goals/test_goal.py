@@ -6,12 +6,13 @@ import math
 
 import pytest
 from pydantic import ValidationError
-from .still_world import StillWorld, flat_sheet, folded_sheet
 
 from yamsim_cli.core.config.goals.goal import Goal, evaluate_goal
 from yamsim_cli.core.config.goals.predicates import PREDICATES
 from yamsim_cli.core.config.goals.role_assignment import RoleAssignment
 from yamsim_cli.core.geometry.se3 import Array, pose
+
+from .still_world import StillWorld, flat_sheet, folded_sheet
 
 Place = tuple[float, float, float]
 CAST = RoleAssignment(

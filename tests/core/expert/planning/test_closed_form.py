@@ -86,7 +86,7 @@ def test_many_poses_are_looked_at_together_as_one_by_one(rig: str, margin: float
     poses.append(forward(np.clip(np.zeros(6), low, high)))
     margins = [np.minimum(found - low, high - found).min(axis=1) for found in map(solver.solutions, poses)]
     reached = np.array([bool((one >= margin).any()) for one in margins])
-    asked = solver.maybe_reachable(np.array(poses), margin)
+    asked = solver.passes_reach_test(np.array(poses), margin)
     assert not (reached & ~asked).any()
     # Rounding, and joints that a pose does not determine, may let a pose through that is out of reach.
     assert (asked & ~reached).sum() <= 2

@@ -6,14 +6,14 @@ import math
 
 import numpy as np
 
-from yamsim_cli.api import PROGRAM
+from yamsim_cli.api import API_SESSION_OPENER
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.objects.object_config import ObjectConfig
 from yamsim_cli.core.expert.skills.grasp_candidates import sideways_candidates
 
 
 def _item(name: str) -> ObjectConfig:
-    return load_config(ObjectConfig, "objects", name, PROGRAM.locations())
+    return load_config(ObjectConfig, "objects", name, API_SESSION_OPENER.locations())
 
 
 def test_a_hand_leans_to_the_side_about_narrow_things_alone() -> None:

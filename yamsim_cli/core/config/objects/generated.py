@@ -153,7 +153,7 @@ def _grasp(form: GeneratedShape, mass: float, centre: Array) -> Mapping[str, Any
     if form.is_axisymmetric:
         held = [hold for hold in held if hold.grasped_part == held[0].grasped_part]
     best = (held or holds)[0]
-    welded = _point(replace(best, tilt_deg=None))
+    welded = _grasp_point_data(replace(best, tilt_deg=None))
     if not held:
         return welded
     needed = max(_MIN_FORCE, _FORCE_FACTOR * mass * _G / 2, *(_needed_force(hold, mass, centre) for hold in held))
@@ -162,11 +162,15 @@ def _grasp(form: GeneratedShape, mass: float, centre: Array) -> Mapping[str, Any
     return {
         **welded,
         **beside,
-        "friction": {"force": round(min(needed, _MAX_FORCE), 1), "points": [_point(hold) for hold in held], **around},
+        "friction": {
+            "force": round(min(needed, _MAX_FORCE), 1),
+            "points": [_grasp_point_data(hold) for hold in held],
+            **around,
+        },
     }
 
 
-def _point(hold: ShapeGrasp) -> dict[str, Any]:
+def _grasp_point_data(hold: ShapeGrasp) -> dict[str, Any]:
     tilt = {"tilt_deg": hold.tilt_deg} if hold.tilt_deg is not None else {}
     return {"position": list(hold.position), "axis_deg": hold.axis_deg, "opening": round(hold.width / 2, 4), **tilt}
 

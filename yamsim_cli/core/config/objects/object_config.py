@@ -133,7 +133,7 @@ class ObjectConfig(Config):
         for source, made in (("shape", keys_from_shape(document.data)), ("cloth", cloth_object(document.data))):
             for key, value in made.items():
                 if key not in document.data:
-                    document.set((key,), value, document.place((source,)))
+                    document.override((key,), value, document.place((source,)))
         return document
 
     @model_validator(mode="after")

@@ -115,7 +115,7 @@ class VesselShape(_Shape):
         return self
 
     def _form(self) -> GeneratedShape:
-        return vessels.make_vessel(_in_metres(vessels.Vessel, self))
+        return vessels.make_vessel(_in_metres(vessels.VesselSizes, self))
 
 
 class CapShape(_Shape):

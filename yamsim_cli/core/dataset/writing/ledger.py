@@ -15,7 +15,7 @@ from ..records import AttemptRecord, EpisodeRecord, OutcomeRecord, from_json, to
 from .integrity import quarantine_path
 
 # Outcome of an attempt whose ledger line is lost and that has not been simulated again.
-LINE_LOST = OutcomeRecord(
+LOST_LINE_OUTCOME = OutcomeRecord(
     success=False,
     cause="line_lost",
     detail=f"its line in {ATTEMPTS} could not be read",
@@ -160,4 +160,4 @@ def missing_episode(attempts: Sequence[AttemptRecord], attempt: int) -> int | No
 
 def placeholder_record(attempt: int, seed: int) -> AttemptRecord:
     """Return a record that marks an attempt as failed because its ledger line is lost."""
-    return AttemptRecord(attempt=attempt, seed=seed, episode=None, outcome=LINE_LOST, layout={})
+    return AttemptRecord(attempt=attempt, seed=seed, episode=None, outcome=LOST_LINE_OUTCOME, layout={})

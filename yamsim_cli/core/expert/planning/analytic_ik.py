@@ -105,7 +105,7 @@ class AnalyticIk:
         found.flags.writeable = False
         return found
 
-    def maybe_reachable(self, T_flange_in_base: Array, margin: float) -> Array:
+    def passes_reach_test(self, T_flange_in_base: Array, margin: float) -> Array:
         """Return for which flange poses (n, 4, 4) in the base `solutions` may not be empty, (n,) bool.
 
         False means out of reach. A batch is some 30 times as fast as single poses. Rounding in a batch differs between

@@ -184,7 +184,7 @@ class IkSolver:
         if self._analytic is None:
             return np.ones(len(T_tool_in_world), bool)
         T_flange_in_base = self._T_world_in_base @ T_tool_in_world @ self._T_flange_in_tool
-        return self._analytic.maybe_reachable(T_flange_in_base, tolerance.margin)
+        return self._analytic.passes_reach_test(T_flange_in_base, tolerance.margin)
 
     def _solve_exact(self, T_tool_in_world: Array, start: Array, margin: float = 0.0) -> IkSolution | None:
         if self._analytic is None:

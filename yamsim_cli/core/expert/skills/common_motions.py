@@ -25,7 +25,7 @@ def close_fingers_on(context: PlanningContext, hand: Hand, candidate: GraspCandi
     Fingers close with the grasp's force. A hand with a weld closes to the object's width, and switches its weld on.
     """
     closing = FingerTarget(candidate.opening, 0.0 if hand.grasps_by_weld else candidate.force)
-    yield context.make_segment({hand: context.hold_still(hand, GRIP_TICKS)}, {hand: closing})
+    yield context.make_segment({hand: context.still_motion(hand, GRIP_TICKS)}, {hand: closing})
     hand.weld_commanded = hand.grasps_by_weld
     yield rest_segment(context)
 
@@ -35,7 +35,7 @@ def release_and_retreat(context: PlanningContext, hand: Hand, clearance: float) 
     opening = min(hand.opening + clearance, hand.max_opening)
     hand.weld_commanded = False
     yield context.make_segment(
-        {hand: context.hold_still(hand, _OPEN_TICKS)}, {hand: FingerTarget(opening)}, wait_for_arrival=False
+        {hand: context.still_motion(hand, _OPEN_TICKS)}, {hand: FingerTarget(opening)}, wait_for_arrival=False
     )
     thing, hand.held = None if hand.held is None else hand.held.thing, None
     # Open fingers are still near the object. If no path is free of contacts, the first path is used.

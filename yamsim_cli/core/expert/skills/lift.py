@@ -55,7 +55,7 @@ class Lift(Skill):
         lines = {hand: context.plan_line(hand, T_thing @ grip.T_pinch_in_thing) for hand, grip, *_ in found}
         yield context.make_segment(lines)
         closing = {hand: FingerTarget(grip.opening, grip.force) for hand, grip, *_ in found}
-        yield context.make_segment({hand: context.hold_still(hand, GRIP_TICKS) for hand in closing}, closing)
+        yield context.make_segment({hand: context.still_motion(hand, GRIP_TICKS) for hand in closing}, closing)
         yield rest_segment(context)
         holders = context.world.holding_sides(thing)
         if not {hand.side for hand in closing} <= holders:

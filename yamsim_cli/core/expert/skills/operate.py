@@ -78,7 +78,7 @@ class Operate(Skill):
                     yield context.make_segment({hand: path}, {hand: FingerTarget(opening)})
                     yield context.make_segment({hand: context.plan_line(hand, T_part @ T_in_part)})
                     closing = FingerTarget(handle.opening, _FORCE)
-                    yield context.make_segment({hand: context.hold_still(hand, GRIP_TICKS)}, {hand: closing})
+                    yield context.make_segment({hand: context.still_motion(hand, GRIP_TICKS)}, {hand: closing})
                     seconds = float(np.linalg.norm(pose_at(1.0)[:3, 3] - pose_at(0.0)[:3, 3])) / _HAND_SPEED
                     yield context.make_segment({hand: context.plan_curve(hand, pose_at, seconds)})
                     yield rest_segment(context)

@@ -339,7 +339,7 @@ class PlanningContext:
             )
         return path
 
-    def hold_still(self, hand: Hand, ticks: int) -> Array:
+    def still_motion(self, hand: Hand, ticks: int) -> Array:
         """Return a motion (ticks + 1, dof) of a hand that keeps its joints."""
         return np.tile(hand.joints, (ticks + 1, 1))
 
@@ -362,7 +362,7 @@ class PlanningContext:
         paths = []
         for hand in self.hands:
             joints = motions.get(hand)
-            joints = self.hold_still(hand, ticks) if joints is None else _padded(joints, ticks)
+            joints = self.still_motion(hand, ticks) if joints is None else _padded(joints, ticks)
             target = (fingers or {}).get(hand, FingerTarget(hand.opening, hand.grip_force))
             progress = np.array([minimum_jerk((k + 1) / ticks) for k in range(ticks)])
             opening = hand.opening + progress * (target.opening - hand.opening)
@@ -382,7 +382,7 @@ class PlanningContext:
 
     def wait_segment(self, ticks: int) -> MotionSegment:
         """Return the segment in which all arms keep their joints."""
-        return self.make_segment({self.hands[0]: self.hold_still(self.hands[0], ticks)})
+        return self.make_segment({self.hands[0]: self.still_motion(self.hands[0], ticks)})
 
     def holding_torques(self, hand: Hand, joints: Array, opening: float) -> Array:
         """Return the torques (dof,), N m, that hold an arm and its held object still at joints (dof,), rad."""

@@ -85,7 +85,7 @@ class Push(Skill):
                 joints, T_first, T_last = found
                 closed = FingerTarget(0.0)
                 yield context.make_segment({hand: context.plan_free_path(hand, joints)}, {hand: closed})
-                yield context.make_segment({hand: context.hold_still(hand, GRIP_TICKS)}, {hand: closed})
+                yield context.make_segment({hand: context.still_motion(hand, GRIP_TICKS)}, {hand: closed})
                 yield context.make_segment({hand: context.plan_line(hand, T_first)})
                 yield context.make_segment({hand: context.plan_line(hand, T_last, _PUSH_SPEED)})
                 T_back = T_last.copy()

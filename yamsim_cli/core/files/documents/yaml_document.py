@@ -124,7 +124,7 @@ class Document:
             path = path[:-1]
         return self.places.get(path, self.source)
 
-    def set(self, path: KeyPath, value: Any, place: str) -> None:
+    def override(self, path: KeyPath, value: Any, place: str) -> None:
         """Override one value, and create missing mappings above it."""
         target: Any = self.data
         try:
@@ -138,7 +138,7 @@ class Document:
 
     def insert_document(self, path: KeyPath, other: Document) -> None:
         """Insert another document at `path`, with the places of its values."""
-        self.set(path, other.data, other.source)
+        self.override(path, other.data, other.source)
         self.places.update({path + inner: where for inner, where in other.places.items()})
 
 

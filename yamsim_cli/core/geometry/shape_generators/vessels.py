@@ -36,7 +36,7 @@ _NECK_DEPTH = 0.014  # m, depth below the rim of a grasp on a neck
 
 
 @dataclass(frozen=True)
-class Vessel:
+class VesselSizes:
     """Sizes of an open vessel, m.
 
     Attributes:
@@ -85,7 +85,7 @@ class Vessel:
         return np.concatenate(points)
 
 
-def make_vessel(size: Vessel) -> GeneratedShape:
+def make_vessel(size: VesselSizes) -> GeneratedShape:
     """Generate an open vessel that stands on its foot."""
     inside = size.inner_profile()
     pieces = [ShapePiece("body", revolve(shell_profile(inside, size.wall), _VISUAL_FACES))]
@@ -103,16 +103,16 @@ def make_vessel(size: Vessel) -> GeneratedShape:
     )
 
 
-def _segments(size: Vessel) -> int:
+def _segments(size: VesselSizes) -> int:
     return _BOXES if size.diameter / 2 > _NARROW else _FEW_BOXES
 
 
-def _outer_radius(size: Vessel, inside: Array, height: float) -> float:
+def _outer_radius(size: VesselSizes, inside: Array, height: float) -> float:
     wall = inside[np.diff(inside[:, 1], prepend=-1.0) > 1e-9]
     return float(np.interp(height, wall[:, 1], wall[:, 0])) + size.wall
 
 
-def _handles(size: Vessel) -> list[tuple[Surface, Array, float]]:
+def _handles(size: VesselSizes) -> list[tuple[Surface, Array, float]]:
     """Return the surface, centre line (n, 3), m, and radius, m, of each handle."""
     inside, top = size.inner_profile(), size.height
     if size.handles == "loop":
@@ -142,7 +142,7 @@ def _handles(size: Vessel) -> list[tuple[Surface, Array, float]]:
     return []
 
 
-def _vessel_grasps(size: Vessel, inside: Array) -> list[ShapeGrasp]:
+def _vessel_grasps(size: VesselSizes, inside: Array) -> list[ShapeGrasp]:
     """Return grasps across the body if it fits between the fingers, then grasps at the rim."""
     found: list[ShapeGrasp] = []
     neck = size.neck is not None
@@ -166,7 +166,7 @@ def _vessel_grasps(size: Vessel, inside: Array) -> list[ShapeGrasp]:
     return found
 
 
-def _rim_wall(size: Vessel, inside: Array) -> tuple[float, float, float, float]:
+def _rim_wall(size: VesselSizes, inside: Array) -> tuple[float, float, float, float]:
     """Return the wall between the pads: radius and height of its middle, m, outward tilt, rad, and bulge, m."""
     wall = inside[np.diff(inside[:, 1], prepend=-1.0) > 1e-9][::-1]
     # The depth is measured along the wall, because the rim of a plate is flat.

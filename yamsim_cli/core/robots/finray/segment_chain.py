@@ -28,7 +28,7 @@ def add_fingers(root: Element, name: str, finger: FinRay) -> None:
     Raises KeyError if the MJCF has no body for a foot.
     """
     bodies = {body.get("name"): body for body in root.iter("body")}
-    assets, tendons, contacts = (get_section(root, tag) for tag in ("asset", "tendon", "contact"))
+    assets, tendons, contacts = (get_or_add_child(root, tag) for tag in ("asset", "tendon", "contact"))
     for k in range(finger.segments):
         SubElement(assets, "mesh", name=_mesh(name, k), file=f"{name}/{segment_file(k)}")
     segments: list[str] = []
@@ -109,7 +109,7 @@ def _feet_and_ancestors(root: Element, feet: Iterable[str]) -> Iterator[Element]
             body = parents[body]
 
 
-def get_section(root: Element, tag: str) -> Element:
+def get_or_add_child(root: Element, tag: str) -> Element:
     """Return the child of `root` with a tag, such as `asset`; add the child if missing."""
     found = root.find(tag)
     return SubElement(root, tag) if found is None else found

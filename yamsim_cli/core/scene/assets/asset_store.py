@@ -22,7 +22,7 @@ from ...errors import ResourceError
 from ...files.writing import exclusive_lock, publish_directory, sha256_bytes, sha256_file
 from .asset_lock import AssetSet, LockedFile
 
-ABOUT = "thing.json"  # file beside the meshes of a user set, with their hashes and origin
+USER_SET_INFO_FILE = "thing.json"  # file beside the meshes of a user set, with their hashes and origin
 
 _NAME = re.compile(r"own-[A-Za-z][A-Za-z0-9_]*-[0-9a-f]{12}")  # name of a user set
 _FILE = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]*")  # file name without folders, in a user set
@@ -180,14 +180,14 @@ def publish_user_set(store: AssetStore, thing: str, files: Mapping[str, bytes], 
     Raises:
         ResourceError: the store cannot be written.
     """
-    if wrong := [name for name in files if not _FILE.fullmatch(name) or name == ABOUT]:
+    if wrong := [name for name in files if not _FILE.fullmatch(name) or name == USER_SET_INFO_FILE]:
         raise ValueError(f"no names for a set's files: {wrong}")
     hashes = {file: sha256_bytes(data) for file, data in sorted(files.items())}
     name = _set_name(thing, hashes)
     text = json.dumps({"about": about, "files": hashes}, indent=1) + "\n"
     with store.write_lock():
         if resolve_user_set(store, name) is None:
-            store.publish_folder(name, {**files, ABOUT: text.encode()})
+            store.publish_folder(name, {**files, USER_SET_INFO_FILE: text.encode()})
     return name
 
 
@@ -197,7 +197,7 @@ def resolve_user_set(store: AssetStore, set_name: str) -> Path | None:
         return None
     folder = store.root / set_name
     try:
-        listed = json.loads((folder / ABOUT).read_bytes())["files"]
+        listed = json.loads((folder / USER_SET_INFO_FILE).read_bytes())["files"]
         found = {name: sha256_file(folder / name) for name in listed if _FILE.fullmatch(name)}
     except (OSError, ValueError, KeyError, TypeError):
         return None

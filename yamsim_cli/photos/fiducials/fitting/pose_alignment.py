@@ -74,7 +74,7 @@ class Alignment:
     pixels: int
     tiles: tuple[dict[int, MarkerTile], ...]
     log_scale: float = 0.0
-    flat: float = 1.0
+    flat_probability: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -285,7 +285,7 @@ class _PoseProblem(PrintProblem[_PoseState]):
             covariance=pose_of.covariance[np.ix_(turns, turns)] + neglected,
             by_lens=by_lens,
             by_print=found.by_print if scale_index is None else pose_of.moves[turns, scale_index],
-            flat=pose_of.flat,
+            flat_probability=pose_of.flat,
         )
 
     def _depth(self, T: Array) -> float:

@@ -16,7 +16,9 @@ def test_a_hand_does_not_come_down_where_cloth_stands_up_beside_its_fingers(tmp_
         bench = bench_at_start(simulators)
         flat = bench.world.cloth_points("napkin")
         place, around = flat[4, 8], ([3, 3, 4, 5, 5], [8, 7, 7, 7, 8])
-        alone, all_of_it = (PointPlacement((4, 8), target_at_place(place), alone=alone) for alone in (True, False))
+        alone, all_of_it = (
+            PointPlacement((4, 8), target_at_place(place), single_layer=alone) for alone in (True, False)
+        )
         assert reachable_grasps(bench, "napkin", [alone], flat) is not None
         # The next points come nearer, and up by 1 and then by 4 cm.
         standing = flat.copy()

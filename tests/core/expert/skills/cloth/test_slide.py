@@ -32,7 +32,7 @@ def test_two_hands_slide_cloth_to_where_it_is_wanted_and_nowhere_else(tmp_path: 
             return abs(_turned(points)) < 4
 
         grasps = slide_grasps(bench, "napkin", [np.radians(-turned)], wanted)
-        assert grasps is not None and len(grasps) == 2 and all(grasp.placement.alone for grasp in grasps)
+        assert grasps is not None and len(grasps) == 2 and all(grasp.placement.single_layer for grasp in grasps)
         after = predicted_points(bench, "napkin", grasps, 0.0, SLIDE_SPEED)
         assert wanted(after) and height_range(after) < 0.01
         # It comes nearer to the arms by 10 cm, since what is pulled comes along straight.

@@ -76,11 +76,13 @@ def carry_points(
         yield context.make_segment(_arches(context, thing, grasps, arch, speed))
         yield rest_segment(context)
     yield context.make_segment(
-        {hand: context.hold_still(hand, GRIP_TICKS) for hand in opened}, opened, wait_for_arrival=False
+        {hand: context.still_motion(hand, GRIP_TICKS) for hand in opened}, opened, wait_for_arrival=False
     )
     # A hand that pulled a single layer is above the cloth, unless a finger slipped under the edge.
-    beneath = context.world.hands_beneath(thing)
-    under = [] if missed else [grasp for grasp in grasps if not grasp.placement.alone or grasp.hand.side in beneath]
+    beneath = context.world.sides_with_finger_under_cloth(thing)
+    under = (
+        [] if missed else [grasp for grasp in grasps if not grasp.placement.single_layer or grasp.hand.side in beneath]
+    )
     if under:
         yield context.make_segment(
             {grasp.hand: _retreat_path(context, grasp) for grasp in under}, wait_for_arrival=False
@@ -148,7 +150,7 @@ def _close_with_retries(context: PlanningContext, thing: str, grasps: Sequence[P
         if not retried:
             return
         opened = {grasp.hand: FingerTarget(APPROACH_OPENING) for grasp in retried}
-        yield context.make_segment({hand: context.hold_still(hand, _OPEN_TICKS) for hand in opened}, opened)
+        yield context.make_segment({hand: context.still_motion(hand, _OPEN_TICKS) for hand in opened}, opened)
         lines = {}
         for grasp in retried:
             lower = grasp.T_grasp.copy()
@@ -160,13 +162,13 @@ def _close_with_retries(context: PlanningContext, thing: str, grasps: Sequence[P
 
 def _max_depth(points: Array, grasp: PointGrasp) -> float:
     """Return the depth of a retry, m, at which the tips reach what is under the cloth (along y, along x, 3)."""
-    hollow = float(points[grasp.placement.point][2] - points[..., 2].min()) if grasp.placement.alone else 0.0
+    hollow = float(points[grasp.placement.point][2] - points[..., 2].min()) if grasp.placement.single_layer else 0.0
     return hollow + TIP_CLEARANCE
 
 
 def _close(context: PlanningContext, grasps: Sequence[PointGrasp]) -> Iterator[MotionSegment]:
     closing = {grasp.hand: FingerTarget(0.0, _FORCE) for grasp in grasps}
-    yield context.make_segment({hand: context.hold_still(hand, GRIP_TICKS) for hand in closing}, closing)
+    yield context.make_segment({hand: context.still_motion(hand, GRIP_TICKS) for hand in closing}, closing)
     yield rest_segment(context)
 
 
@@ -184,7 +186,7 @@ def _retreat_path(context: PlanningContext, grasp: PointGrasp) -> Array:
             return context.plan_line(grasp.hand, T)
         except SkillFailedError:
             continue
-    return context.hold_still(grasp.hand, 1)
+    return context.still_motion(grasp.hand, 1)
 
 
 def _arches(
@@ -197,7 +199,7 @@ def _arches(
         T_now, point = grasp.hand.pinch_pose(grasp.hand.joints), points[grasp.placement.point]
         in_pinch = T_now[:3, :3].T @ (point - T_now[:3, 3])
         # A folded point comes down onto all layers at the target; a point that is pulled alone stays low.
-        over = np.array([0.0, 0.0, _PULL_HEIGHT if grasp.placement.alone else high[2] - low[2] + _DROP_HEIGHT])
+        over = np.array([0.0, 0.0, _PULL_HEIGHT if grasp.placement.single_layer else high[2] - low[2] + _DROP_HEIGHT])
         ends[grasp.hand] = (
             T_now,
             pose(grasp.placement.target(points) + over - grasp.R_end @ in_pinch, grasp.R_end),

@@ -176,7 +176,7 @@ def _point_placements(points: Array, pull: ClothPull, share: float, thickness: f
     placements = []
     for point, to in zip(pull.points, pull.targets, strict=True):
         place = _on_cloth(points, point, points[point][:2] + share * (to - points[point][:2]), thickness)
-        placements.append(PointPlacement(point, target_at_place(place), alone=True))
+        placements.append(PointPlacement(point, target_at_place(place), single_layer=True))
     return placements
 
 

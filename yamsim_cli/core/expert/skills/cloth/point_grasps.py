@@ -47,7 +47,7 @@ class PointPlacement:
 
     point: tuple[int, int]
     target: Target
-    alone: bool = False
+    single_layer: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,10 +118,10 @@ def _point_grasp(context: PlanningContext, hand: Hand, points: Array, placement:
     away = middle - hand.arm.T_base_in_world[:2, 3]
     heading = math.atan2(away[1], away[0])
     inwards = _direction_to_middle(
-        place, _neighbours(points, placement.point) if placement.alone else points.reshape(-1, 3)
+        place, _neighbours(points, placement.point) if placement.single_layer else points.reshape(-1, 3)
     )
     forward = path[:2] / max(float(np.linalg.norm(path[:2])), 1e-9)
-    lateral = -inwards if placement.alone else (inwards @ forward) * forward - inwards
+    lateral = -inwards if placement.single_layer else (inwards @ forward) * forward - inwards
     # Fingers point down, and close across the direction from the arm, so that a tilt keeps both tips at one height.
     level = rotation_z(heading + math.pi) @ np.diag([1.0, -1.0, -1.0])
     turns = [
@@ -129,9 +129,9 @@ def _point_grasp(context: PlanningContext, hand: Hand, points: Array, placement:
     ]
     for tilt, R in zip(_TILTS, turns, strict=True):
         up = _HALF_PAD * math.cos(tilt) + _HALF_WIDTH * math.sin(tilt) + TIP_CLEARANCE
-        up -= 0.0 if placement.alone else _height_over_lowest(points, place)
+        up -= 0.0 if placement.single_layer else _height_over_lowest(points, place)
         T_at = pose((*(place[:2] + _INSET * inwards), place[2] + up), R)
-        if placement.alone and _cloth_stands_beside(points, T_at):
+        if placement.single_layer and _cloth_stands_beside(points, T_at):
             continue
         T_near = T_at.copy()
         T_near[2, 3] += _NEAR_HEIGHT

@@ -38,7 +38,7 @@ def slide_grasps(
         if not wanted(slide):
             continue
         for pair in pairs:
-            placements = [PointPlacement(corner, target_at_place(slide[corner]), alone=True) for corner in pair]
+            placements = [PointPlacement(corner, target_at_place(slide[corner]), single_layer=True) for corner in pair]
             if (grasps := reachable_grasps(context, thing, placements)) is None:
                 continue
             after = predicted_points(context, thing, grasps, 0.0, SLIDE_SPEED)
