@@ -106,7 +106,7 @@ class RetryLimit:
 
 
 def all_starts_fail(session: Session, cause: FailureCause, first: int) -> bool:
-    """Return whether the starts of all `MORE_STARTS` attempts from number `first` on fail for `cause`.
+    """Return whether the starts of all `STARTS_TO_CHECK` attempts from number `first` on fail for `cause`.
 
     The result is False for causes that depend on physics.
     """
