@@ -114,7 +114,8 @@ class StepState:
         time: simulated time, s.
         qpos: MuJoCo's positions (nq,) before the frame's first command.
         actions: the actions of the ticks until the next frame.
-        sensed: delayed positions (arms, drives) that the encoders report now, rad and m; None without sensor delay.
+        encoder_readings: delayed positions (arms, drives) that the encoders report now, rad and m; None without a
+            sensor delay.
     """
 
     time: float

@@ -147,7 +147,7 @@ class PhotoRequest:
     """The photos of recordings to compare.
 
     Attributes:
-        most: maximum number of photos.
+        max_photos: maximum number of photos.
         camera: calibration of all photos; None for the recorded intrinsics, or else an estimate from ArUco boards.
         name: the camera's name in the recordings; None for the first that is no wrist camera.
     """

@@ -25,7 +25,7 @@ _PRESS_SHARE = 0.05  # gripper share below which the gripper presses; at 0 it pr
 
 
 class RealizedScene(Protocol):
-    """A compiled scene at rest: a `benchmark_scene.BenchmarkScene` or a `yamsim_scene.TaskScene`."""
+    """A compiled scene at rest: a `benchmark_scene.BenchmarkScene` or a `yamsim_scene.YamsimTaskScene`."""
 
     @property
     def simulator(self) -> Simulator:

@@ -1,4 +1,4 @@
-"""`TaskScene`: a yamsim task on the two-arm station, judged by the task's own goal."""
+"""`YamsimTaskScene`: a yamsim task on the two-arm station, judged by the task's own goal."""
 
 from __future__ import annotations
 

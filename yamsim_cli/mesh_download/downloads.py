@@ -25,7 +25,7 @@ from ..core.scene.assets.sources import FetchProgress, SourceError
 
 @dataclass(frozen=True)
 class GeneratedMeshes:
-    """The source of meshes that yamsim has generated in memory. `made` is set -> file name -> content."""
+    """The source of meshes that yamsim has generated in memory. `files_by_set` is set -> file name -> content."""
 
     files_by_set: Mapping[str, Mapping[str, bytes]]
 

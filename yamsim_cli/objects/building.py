@@ -202,10 +202,10 @@ def _mass_properties(
 
 
 def _origin(vertices: Array, weight: MassProperties, *, supports_others: bool) -> Array:
-    """Return the object's origin (3,), m: the middle of its underside if `stands`, else the centre of mass.
+    """Return the object's origin (3,), m: the middle of its underside if `supports_others`, else the centre of mass.
 
     Args:
-        stands: whether other objects can be placed on the object.
+        supports_others: whether other objects can be placed on the object.
     """
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     middle = np.array([*_base_centre(vertices), low[2]]) if supports_others else weight.centre

@@ -85,7 +85,7 @@ class SolidFit:
 
     Attributes:
         rms: root mean square of the scan's distances from the primitives, m.
-        most: 99th percentile of these distances, m.
+        p99: 99th percentile of these distances, m.
     """
 
     parts: Parts

@@ -34,8 +34,8 @@ class EpisodeSize:
     """Size of an episode on disk.
 
     Attributes:
-        least, likely: lower bound and estimate of bytes.
-        least_inodes, inodes: lower bound and estimate of inodes.
+        min_bytes, likely: lower bound and estimate of bytes.
+        min_inodes, inodes: lower bound and estimate of inodes.
     """
 
     min_bytes: int

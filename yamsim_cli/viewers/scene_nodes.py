@@ -28,7 +28,7 @@ class BodyNodes:
 
     Attributes:
         frames: body -> frame in `world`, for bodies with geoms. Frames start at the origin.
-        looks: parent nodes of the visible geoms, one for each body except the world body.
+        visuals: parent nodes of the visible geoms, one for each body except the world body.
         colliders: parent nodes of the collision primitives, one for each body; hidden at first.
     """
 

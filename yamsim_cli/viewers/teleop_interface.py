@@ -22,7 +22,7 @@ class TeleopStatus:
         at_limit: names of the joints at a joint limit.
         obstacle: name of the obstacle that blocks the arm; empty without one.
         gripper_open, magnet: commands of the gripper and the weld; `magnet` is None if grasps hold by friction alone.
-        magnet_holds: whether the weld holds an object.
+        is_weld_holding: whether the weld holds an object.
         message: the result of the last command.
         prompt: the instruction, if it differs between attempts.
         goal: how far the goal of the task is met; empty for tasks without a goal.

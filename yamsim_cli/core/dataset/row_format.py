@@ -42,7 +42,7 @@ class RowFormat:
     Attributes:
         drives: names of the elements of a state, and of the commands in an action.
         welds: names of the weld states in an action: whether the weld of each arm holds an object.
-        full: largest opening of one finger of each arm (arms,), m. If given, gripper values are shares of this
+        full_openings: largest opening of one finger of each arm (arms,), m. If given, gripper values are shares of this
             opening, 0 closed to 1 open. If None, gripper values are openings of one finger, m.
     """
 

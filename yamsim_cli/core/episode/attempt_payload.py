@@ -30,7 +30,7 @@ from .execution import SimulatedAttempt
 from .simulator import Simulator
 
 # Version of the rendering, raised when the same config gives other images: 2 since the table and the posts cast
-# shadows. A recording that states no version has `FIRST_LOOKS`.
+# shadows. A recording that states no version has `FIRST_APPEARANCE_REVISION`.
 APPEARANCE_REVISION, FIRST_APPEARANCE_REVISION = "2", "1"
 
 # Version of the engine, raised when the same config and seed give other actions. 2: all tasks are programs of skills,

@@ -40,7 +40,7 @@ class EpisodeRules:
         strict: whether an arm that touches the table or another arm, or exceeds a joint limit, fails the episode.
             Demonstrations are strict. The arms of a person or a policy may touch the table.
         max_ticks: control ticks after which the episode ends; None for no time limit.
-        magnet_reach: largest distance at which a weld holds an object, m; None for any, which replays need.
+        weld_reach: largest distance at which a weld holds an object, m; None for any, which replays need.
     """
 
     end: EndRule = EndRule.ACTOR

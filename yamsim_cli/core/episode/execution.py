@@ -29,7 +29,7 @@ class SimulatedAttempt:
     Attributes:
         attempt: the sampled attempt, with the distractors that were placed after its simulation.
         outcome: how the attempt ended.
-        played: the result of the episode; None if nothing moved.
+        result: the result of the episode; None if nothing moved.
     """
 
     attempt: Attempt

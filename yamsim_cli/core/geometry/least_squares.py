@@ -74,7 +74,7 @@ class LeastSquares(ABC, Generic[S, L]):
 
 
 def solve_least_squares(problem: LeastSquares[S, L], state: S, max_steps: int) -> tuple[S, L] | None:
-    """Return the best state within `most_steps`, and its linearized problem; None if undefined at the start."""
+    """Return the best state within `max_steps`, and its linearized problem; None if undefined at the start."""
     known = problem.linearize(state, None)
     if known is None:
         return None

@@ -45,8 +45,8 @@ class FingerAddresses:
         gain: position gain of the drive, N/m; both fingers share the force.
         ctrl_range: range of the drive's commands (2,), m.
         opening_limits: mechanical lower and upper limit of one finger's opening, m.
-        stroke: largest opening of one finger that commands use, m.
-        pads: whether the fingers can hold an object by friction.
+        full_opening: largest opening of one finger that commands use, m.
+        has_pads: whether the fingers can hold an object by friction.
     """
 
     qpos: Ids
@@ -70,15 +70,15 @@ class ArmAddresses:
         flange: name of the body that rotates with the last joint.
         joint_qpos, joint_dof: addresses (dof,) of the joints in `qpos` and `qvel`.
         arm_ctrl: addresses (dof,) of the joints' drives in `ctrl`.
-        kp, kv: position and velocity gains (dof,) of these drives, N m/rad and N m s/rad.
+        position_gain, velocity_gain: position and velocity gains (dof,) of these drives, N m/rad and N m s/rad.
         ctrl_range: command ranges (dof, 2) of these drives, rad.
         weld: id of the weld by which the hand holds an object; None for grasps by friction.
         T_base_in_world: pose (4, 4) of the base.
         joint_range: joint limits (dof, 2), rad.
         motor_speed, max_torque: largest speed (dof,), rad/s, and torque (dof,), N m, of the joints.
         fingers: addresses of the fingers; None for an arm without fingers.
-        gravity: error of each joint's gravity compensation (dof,), as a fraction of the compensation; None if exact.
-        offset: encoder reading of each joint at position 0 (dof,), rad, or 0 for all.
+        gravity_error: error of each joint's gravity compensation (dof,), as a fraction of it; None if exact.
+        encoder_offset: encoder reading of each joint at position 0 (dof,), rad, or 0 for all.
         sensors: ids of the delayed sensors of the joints and the left finger (drives,); None without delay.
         command_delay, sensor_delay: delay of commands and of readings, s.
         sensor_noise, encoder_step: standard deviation and resolution of joint readings, rad.
@@ -140,9 +140,9 @@ class ClothAddresses:
     Attributes:
         flex: id of the flex.
         grid: number of points along x and along y.
-        rest: points (n, 3) of the flat cloth in its frame, m; also their positions in `world` at `qpos` 0.
+        flat_points: points (n, 3) of the flat cloth in its frame, m; also their positions in `world` at `qpos` 0.
         qpos, dof: addresses (n, 3) in `qpos` and `qvel`.
-        grips: ids (arms, n) of the equalities by which each hand can hold each point.
+        constraints: ids (arms, n) of the equalities by which each hand can hold each point.
         radius: half the thickness, m.
         spacing: larger of the distances between neighbouring points along x and along y, m.
         held_by_layers: whether a hand also grasps the nearest point of each layer between its pads.

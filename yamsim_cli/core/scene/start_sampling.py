@@ -30,7 +30,7 @@ class ObjectPlacement:
     Attributes:
         T: pose (4, 4) in `world`; settling corrects the height.
         on: name of the supporting object, or `table`.
-        open: part -> opening of its joint as a fraction of the joint's range.
+        joint_openings: part -> opening of its joint as a fraction of the joint's range.
     """
 
     T: Array

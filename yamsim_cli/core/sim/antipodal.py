@@ -47,7 +47,7 @@ class AntipodalPair:
 def find_antipodal_pairs(
     model: mujoco.MjModel, data: mujoco.MjData, body: int, max_width: float
 ) -> list[AntipodalPair]:
-    """Return the antipodal pairs of a body at most `widest` m apart, those near the centre of mass first.
+    """Return the antipodal pairs of a body at most `max_width` m apart, those near the centre of mass first.
 
     Among equally near pairs, those on faces perpendicular to the line come first.
     """

@@ -26,7 +26,7 @@ class ContainerRegion:
 
     Attributes:
         thing: name of the object.
-        T_in_thing: pose (4, 4) of the region's frame in the object's frame; origin at the centre of the floor.
+        T_in_object: pose (4, 4) of the region's frame in the object's frame; origin at the centre of the floor.
         size: size (3,) of the box, m.
     """
 

@@ -1,4 +1,4 @@
-"""The server in a worker's process: a `JobServer` creates a runner, and then answers one job after the other.
+"""The server in a worker's process: a `WorkerJobRunner` creates a runner, and then answers one job after the other.
 
 This module has few imports, so that a new process soon ignores stop signals and watches its parent.
 """

@@ -56,7 +56,7 @@ class WorkerCrashed:
 
 @dataclass(frozen=True)
 class WorkerDied:
-    """The worker has ended; `how` completes a sentence that begins with "its worker"."""
+    """The worker has ended; `cause` completes a sentence that begins with "its worker"."""
 
     cause: str
 

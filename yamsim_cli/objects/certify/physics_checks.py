@@ -130,7 +130,7 @@ def _measure_rest(world: _TestScene, face: StablePose, *, must_stay: bool) -> di
     """Put the object on a face; return its tilt, deg, and its horizontal drift and penetration of the slab, mm.
 
     Args:
-        stands: whether motion counts from the first step; otherwise the object comes to rest first.
+        must_stay: whether motion counts from the first step; otherwise the object comes to rest first.
     """
     world.reset(face.rotation, 0.0)
     before = world.T

@@ -152,7 +152,7 @@ def check_collision_geometry(tested_object: TestedObject) -> CheckOutcome:
     hull = block * float((depth_in_hull(filled, surface[0]) > 0).mean())
     mesh = sum(uniform_mass_properties(*each).volume for each in tested_object.visual_surfaces)
     seen = sample_surface(surface, _SURFACE_SAMPLES, np.random.default_rng(0))[0]
-    # Deep points are out of reach or in a hollow, which `check_ball` tests. Scans of hollows are poor.
+    # Deep points are out of reach or in a hollow, which `check_hollow` tests. Scans of hollows are poor.
     seen = seen[depth_in_hull(seen, surface[0]) < _MAX_DEPTH]
     out = np.maximum(_distance(tested_object, parts, seen), 0)
     reach = float(np.linalg.norm(np.ptp(surface[0], axis=0)))

@@ -21,7 +21,7 @@ _PLY_BYTES = {
 
 
 def check_header(data: bytes, suffix: str, max_faces: int) -> None:
-    """Raise `RefusedError` if a header states more elements than the file can hold, or more than `most_faces`."""
+    """Raise `RefusedError` if a header states more elements than the file can hold, or more than `max_faces`."""
     if not data:
         raise RefusedError("empty", "it has no bytes")
     match suffix:

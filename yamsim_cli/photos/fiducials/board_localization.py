@@ -173,7 +173,7 @@ def locate_together(
     """Fit one pose to boards with known relative poses. Boards far apart determine their common tilt better.
 
     Args:
-        sightings: the boards' detections, at least one, each with a pose.
+        detections: the boards' detections, at least one, each with a pose.
         T_boards_in_ref: pose (4, 4) of each board in a frame `ref` that all boards share.
 
     Returns:

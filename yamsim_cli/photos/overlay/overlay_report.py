@@ -28,7 +28,7 @@ class OverlayReport:
         files: paths of the written files.
         failures: a message for each limit of the request that a photo violates.
         unreadable: a message for each photo that could not be read.
-        stillness: the detected moves of the camera and of the arms' bases between photos.
+        move_report: the detected moves of the camera and of the arms' bases between photos.
     """
 
     rig: RigConfig

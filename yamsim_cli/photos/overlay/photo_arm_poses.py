@@ -42,7 +42,7 @@ class ArmPose:
     Attributes:
         board: the board's name; None for an arm without a board.
         status: the board's `BoardStatus`, INFERRED or RECORDED for a pose from another source, or NO_BOARD.
-        sighting: the detection of the arm's board; None without a board.
+        detection: the detection of the arm's board; None without a board.
         T_base_in_cam: pose (4, 4) of the arm's base; None if unknown.
         edge_residual: median distance of the rendered outline to the photo's edges, px; None if not measured.
     """

@@ -68,7 +68,7 @@ class TrialResult:
         ticks: number of simulated control ticks.
         seconds: duration of each inference, s.
         actions: executed actions; None if no tick was simulated.
-        count: numbers of received chunks and actions, of skipped actions, and of ticks without an action.
+        chunk_stats: numbers of received chunks and actions, of skipped actions, and of ticks without an action.
     """
 
     attempt: Attempt

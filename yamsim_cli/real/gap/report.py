@@ -78,7 +78,7 @@ def require_gap_below(report: Mapping[str, Any], max_mrad: float | None) -> None
 
     Args:
         report: result of `build_report`.
-        most_mrad: largest allowed RMS error of a joint, mrad; None for no limit.
+        max_mrad: largest allowed RMS error of a joint, mrad; None for no limit.
 
     Raises:
         SimulationError: a joint's error is larger.

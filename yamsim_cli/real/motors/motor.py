@@ -149,7 +149,7 @@ class Motor:
         number: initial CAN identifier, by which faults name the motor.
         position, velocity, torque: state of the shaft, set by the simulation, rad, rad/s and N m.
         celsius: temperature of the rotor, degrees Celsius.
-        lost: whether the motor is unplugged: a lost motor ignores all frames and gives no torque.
+        is_unplugged: whether the motor is unplugged: a lost motor ignores all frames and gives no torque.
         control_law_changed: whether `control_law` may have changed since a caller last set this flag to False.
     """
 

@@ -55,7 +55,7 @@ class MotorSimulation:
     Args:
         scene: scene to simulate; its model is changed, so that motors control the drives and arms have their weight.
         start: initial positions (nq,), at rest; a joint beyond a limit starts at the limit.
-        wirings: CAN config of each arm, in the order of the scene.
+        can_configs: CAN config of each arm, in the order of the scene.
         buses: bus of each arm, with the motors of the arm's config in the same order.
     """
 

@@ -107,7 +107,7 @@ def pose_from_rotation_rows(position: Array, rows: Array) -> Array:
 
 @dataclass
 class _Interpolation:
-    """Linear interpolation between two rows of all arms' joints, from the time `began`, s, for `lasts` s."""
+    """Linear interpolation between two rows of all arms' joints, from the time `began`, s, for `duration` s."""
 
     start: Array
     goal: Array

@@ -65,7 +65,7 @@ class RenderProcess:
         size: width and height of the images, px.
         fps: largest rate of sets of images, 1/s.
         K: camera -> intrinsics (3, 3).
-        shot: newest set of images; None until the first is rendered.
+        newest_frames: newest set of images; None until the first is rendered.
 
     Args:
         state: returns the current state of the simulation, which is rendered next.

@@ -32,7 +32,7 @@ class ServedArms:
     """Simulated arms that other programs drive.
 
     Attributes:
-        plant: simulation of the arms and the task's objects.
+        motor_simulation: simulation of the arms and the task's objects.
         sides: "left" or "right" for each arm, in the order of `plant.buses`.
         followers: joint controller of each arm, in the order of `plant.buses`.
     """

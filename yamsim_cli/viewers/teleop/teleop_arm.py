@@ -26,7 +26,7 @@ class TeleopArm:
     Attributes:
         side: "left" or "right".
         opening: commanded opening of each finger, m.
-        widest: largest opening of each finger, m.
+        max_opening: largest opening of each finger, m.
         magnet: whether the weld is commanded to hold.
         target_distance: distance from the target pose to the nearest reachable pose, m; 0 if reachable.
         obstacle: name of the obstacle that stops the arm; empty for none.

@@ -96,7 +96,7 @@ class TeleopScene(TeleopInterface):
 
     Attributes:
         sides: sides of the arms, in the order of recordings.
-        driven: index of the teleoperated arm in that order.
+        active_arm: index of the teleoperated arm in that order.
         episodes, failures, waiting, discarded: numbers of successful, failed, not yet judged and discarded attempts.
         message: the result of the last command.
 

@@ -91,7 +91,7 @@ class _Shape(Config):
 
 
 class VesselShape(_Shape):
-    """An open round vessel such as a cup or bowl; `shape_generators.vessels.Vessel` describes its sizes."""
+    """An open round vessel such as a cup or bowl; `shape_generators.vessels.VesselSizes` describes its sizes."""
 
     family: Literal["vessel"]
     diameter_mm: _Size

@@ -28,7 +28,7 @@ from ..dataset_paths import CONFIG, LOCK, STAGING, is_leftover
 
 # Errors that flock raises on filesystems without locks.
 _NO_FLOCK_ERRORS = (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP, errno.EINVAL)
-MESHES = "meshes"  # config key with the rendered meshes; set by `core.scene.build.state_meshes`, not by users
+MESHES = "meshes"  # config key with the rendered meshes; set by `core.scene.build.with_mesh_descriptions`, not by users
 _MAX_SHOWN_CHANGES = 5  # changes that a message lists, so that its line stays readable
 
 

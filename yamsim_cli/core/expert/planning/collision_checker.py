@@ -130,7 +130,7 @@ class CollisionChecker:
     def qpos_with_arm(
         self, qpos: Array, arm: int, joints: Array, opening: float, attached: AttachedObject | None = None
     ) -> Array:
-        """Return MuJoCo's positions (nq,) with an arm, its fingers (`opening`, m) and its held object `load` moved."""
+        """Return MuJoCo's positions (nq,) with an arm, its fingers (`opening`, m) and its attached object moved."""
         positions: Array = self._pose(qpos, arm, joints, opening, attached).qpos.copy()
         return positions
 

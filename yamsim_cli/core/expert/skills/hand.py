@@ -44,7 +44,7 @@ class Hand:
         joints: last commanded joints (dof,), rad.
         opening: last commanded opening of each finger, m.
         grip_force: last commanded force of each finger, N.
-        magnet: whether the weld is commanded on; without effect on a hand that has none.
+        weld_commanded: whether the weld is commanded on; without effect on a hand that has none.
         held: the object in the hand; None without one.
         failed_grasps: grasps with which an object could not be brought to its goal; they are not tried again.
         joint_margin: least distance from joint limits in `solve_ik`, rad, see `PlanningContext.planning_limits`.

@@ -63,7 +63,7 @@ class _HandoverPose:
     """The receiver's grasp, and joints of both arms at a handover.
 
     Attributes:
-        grip: grasp candidate of the receiver.
+        candidate: grasp candidate of the receiver.
         opening: of each of the receiver's fingers before they close, m.
         giver_joints: of the giver's arm (dof,), rad.
         approach_joints: of the receiver's arm before the straight approach (dof,), rad.
@@ -330,7 +330,7 @@ class _HandoverPoseSampler:
         across: direction (3,) from the giver to the receiver, in `world`.
         apart: least and largest `apart` of an orientation, m.
         places: of the object's origin (n, 3), in `world`, m.
-        attitude: returns the object's orientation for a grasp candidate of the receiver.
+        orientation_for: returns the object's orientation for a grasp candidate of the receiver.
     """
 
     across: Array

@@ -29,11 +29,11 @@ _LIMITS = ((PREFERRED_JOINT_MARGIN, False), (0.0, False), (0.0, True))
 
 @dataclass(frozen=True)
 class ReachableGrasp:
-    """A grasp candidate `grip` that a hand can reach now.
+    """A grasp candidate `candidate` that a hand can reach now.
 
     Attributes:
-        before: joints (dof,) before the straight approach, rad.
-        at: joints (dof,) at the grasp, rad.
+        approach_joints: joints (dof,) before the straight approach, rad.
+        grasp_joints: joints (dof,) at the grasp, rad.
         opening: of each finger during the approach, m.
     """
 

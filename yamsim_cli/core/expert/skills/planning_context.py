@@ -297,7 +297,7 @@ class PlanningContext:
 
         Args:
             opening: of each finger at the end, m. Collisions are checked with the larger opening of start and end.
-            load: the held object.
+            attached: the held object.
 
         Raises:
             SkillFailedError: no such motion was found.

@@ -32,7 +32,7 @@ class ShapeGrasp:
     """A grasp from above with two fingers.
 
     Attributes:
-        where: grasped part: "body", "rim", "edge" or "handle".
+        grasped_part: grasped part: "body", "rim", "edge" or "handle".
         position: midpoint (3,) between the pads, m.
         axis_deg: closing direction of the fingers, degrees from +x.
         width: thickness of the object between the pads, m.
@@ -59,10 +59,10 @@ class GeneratedShape:
         pieces: visual surfaces.
         collision: collision primitives.
         grasps: grasps, the best first; empty if no grasp from above is possible.
-        carries: "in" or "on", the preposition for placing other objects in or on this one.
-        support: height of the surface in the middle for placing objects, m; None if no object would stay there.
-        rolls: least radius of the round surface on which the object can roll, m; 0 for a flat foot.
-        turned: whether the object is rotationally symmetric, so that all grasps of the same `where` are equivalent.
+        preposition: "in" or "on", the preposition for placing other objects in or on this one.
+        support_height: height of the surface in the middle for placing objects, m; None if no object would stay there.
+        rolling_radius: least radius of the round surface on which the object can roll, m; 0 for a flat foot.
+        is_axisymmetric: whether the object is rotationally symmetric, so that all grasps of one `where` are equal.
     """
 
     pieces: tuple[ShapePiece, ...]

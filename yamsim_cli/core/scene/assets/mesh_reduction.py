@@ -45,7 +45,7 @@ def reduction_fingerprint() -> str:
 
 
 def reduce_stl(data: bytes, reduction: Reduction | None) -> bytes:
-    """Return a binary STL (m) with fewer faces that deviates from `data` by at most `LIMIT_MM`, else `data`.
+    """Return a binary STL (m) with fewer faces that deviates from `data` by at most `MAX_DEVIATION_MM`, else `data`.
 
     Raises:
         ResourceError: `data` is not a binary STL.

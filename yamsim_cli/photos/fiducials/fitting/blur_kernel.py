@@ -63,7 +63,7 @@ class BlurKernel:
         return across, down
 
     def blur_derivative(self, picture: Grey, blurred: Grey) -> Grey:
-        """Return the derivative (rows, columns[, channels]) of the blurred picture `smeared` with respect to `blur`."""
+        """Return the derivative (rows, columns[, channels]) of the blurred picture `blurred` with respect to `blur`."""
         more = _BLUR_STEP * self.blur
         by_blur: Grey = (BlurKernel(self.blur + more, self.motion).apply(picture) - blurred) / np.float32(more)
         return by_blur

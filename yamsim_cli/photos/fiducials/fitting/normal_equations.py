@@ -209,7 +209,7 @@ class NormalEquations:
     """Normal equations over all parameters, and statistics of the residuals.
 
     Attributes:
-        every_normal, every_gradient: (k, k) and (k,), over all parameters.
+        full_normal, full_gradient: (k, k) and (k,), over all parameters.
         misfit: weighted sum of squared residuals, grey levels squared.
         weight, pixels: sum of the weights, and number of pixels.
         noise: standard deviation of the residuals, grey levels: assumed for the weights, or estimated.

@@ -60,7 +60,7 @@ class Alignment:
         cost: weighted sum of squared residuals over `pixels` pixels.
         tiles: for each board, marker -> agreement of rendering and photo.
         log_scale: natural logarithm of the print's size over the nominal size; 0 if not fitted.
-        flat: probability that the print is flat, as on a rigid plate; 1 if not estimated.
+        flat_probability: probability that the print is flat, as on a rigid plate; 1 if not estimated.
     """
 
     T_ref_in_cam: Array

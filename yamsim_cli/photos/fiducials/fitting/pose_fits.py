@@ -203,7 +203,7 @@ def _other_boards_agree(fit: PoseFit, competing: PoseFit, predicted_poses: Seque
 
 
 def is_clearly_better(fit: PoseFit, competing: PoseFit) -> bool:
-    """Return whether the photo's likelihood under `fit` excludes `rival`."""
+    """Return whether the photo's likelihood under `fit` excludes `competing`."""
     evidence = 0.5 * fit.alignment.pixels / _PIXELS_PER_SAMPLE * math.log(competing.mean_square / fit.mean_square)
     return evidence >= _MIN_EVIDENCE
 

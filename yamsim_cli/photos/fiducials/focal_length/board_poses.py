@@ -81,8 +81,8 @@ class FocalPoses:
     """A pose of one board for each of n focal lengths.
 
     Attributes:
-        turns: rotations (n, 3, 3) of the board.
-        middles, sizes: centre (n, 2) and width (n,) of the board in the picture, in units of the picture's longer side.
+        rotations: rotations (n, 3, 3) of the board.
+        centres, sizes: centre (n, 2) and width (n,) of the board in the picture, in units of the picture's longer side.
     """
 
     rotations: Array

@@ -106,7 +106,7 @@ def edge_quads(grey: Grey) -> list[Array]:
 
 
 def _limit_resolution(max_side: int, grey: Grey) -> tuple[Grey, float]:
-    """Return the photo with a longer side of at most `longest` px, and the reduction factor."""
+    """Return the photo with a longer side of at most `max_side` px, and the reduction factor."""
     factor = max(1.0, max(grey.shape) / max_side)
     if factor > 1:
         size = tuple(round(side / factor) for side in grey.shape[::-1])

@@ -42,7 +42,7 @@ class PointPlacement:
     Attributes:
         point: row and column of the point.
         target: returns the position (3,) in `world` to which the point is carried.
-        alone: whether the point is grasped without the layers below it.
+        single_layer: whether the point is grasped without the layers below it.
     """
 
     point: tuple[int, int]
@@ -58,8 +58,8 @@ class PointGrasp:
         placement: the point and its target.
         T_grasp: pose (4, 4) of the pinch frame at the point.
         R_end: rotation (3, 3) of the pinch frame at the target.
-        before: joints (dof,) before the approach, rad.
-        end: joints (dof,) over the target, rad.
+        approach_joints: joints (dof,) before the approach, rad.
+        end_joints: joints (dof,) over the target, rad.
         forward: horizontal direction (2,) of the motion.
         lateral: direction (2,) out from under the cloth, across the motion, or outwards for a point grasped alone.
     """
