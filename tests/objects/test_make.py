@@ -245,7 +245,7 @@ def test_a_ball_dropped_into_a_mug_of_any_format_stays_in(tmp_path: Path) -> Non
     masses = []
     for path in write_mugs(tmp_path, segments=48).values():
         made, meshes = imported(path, tmp_path, density=2000.0)
-        masses.append(made.made.mass)
+        masses.append(made.built_object.mass)
         assert ball_stays_in(made.config, meshes)[0], path.name
         assert hangs(made.config, meshes) < 0.05, path.name
     assert max(masses) / min(masses) < 1.01

@@ -136,9 +136,9 @@ def round_trip(folder: Path) -> None:
         first = image if first is None else first
         stays, _ = ball_stays_in(made.config, meshes)
         sunk = hangs(made.config, meshes)
-        kinds = f"{made.made.collision[0].kind}, {len(made.config.collision)}"
+        kinds = f"{made.built_object.collision[0].kind}, {len(made.config.collision)}"
         print(
-            f"| {kind} | {made.made.mass * 1000:.2f} | {kinds} | {ssim(image, first):.3f} | "
+            f"| {kind} | {made.built_object.mass * 1000:.2f} | {kinds} | {ssim(image, first):.3f} | "
             f"{'yes' if stays else 'no'} | "
             f"{'yes' if sunk < 0.05 else 'no'} ({sunk * 1000:.0f} mm) | {taken:.1f} |"
         )
