@@ -13,7 +13,7 @@ from ..core.dataset.dataset_paths import depth_name
 from ..core.dataset.imported_records import RealEpisodeRecord
 from ..core.dataset.lowdim import BETWEEN_BASES
 from ..core.dataset.reader import RecordedEpisode, StoredEpisode
-from ..core.errors import ResourceError
+from ..core.extras import require_library
 from ..core.geometry.se3 import Array
 from ..core.progress import Progress
 from .export_source import ExportSource, depth_cameras
@@ -34,12 +34,7 @@ def export_rerun(source: ExportSource, out: Path, progress: Progress, *, overwri
         ResourceError: rerun is not installed.
         UsageError, PartialJobError, InterruptedJobError: `out` is in use; a write failed; the user stopped the job.
     """
-    try:
-        import rerun  # noqa: F401
-    except ModuleNotFoundError as error:
-        if error.name != "rerun":
-            raise
-        raise ResourceError("an .rrd file needs rerun, which is not here: pip install 'yamsim[rerun]'") from error
+    require_library("an .rrd file", "rerun", "rerun")
     frames = 0
     with export_directory(out, overwrite=overwrite) as stage:
         for number, episode in enumerate(source.episodes()):

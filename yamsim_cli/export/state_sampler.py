@@ -6,8 +6,7 @@ import mujoco
 import numpy as np
 
 from ..core.geometry.se3 import Array
-
-_ROUNDING_S = 1e-9  # s, tolerance for comparing times, which are sums of steps
+from .export_source import ROUNDING_S
 
 
 class StateSampler:
@@ -32,17 +31,17 @@ class StateSampler:
 
     def __call__(self, data: mujoco.MjData) -> None:
         """Store all samples up to the current state: the initial state, or the state after a step."""
-        while self._next < len(self._times) and self._times[self._next] <= data.time + _ROUNDING_S:
+        while self._next < len(self._times) and self._times[self._next] <= data.time + ROUNDING_S:
             self.qpos[self._next] = self._at(self._times[self._next], data)
             self._next += 1
         self._before = (data.time, data.qpos.copy())
 
     def _at(self, time: float, data: mujoco.MjData) -> Array:
         then, qpos = self._before
-        if abs(time - data.time) <= _ROUNDING_S:
+        if abs(time - data.time) <= ROUNDING_S:
             present: Array = data.qpos.copy()
             return present
-        if abs(time - then) <= _ROUNDING_S:
+        if abs(time - then) <= ROUNDING_S:
             return qpos
         velocity, found = np.zeros(self._model.nv), qpos.copy()
         mujoco.mj_differentiatePos(self._model, velocity, 1.0, qpos, data.qpos)

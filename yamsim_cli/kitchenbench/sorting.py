@@ -110,11 +110,8 @@ class PlaceInCompartment(PlaceSkill):
     @staticmethod
     def _places(context: PlanningContext, thing: str, into: str, orientation: Array) -> Iterator[tuple[float, Array]]:
         """Yield poses (4, 4) of an object along a compartment, without height, and their distance to its middle, m."""
-        T, (low, high), local_box = (
-            context.world.pose(into),
-            context.world.local_box(into),
-            context.world.local_box(thing),
-        )
+        world = context.world
+        T, (low, high), local_box = world.pose(into), world.local_box(into), world.local_box(thing)
         for R in _rotations_along(local_box, orientation, T):
             corners = footprint_corners(local_box, pose(rotation=T[:3, :3].T @ R))
             first, last = low[:2] - corners.min(axis=0), high[:2] - corners.max(axis=0)
@@ -127,12 +124,12 @@ class PlaceInCompartment(PlaceSkill):
     def _hover_joints(self, hand: Hand, T_pinch: Array) -> Array | None:
         """Return joints (dof,) over the goal, if needed by a second search from the joints at the goal; else None."""
         joints = super()._hover_joints(hand, T_pinch)
-        if (
-            joints is None
-            and (there := hand.solve_ik(T_pinch, (hand.joints, hand.ready_joints), WAYPOINT_TOLERANCE)) is not None
-        ):
-            joints = hand.solve_ik(pose_raised_by(T_pinch, HOVER_HEIGHT), (there,), WAYPOINT_TOLERANCE)
-        return joints
+        if joints is not None:
+            return joints
+        at_goal = hand.solve_ik(T_pinch, (hand.joints, hand.ready_joints), WAYPOINT_TOLERANCE)
+        if at_goal is None:
+            return None
+        return hand.solve_ik(pose_raised_by(T_pinch, HOVER_HEIGHT), (at_goal,), WAYPOINT_TOLERANCE)
 
 
 def _rotations_along(local_box: Array, orientation: Array, T: Array) -> list[Array]:

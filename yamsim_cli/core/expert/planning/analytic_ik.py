@@ -41,7 +41,7 @@ _LIMIT_ROUNDING = 1e-7  # rad, excess of a joint over its limit that counts as r
 _REACH_SLACK = 1e-5  # rad and 1, extra tolerance of `maybe_reachable` over `solutions`: far above rounding
 _VALIDATION_POSES = 20  # random poses that must be solved before an arm counts as having analytic inverse kinematics
 _CACHE_SIZE = 4096  # poses whose solutions are cached: a search solves each pose up to five times
-_HAND_LENGTH = 0.13  # m, from the flange to the fingertips; in `nearest`, a joint's weight is its distance from them
+HAND_LENGTH = 0.13  # m, from the flange to the fingertips: lever that converts a rotation of the hand to a distance
 
 
 class AnalyticIk:
@@ -79,7 +79,7 @@ class AnalyticIk:
         a2, a3, a4 = (complex(*(basis @ anchors[k])[:2]) for k in (1, 2, 3))
         self._a2, self._upper, self._fore, self._wrist = a2, a3 - a2, a4 - a3, complex(*centre[:2]) - a4
         steps = np.linalg.norm(np.diff([*anchors, T_flange[:3, 3]], axis=0), axis=1)
-        self._levers = np.cumsum(steps[::-1])[::-1] + _HAND_LENGTH
+        self._levers = np.cumsum(steps[::-1])[::-1] + HAND_LENGTH
         self._cached_solutions = functools.lru_cache(_CACHE_SIZE)(self._solutions)
 
     def pose_of(self, joints: Array) -> Array:

@@ -12,10 +12,10 @@ from numpy.typing import ArrayLike
 
 from ...errors import SimulationError
 from ...geometry.se3 import Array, pose, rotation_vector
+from .analytic_ik import HAND_LENGTH
 from .ik import IkSolver
 
 _ITERATIONS = 100  # largest number of iterations of a search, which may start far from the pose
-_HAND_LENGTH = 0.13  # m, from the wrist to the fingertips; converts an angle to a distance
 
 
 class ArmKinematics:
@@ -52,7 +52,7 @@ class ReachResult:
     @property
     def total_error(self) -> float:
         """The total error, m; the rotation error counts as the distance that it causes at the fingertips."""
-        return self.position_error + _HAND_LENGTH * self.rotation_error
+        return self.position_error + HAND_LENGTH * self.rotation_error
 
 
 class OutOfReachError(SimulationError):
