@@ -104,7 +104,8 @@ ROWS: dict[str, ClientRow] = {
     "raiden-cameras": ClientRow(
         client="raiden's cameras, from its repository",
         distribution="raiden",
-        opens="`serve-robot --cameras`: images in its camera class; images of the right wrist are rotated like real images",
+        opens="`serve-robot --cameras`: images in its camera class; "
+        "images of the right wrist are rotated like real images",
         environment=Environment("chiral"),
         heavy=True,
         checkout="YAMSIM_RAIDEN",
