@@ -122,7 +122,7 @@ class Photographer:
     def close(self) -> None:
         self._renderer.close()
 
-    def __enter__(self) -> Photographer:
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:

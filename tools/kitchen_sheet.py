@@ -23,7 +23,7 @@ _FILE = Path(__file__).resolve().parents[1] / "docs" / "kitchen.png"
 
 def main() -> None:
     """Draw, write and print."""
-    opener = SessionOpener(os.environ, sys.stderr.write, str)
+    opener = SessionOpener(os.environ, lambda text: print(text, file=sys.stderr), str)
     where = opener.use_gl(opener.locations())
     # MuJoCo is imported only once it is settled what draws.
     import mujoco

@@ -103,7 +103,7 @@ _DRAWN: dict[str, Callable[[SessionOpener, Locations], np.ndarray]] = {
 
 def main(names: list[str]) -> None:
     """Draw and write."""
-    opener = SessionOpener(os.environ, sys.stderr.write, str)
+    opener = SessionOpener(os.environ, lambda text: print(text, file=sys.stderr), str)
     # What draws is settled before anything imports MuJoCo.
     where = opener.use_gl(opener.locations())
     from yamsim_cli.core.images.jpeg import encode_jpeg

@@ -67,15 +67,15 @@ class _Watching:
         self.sheets: dict[str, Sheet] = {}
         self._ticks, update = 0, ClothConstraints.update
 
-        def seen(grips: Any, data: mujoco.MjData, ctrl: Array) -> list[bool]:
+        def seen(grips: ClothConstraints, data: mujoco.MjData, ctrl: Array) -> list[bool]:
             self._ticks += 1
             if self._ticks % 4 == 0:
                 for name, cloth in grips._scene.cloths.items():
-                    sheet = self.sheets.setdefault(name, Sheet(cloth.grid, cloth.rest))
+                    sheet = self.sheets.setdefault(name, Sheet(cloth.grid, cloth.flat_points))
                     sheet.see(cloth.points(data.qpos))
             return update(grips, data, ctrl)
 
-        ClothConstraints.update = seen  # type: ignore[method-assign]
+        ClothConstraints.update = seen  # type: ignore[assignment, method-assign]
 
 
 def fold(task: str, count: int, first: int, spoilt: int) -> None:
@@ -114,6 +114,7 @@ def _opened(simulator: Simulator, states: Sequence[StepState], share: float) -> 
     held, ctrl = np.flatnonzero(acting.magnet.any(axis=1)), acting.ctrl.copy()
     since = held[0] + int(share * (held[-1] - held[0])) if share else 0
     for arm in simulator.scene.arms:
+        assert arm.fingers is not None
         ctrl[since:, arm.fingers.ctrl] = _OPEN
     return replace(acting, ctrl=ctrl)
 

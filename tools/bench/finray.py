@@ -40,14 +40,14 @@ def main() -> None:
             )
     _draw({height: [far for far, _ in values] for height, values in measured.items()}, frame)
     print("on a cylinder 60 mm across: command, force of a finger, pads' area nearer than 0.1 mm")
-    for name, command, height in (
+    for name, command, grip_height in (
         ("linear_4310", CLOSE, None),
         ("finray", CLOSE, None),
         ("finray", CLOSE, 0.117),
         ("finray", 0.0, 0.117),
     ):
-        found = grip(name, cylinder, command, start=0.04, height=height)
-        where = "" if height is None else f" at {height * 1000:g} mm over the flange"
+        found = grip(name, cylinder, command, start=0.04, height=grip_height)
+        where = "" if grip_height is None else f" at {grip_height * 1000:g} mm over the flange"
         print(f"  {name}{where}: {command * 1000:g} mm, {found.forces[-1]:.1f} N, {found.area * 1e6:.0f} mm2")
     print("told to close wholly on a strawberry: force of a finger at rest, at its most, of one contact, and area")
     for name in ("linear_4310", "linear_3507", "crank_4310", "flexible_4310", "finray"):
@@ -81,11 +81,11 @@ def _draw(measured: dict[float, list[float]], frame: PlaneFrame) -> None:
     text("force, N", (14, 40))
     for (where, values), colour in zip(measured.items(), ((40, 110, 235), (150, 90, 30)), strict=True):
         cv2.line(image, at(0, 0), at(frame.pushed(where, 15.0)[0], 15.0), colour, 3, cv2.LINE_AA)
-        for force, x in zip(FORCES, values, strict=True):
-            cv2.circle(image, at(x, force), 9, colour, -1, cv2.LINE_AA)
+        for force, deflection in zip(FORCES, values, strict=True):
+            cv2.circle(image, at(float(deflection), force), 9, colour, -1, cv2.LINE_AA)
         end = at(frame.pushed(where, 15.0)[0], 15.0)
         text(f"{where * 1000:g} mm", (end[0] + (10 if where == HEIGHTS[0] else -100), end[1] - 16), colour)
-    small: Array = cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA)
+    small = cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA)
     cv2.imwrite(str(PICTURE), small, [cv2.IMWRITE_PNG_COMPRESSION, 9])
 
 

@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from typing import ParamSpec, TypeVar
+from typing import TypeVar
 
 from tests.attempts import planned
 from tools.bench.floor import floor_seconds
@@ -30,7 +30,6 @@ from yamsim_cli.recording.executor_factories import ProcessExecutorFactory
 from yamsim_cli.recording.recorder import record
 from yamsim_cli.recording.recording_output import RecordingOutput
 
-P = ParamSpec("P")
 T = TypeVar("T")
 
 QUALITIES = ("fast", "balanced")
@@ -118,7 +117,7 @@ def measure_pipeline(plain_episodes: int, episodes: int) -> PipelineFigures:
     return figures
 
 
-def alone(work: Callable[P, T], *args: P.args, threads: str | None = "0", **kwargs: P.kwargs) -> T:
+def alone(work: Callable[..., T], *args: object, threads: str | None = "0", **kwargs: object) -> T:
     """Run something in a process of its own, since Mesa decides once a process how many threads draw.
 
     Args:

@@ -176,7 +176,7 @@ def reading(folder: Path) -> None:
         start, worked = time.perf_counter(), core_seconds()
         made, _ = imported(folder / name, folder, collision="decompose")
         taken, worked = time.perf_counter() - start, core_seconds() - worked
-        faces = len(trimesh.load(folder / name, force="mesh").faces)
+        faces = len(trimesh.load_mesh(folder / name).faces)
         drawn = (folder / "assets" / made.config.mesh.set / made.config.mesh.file).read_text().count("\nf ")
         most = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024
         print(f"| {name} | {faces:,} | {drawn:,} | {taken:.1f} | {worked:.1f} | {most:.0f} |")
