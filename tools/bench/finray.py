@@ -15,7 +15,6 @@ import numpy as np
 from tests.core.robots.test_finray import CLOSE, cylinder, pushed, strawberry
 from tests.hands import finger, grip
 from tests.plane_frame import PlaneFrame, bent, compliance
-from yamsim_cli.core.geometry.se3 import Array
 
 HEIGHTS = (0.04, 0.065)
 FORCES = (1.0, 2.5, 5.0, 7.5, 10.0, 12.5, 15.0)
