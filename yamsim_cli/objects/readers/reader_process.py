@@ -30,7 +30,7 @@ _MAX_WRITTEN = 2_000_000_000  # of each written file; enough for the largest mes
 
 
 def main(file: str, root: str, out: str, seconds: int) -> None:
-    """Read `file`, with files in `root` only, and write the object or a refusal into `out`; `seconds` limits CPU time."""
+    """Read `file`, with files in `root` only. Write the object or a refusal to `out`. `seconds` limits CPU time."""
     path = Path(file)
     _set_process_limits(path.stat().st_size, seconds)
     try:

@@ -1,4 +1,4 @@
-"""Motors of an arm and its gripper, read from the `can.yaml` files in their model folders."""
+"""Motors of an arm and its gripper, from `can.yaml` in their model folders."""
 
 from __future__ import annotations
 
@@ -78,18 +78,18 @@ class GripperCanConfig(Config):
 
 @dataclass(frozen=True)
 class CanConfig:
-    """All motors of an arm and its gripper. `gripper` is None for a gripper without fingers."""
+    """All motors; `gripper` is None without fingers."""
 
     arm: ArmCanConfig
     gripper: GripperCanConfig | None
 
 
 def load_can_config(model: str, gripper: str | None, joints: int, locations: Locations) -> CanConfig:
-    """Read the motors of an arm and of its gripper from the `can.yaml` files in their model folders.
+    """Read the motors of an arm and its gripper.
 
     Args:
-        model, gripper: folder names of the two models; `gripper` is None for a gripper without fingers.
-        joints: number of joints of the arm.
+        model, gripper: names of the model folders; None for a gripper without fingers.
+        joints: of the arm.
 
     Raises:
         ConfigError: a file is missing or invalid, the number of motors is wrong, or two motors share an identifier.
