@@ -25,13 +25,13 @@ from .readers.object_parts import MassProperties, ObjectDescription, RigidPart
 from .visual_meshes import VisualMeshes, make_visual_meshes
 from .ycb_config import IN_DEPTH, ROLLING_SHARE
 
-_DEFAULT_DENSITY = 1000.0  # kg/m3, without a mass in file or options; close to most plastics, ripe fruit and water
+_DEFAULT_DENSITY = 1000.0  # kg/m3, if nothing states a mass; close to most plastics, ripe fruit and water
 _DEFAULT_FRICTION = 0.8  # sliding
 _TORSIONAL_FRICTION, _ROLLING_FRICTION = 0.005, 0.0005  # m; rolling objects use ROLLING_SHARE instead of the latter
 # m. A top surface holds objects if its height varies by at most _MAX_UNEVENNESS within _MID_RADIUS.
 _MID_RADIUS, _MAX_UNEVENNESS = 0.012, 0.004
-_MIN_THICKNESS = 1e-6  # over its largest extent; a thinner base has no volume
-# SI units, of joints for which the file states neither: otherwise they never come to rest.
+_MIN_THICKNESS = 1e-6  # of a base over its largest extent; a thinner base has no volume
+# SI units, for joints whose file states neither: without losses they never come to rest.
 _DEFAULT_JOINT_LOSSES = {"slide": {"damping": 2.0, "friction": 0.3}, "hinge": {"damping": 0.01, "friction": 0.005}}
 
 
@@ -95,12 +95,7 @@ class BuiltObject:
 def build_object(
     thing: ObjectDescription, options: ImportOptions, cache: Path, share: Share = lambda done: None
 ) -> BuiltObject:
-    """Build an object's config and files.
-
-    Args:
-        thing: in metres, z up.
-        cache: folder of convex decompositions.
-        share: called with the completed share of the work, 0 to 1.
+    """Build an object's config and files from a description in metres, z up.
 
     Raises:
         ResourceError: the description does not suffice for a config.
@@ -162,7 +157,6 @@ def _report_part(share: Share, number: int, parts: int, done: float) -> None:
 
 
 def _require_volume(vertices: Array, name: str) -> None:
-    """Refuse a base that lies in one plane or on one line."""
     spread = np.linalg.svd(vertices - vertices.mean(axis=0), compute_uv=False)
     if len(vertices) < 4 or spread[-1] <= _MIN_THICKNESS * spread[0]:
         raise ResourceError(
@@ -171,7 +165,6 @@ def _require_volume(vertices: Array, name: str) -> None:
 
 
 def _labels(thing: ObjectDescription) -> list[str]:
-    """Return a name of letters, digits and underscores per part."""
     labels = ["base"]
     for part in thing.parts[1:]:
         label = re.sub(r"\W+", "_", part.name, flags=re.ASCII).strip("_") or "part"
@@ -217,7 +210,6 @@ def _base_centre(vertices: Array) -> Array:
 
 
 def _surface_heights(vertices: Array, faces: Faces) -> Array:
-    """Return the top surface's heights (n,) at up to 25 points around the middle."""
     ring = [(r * np.cos(a), r * np.sin(a)) for r in (0.25, 0.6, 1.0) for a in np.arange(8) * np.pi / 4 + 0.1]
     found = crossings_along_z(vertices, faces, _base_centre(vertices) + _MID_RADIUS * np.array([(0.013, 0.017), *ring]))
     return np.array([heights[-1] for heights in found if len(heights)])
@@ -296,7 +288,7 @@ def _shift_handle(handle: Mapping[str, Any], origin: Array) -> dict[str, Any]:
 
 
 def _files(looks: list[VisualMeshes], collision: list[CollisionGeometry], origin: Array) -> dict[str, bytes]:
-    """Return name -> content. The base's collision meshes are shifted by -`origin`."""
+    """Return name -> content, with the base's collision meshes shifted by -`origin`."""
     files: dict[str, bytes] = {}
     for look in looks:
         files |= look.files
@@ -308,7 +300,6 @@ def _files(looks: list[VisualMeshes], collision: list[CollisionGeometry], origin
 
 
 def _grasp(base: tuple[Array, Faces], mass: float, origin: Array) -> dict[str, Any] | None:
-    """Return a grasp around the base; None if nothing fits between two fingers."""
     body = PointBody.inside(base[0] - origin, base[1])
     if not len(body.points):
         return None

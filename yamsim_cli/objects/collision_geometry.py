@@ -20,8 +20,8 @@ from .readers.object_parts import Surface
 
 CollisionMode = Literal["auto", "primitives", "decompose", "sdf", "hull"]
 
-NEAR = 0.0015  # m, from fitted primitives; "auto" uses them if 99 % of the surface is nearer
-_MIN_CONVEXITY = 0.995  # volume over the convex hull's, of a convex body
+NEAR = 0.0015  # m; "auto" uses fitted primitives if 99 % of the surface is nearer
+_MIN_CONVEXITY = 0.995  # volume over the hull's, from which a body is convex
 
 
 @dataclass(frozen=True)
@@ -56,8 +56,6 @@ def collision_geometry(
         looks: visual surfaces.
         shapes: the object file's collision geometry, if any.
         collision: "auto" uses `shapes`, else primitives that fit, else a hull or convex parts.
-        cache: folder of convex decompositions.
-        share: called with the completed share of the work, 0 to 1.
 
     Raises:
         ResourceError: a body cannot be decomposed.
@@ -102,13 +100,13 @@ def _of_meshes(name: str, kind: str, bodies: list[Body]) -> CollisionGeometry:
 
 
 def fit_primitives(body: Body) -> SolidFit:
-    """Return the solid or hollow primitives with the smaller rms distance from the surface."""
+    """Fit solid and hollow primitives, and return those with the smaller rms distance."""
     scan = Scan.from_mesh(*body)
     solid = fit_solid(scan.points)
     found = [evaluate_fit(solid.parts, scan.points)]
     if hollow := fit_hollow(scan):
         fit, (x, y) = hollow
-        # A config's ring lies on the part's z axis.
+        # A config's ring must lie on the part's z axis.
         if abs(x) < 1e-4 and abs(y) < 1e-4:
             found.append(evaluate_fit(fit.parts, scan.points))
     return min(found, key=lambda fit: fit.rms)

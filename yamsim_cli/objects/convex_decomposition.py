@@ -26,28 +26,24 @@ from ..core.scene.assets.child_process import python_call, run_child
 from ..core.scene.assets.sources import SourceError
 from .part_surfaces import simplified_mesh
 
-DECOMPOSITION_FOLDER = "decomposed"  # of cached results, beside the mesh sets
+DECOMPOSITION_FOLDER = "decomposed"  # folder of cached results, beside the mesh sets
 
-# Triangle counts of the reduced body, tried in order, and its deviation; the parts deviate by 1 to 2 mm.
+# Triangle counts of the reduced body, tried in order, and its largest deviation; the parts deviate by 1 to 2 mm.
 _FACES, _LIMIT_MM = (1_000, 2_000, 4_000, 8_000), 0.3
 
-# CoACD parameters, found by experiment (docs/figures.md). `threshold`: remaining concavity over half the body's length.
-# `parts`: at most. The others limit the tree search of each cut.
+# Found by experiment (docs/figures.md). `threshold`: remaining concavity over half the body's length. `parts`: maximum
+# number. The others limit the tree search of each cut.
 _SEARCH = {"threshold": 0.05, "parts": 32, "iterations": 40, "nodes": 10, "depth": 2, "resolution": 1000}
 _LIMIT_S = 300.0  # s; several times the duration for some thousand triangles
 _MEMORY = 8_000_000_000  # bytes, address space of the child
 _CORE_SECONDS = 1200  # s, CPU time of the child on all cores
 
-Share = Callable[[float], None]  # called with the completed share of the work, 0 to 1
+Share = Callable[[float], None]  # called with the completed share, 0 to 1
 Body = tuple[Array, Faces]  # vertices (n, 3), m; triangles (m, 3)
 
 
 def decompose(body: Body, cache: Path, share: Share = lambda done: None, limit_s: float = _LIMIT_S) -> list[Body]:
-    """Return convex parts whose union approximates a body.
-
-    Args:
-        cache: folder of earlier results, named by a hash of body and parameters.
-        limit_s: time limit, s.
+    """Return convex parts whose union approximates a body; `cache` is the folder of earlier results.
 
     Raises:
         ResourceError: `coacd` is missing, the decomposition fails, or a limit of time or memory is reached.
@@ -152,7 +148,7 @@ def _read(file: Path) -> list[Body] | None:
 
 
 def convex_hull(body: Body) -> Body:
-    """Return the convex hull of a body."""
+    """Return the convex hull."""
     import manifold3d
 
     found = manifold3d.Manifold.hull_points(np.asarray(body[0], np.float64)).to_mesh()

@@ -13,8 +13,8 @@ _MIN_TABLE_DISTANCE = 0.0235  # m, pads' middle over the table; lower, a tilted 
 _MIN_TOP_DEPTH = 0.010  # m, pads' middle under the top; higher, only their edges would hold
 _MAX_TOP_DEPTH = 0.045  # m, pads' middle under the top; deeper, the palm would touch it
 _MIDDLE_OFFSET = 0.004  # m, pads over half the object's height, so that it hangs stably
-_HALF_PAD = 0.008  # m, half width and half height
-_AXES_DEG = range(180)  # degrees, headings at which the fingers are tried
+_HALF_PAD = 0.008  # m, half width and height
+_AXES_DEG = range(180)  # degrees
 _ROUND_RANGE = 60  # headings (1 degree apart) of nearly the least width, above which an outline is round
 _WIDTH_TOLERANCE = 0.002  # m over the least width, of further grasp points
 _DISPLACEMENTS = (0.015, -0.015)  # m, of further grasp points along an object with one narrow heading
@@ -23,12 +23,12 @@ _WEIGHT_FACTOR = 8.0  # each pad's force over half the weight
 
 
 def overhead_grasp(body: PointBody, mass: float, foot: float, top: float) -> dict[str, Any]:
-    """Return a config's `grasp`. The object may be wider than a gripper opens.
+    """Return a config's `grasp` of an object, which may be wider than a gripper opens.
 
     Args:
         body: in the object's frame.
         mass: kg.
-        foot, top: heights of the lowest and highest point over the origin, m.
+        foot, top: lowest and highest point over the origin, m.
 
     Raises:
         ValueError: the pads would touch no part of the body.

@@ -34,12 +34,7 @@ def merged_surface(surfaces: tuple[Surface, ...]) -> tuple[Array, Faces]:
 def simplified_mesh(
     body: tuple[Array, Faces], counts: Iterable[int], limit_mm: float, *, closed: bool = False
 ) -> tuple[Array, Faces] | None:
-    """Reduce a surface (m) to the first of `counts` that keeps within `limit_mm`; None if none does.
-
-    Args:
-        counts: triangle counts, the smallest first.
-        closed: whether the result must be closed.
-    """
+    """Reduce a surface (m) to the first of `counts` triangles, the smallest first, within `limit_mm`; None if none is."""
     source = body[0] * _MM_PER_M, body[1]
     for count in counts:
         if count >= len(body[1]):
@@ -76,8 +71,8 @@ def solid_or_sheet(vertices: Array, faces: Faces) -> tuple[UniformMassProperties
 def _solid_mass_properties(vertices: Array, faces: Faces) -> UniformMassProperties:
     """Return a closed surface's mass properties at 1 kg/m3.
 
-    The sums' order differs from `closed_surface.uniform_mass_properties`: rounding decides the signs of a symmetric
-    body's principal axes, so that order would change existing configs.
+    `closed_surface.uniform_mass_properties` sums in another order. Rounding decides the signs of a symmetric body's
+    principal axes, so that order would change existing configs.
     """
     middle = vertices.mean(axis=0)
     a, b, c = np.moveaxis((vertices - middle)[faces], 1, 0)

@@ -22,14 +22,14 @@ from .primitives import signed_distance
 _SAMPLES = 6000  # points of a surface; another random sample changes no fit by more than 0.1 mm
 
 _PARAMETER_COST = 3e-4  # m, by which a shape must fit better per additional parameter
-_DIMPLE_DEPTH = 0.0015  # m; deeper points under all tangent planes are a dimple, and not fitted
+_DIMPLE_DEPTH = 0.0015  # m; deeper points under all tangent planes are a dimple, which a fit ignores
 _PLANES = 600  # tangent planes over the sphere of directions
-_GROUND_REACH = 0.004  # m; a nearer capsule end is moved to the ground
+_GROUND_REACH = 0.004  # m to the ground; a nearer capsule end is moved to it
 _MAX_STEPS = 30
 _STEP = 1e-5  # m or rad, of finite differences
 _MIN_GAIN = 1e-6  # relative reduction of cost, below which a fit stops
 
-_MIN_DEPTH_SHARE = 0.3  # a vessel's inside over its height
+_MIN_DEPTH_SHARE = 0.3  # depth of a vessel's inside over its height
 _MAX_OUT_OF_ROUND = 0.004  # m, a vessel's radius from the middle of its range
 _MAX_DIP = 0.006  # m, descent of a vessel's inner surface from middle to rim
 _DIRECTIONS = 64  # from the opening's middle, in which the inside is measured
@@ -103,7 +103,7 @@ def fit_solid(points: Array) -> SolidFit:
     best: tuple[float, SolidFit] | None = None
     for make, start in _candidates(points):
         fitted = solve_least_squares(_ShapeProblem(make, points), start, _MAX_STEPS)
-        assert fitted is not None  # the distances are defined everywhere
+        assert fitted is not None
         parts = _extend_to_ground(make(fitted[0]), float(points[:, 2].min()))
         fit = evaluate_fit(parts, points)
         cost = fit.rms + fit.p99 / 4 + _PARAMETER_COST * len(start)
@@ -133,7 +133,7 @@ def _candidates(points: Array) -> Iterator[tuple[Make, Array]]:
 
 
 def _sphere(p: Array, maximum: float) -> Parts:
-    """A radius up to `maximum` keeps fingers that fit around the scan fit around the sphere."""
+    """Limit the radius to `maximum`: fingers that fit around the scan then fit around the sphere."""
     return (Sphere(type="sphere", centre=_vector(p[:3]), radius=min(_size(p[3]), maximum)),)
 
 
@@ -205,7 +205,7 @@ class _FitState:
 
     @cached_property
     def _slope(self) -> Array:
-        """Jacobian (n, k) of the distances, by finite differences."""
+        """Jacobian (n, k) by finite differences."""
         nudged = (replace(self, numbers=self.numbers + nudge).distance for nudge in _STEP * np.eye(len(self.numbers)))
         return np.column_stack([(distance - self.distance) / _STEP for distance in nudged])
 
@@ -289,7 +289,6 @@ def fit_hollow(scan: Scan) -> tuple[SolidFit, tuple[float, float]] | None:
 
 
 def _is_round(points: Array, radius: Array) -> bool:
-    """Return whether the outermost points are equally far from the axis."""
     sector = ((np.arctan2(points[:, 1], points[:, 0]) + np.pi) / (2 * np.pi) * 36).astype(int) % 36
     reach = np.array([radius[sector == k].max(initial=0) for k in range(36)])
     return bool(np.ptp(reach) < 2 * _MAX_OUT_OF_ROUND)
@@ -304,12 +303,12 @@ def _profile(points: Array, radius: Array, normals: Array, rim: float) -> Array 
     inside = (normals[:, 2] > -0.1) & (outwards < 0.2)
     if not inside.any():
         return None
-    # The angle from just above the opening orders the inside's points outwards.
+    # The angle seen from just above the opening orders the inside's points outwards.
     angle = np.arctan2(radius[inside], rim + 0.002 - points[inside, 2])
     bins = (angle / angle.max() * (_DIRECTIONS - 1)).astype(int)
     found = [(radius[inside][bins == k], points[inside, 2][bins == k]) for k in range(_DIRECTIONS)]
     profile = np.array([(np.median(r), np.median(z)) for r, z in found if len(r) >= 3])
-    # The middle of an upside-down lid is above its edge.
+    # Reject an upside-down lid, whose middle is above its edge.
     rises = len(profile) >= 8 and (np.maximum.accumulate(profile[:, 1]) - profile[:, 1]).max() < _MAX_DIP
     return profile if rises else None
 

@@ -19,10 +19,10 @@ from ..core.scene.assets.mesh_reduction import MAX_DEVIATION_MM
 from .part_surfaces import merged_surface, simplified_mesh
 from .readers.object_parts import Surface, SurfaceMaterial
 
-_MAX_FACES = 20_000  # triangles that render fast; larger surfaces are reduced, within LIMIT_MM
+_MAX_FACES = 20_000  # triangles that render fast; larger surfaces are reduced within LIMIT_MM
 _FACE_COUNTS = (6_000, 12_000, 24_000, 48_000)  # triangles of a reduced surface, tried in order
-_CELL_SIZE = 0.0006  # m, finest cells of averaged colours; each level doubles them
-_LEVELS = 6  # cell sizes
+_CELL_SIZE = 0.0006  # m, finest cells in which colours are averaged; each level doubles them
+_LEVELS = 6
 _MAX_SIDE = 4096  # px, width of a baked texture
 _TILE_RANGE = (2, 16)  # px, side of a triangle's square in a texture
 
@@ -67,11 +67,7 @@ def _mesh(name: str, group: tuple[Surface, ...]) -> tuple[dict[str, Any], dict[s
 
 
 def _mesh_arrays(group: tuple[Surface, ...], material: SurfaceMaterial) -> tuple[Any, Any, Any, bytes | None]:
-    """Merge surfaces of one material, reduced above `_MAX_FACES`.
-
-    Returns:
-        Vertices (n, 3), m, triangles (m, 3), uv (m, 3, 2) and PNG; both None without a texture.
-    """
+    """Merge surfaces of one material, reduced above `_MAX_FACES`; uv (m, 3, 2) and PNG are None without a texture."""
     vertices, faces = merged_surface(group)
     textured = material.texture is not None and all(surface.uv is not None for surface in group)
     if (

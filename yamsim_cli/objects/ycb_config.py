@@ -23,12 +23,7 @@ _FRICTION = (0.8, 0.005)  # MuJoCo's: sliding; torsional, m
 
 @dataclass(frozen=True)
 class ScannedObject:
-    """What a scan does not contain.
-
-    Attributes:
-        set, file: the scan's mesh set and file.
-        source: of name and mass, for the config's comment.
-    """
+    """Data that a scan lacks: `set` and `file` of the scan, and the `source` of name and mass."""
 
     name: str
     mass_g: float
@@ -40,7 +35,7 @@ class ScannedObject:
 
 @dataclass(frozen=True)
 class YcbConfig:
-    """A config as YAML with a comment, its data, and the fit to the scan."""
+    """A config as YAML, its data, and the fit to the scan."""
 
     yaml: str
     data: dict[str, Any]

@@ -91,24 +91,21 @@ class PrintedPage:
 
 
 _PAGE_MARGIN = 12.0  # mm, edge where most printers cannot print
-_TITLE_SIZE = 6.0  # mm, font size
+_TITLE_SIZE = 6.0  # mm
 _LINE_STEP = 5.2  # mm, between lines of text
 _HEADER_HEIGHT = 12.0 + 4 * _LINE_STEP  # mm, title and four lines above the board
 _RULER_LENGTH = 100.0  # mm
 _RULER_COLUMN = 14.0  # mm, width for the upright ruler
 _FOOTER_HEIGHT = 40.0  # mm, level ruler, axes and text below the board
 _MIN_QUIET_ZONE = 5.0  # mm, white zone around the board
-_CROP_MARK = 6.0  # mm, length
+_CROP_MARK = 6.0  # mm
 
 
 def board_sheet(board: Board, owner: str, paper: Paper) -> PrintedPage:
-    """Return a page with the board at true size, its description, and two rulers to check the printer's scale.
+    """Return a page with the arm's board at true size, its description, and two rulers to check the printer's scale.
 
     A white zone of 5 mm, or of a marker cell if wider, surrounds the board. Crop marks lie outside. The cut leaves part
     of the zone, which detectors need.
-
-    Args:
-        owner: name of the board's arm.
 
     Raises:
         ConfigError: the board does not fit the page; or as `marker_cells`.
@@ -283,7 +280,6 @@ def png_bytes(sheet: PrintedPage) -> bytes:
 def _runs(marker: PrintedMarker) -> Iterator[tuple[float, float, float]]:
     """Yield runs of black cells as (left, top, width)."""
     for row, cells in enumerate(marker.black):
-        # +1 at the start of a run, -1 after its end.
         steps = np.diff(cells.astype(np.int8), prepend=0, append=0)
         for start, end in zip(np.flatnonzero(steps == 1), np.flatnonzero(steps == -1), strict=True):
             yield marker.x + float(start) * marker.cell, marker.y + row * marker.cell, float(end - start) * marker.cell
@@ -315,7 +311,7 @@ def _raster(sheet: PrintedPage) -> tuple[Image, float]:
 
 
 def _cell_px(sheet: PrintedPage) -> int:
-    """Return the pixels per marker cell near 600 dpi that put markers nearest to whole pixels."""
+    """Return the pixels per cell near 600 dpi that put markers nearest to whole pixels."""
     markers = [mark for mark in sheet.marks if isinstance(mark, PrintedMarker)]
     cell = markers[0].cell
     offsets = np.array([(mark.x - markers[0].x, mark.y - markers[0].y) for mark in markers]) / cell
@@ -329,8 +325,8 @@ def _cell_px(sheet: PrintedPage) -> int:
     return min(choices, key=miss)
 
 
-_HERSHEY_UNITS = 21  # height of capitals in units of OpenCV's Hershey fonts
-_CAPITAL_HEIGHT = 0.718  # height of capitals over the font size in Helvetica
+_HERSHEY_UNITS = 21  # height of capitals, units of OpenCV's Hershey fonts
+_CAPITAL_HEIGHT = 0.718  # height of capitals over the font size, Helvetica
 
 
 def _write(image: Image, text: PageText, scale: float) -> None:

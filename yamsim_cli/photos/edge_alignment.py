@@ -16,14 +16,14 @@ Mask = NDArray[np.bool_]
 
 # Unit of length: a grain is one pixel or, in a large photo with larger details, several.
 _GRAINS_ACROSS = 1000  # approximate grains along the longer side of a large photo
-REACH = 12.0  # grains, distance from the outline within which photo edges are searched
+REACH = 12.0  # grains, searched on either side of the outline
 _SAMPLES_PER_GRAIN = 2  # sample points per grain of the search line
 _SPACING = 3  # grains between outline points
 _MIN_SLOPE = 4.0  # grey levels per grain, gradient of an edge
 _MIN_SLOPE_SHARE = 0.4  # share of the search line's largest gradient, for an edge
 _TUKEY_CUTOFF = 4.685  # standard deviations, beyond which Tukey's biweight is 0 (95 % efficiency)
 _INDEPENDENT_POINTS = 60.0  # outline points that count as independent, at most
-_BORDER = 3  # grains from the picture's border without outlines
+_BORDER = 3  # grains from the picture's border; outlines there are ignored
 _ROUNDS = 6  # of a pose refinement
 _REACH_RATIO = 0.62  # ratio of consecutive rounds' search distances; the last excludes edges of other objects
 
@@ -45,12 +45,12 @@ class EdgeOffsets:
 
     @property
     def found(self) -> float:
-        """The share of outline points with an edge within reach."""
+        """Share of outline points with an edge within reach."""
         return float(np.isfinite(self.offsets).mean()) if len(self.offsets) else 0.0
 
     @property
     def residual(self) -> float | None:
-        """The median distance to the photo's edge, px; a missing edge counts as `reach`. None without an outline."""
+        """Median distance to the photo's edge, px, `reach` for a missing edge; None without an outline."""
         if len(self.offsets) == 0:
             return None
         return float(np.median(np.nan_to_num(np.abs(self.offsets), nan=self.reach)))
@@ -120,7 +120,7 @@ def edge_offsets(grey: Grey, line: MaskOutline, reach: float = REACH) -> EdgeOff
 
 
 def _peak_shift(slope: NDArray[np.float32], peak: NDArray[np.intp]) -> Array:
-    """Return the shift (n,), samples, from each row's peak to the vertex of the parabola through its neighbours."""
+    """Return the shift (n,), samples, to the vertex of the parabola through each row's peak and its neighbours."""
     rows, middle = np.arange(len(peak)), np.clip(peak, 1, slope.shape[1] - 2)
     before, here, after = (slope[rows, middle + k].astype(np.float64) for k in (-1, 0, 1))
     bend = np.minimum(before - 2 * here + after, -1e-9)
@@ -143,7 +143,7 @@ class PoseCorrection:
 
     @property
     def size(self) -> float:
-        """The approximate displacement of points 0.3 m from `centre`, m."""
+        """Approximate displacement of points 0.3 m from `centre`, m."""
         return float(np.linalg.norm(self.step[3:]) + 0.3 * np.linalg.norm(self.step[:3]))
 
 
@@ -161,11 +161,11 @@ def edge_equations(
     """Return the equations of the pose step that moves an outline onto the photo's edges.
 
     Args:
-        line: outline in an ideal pinhole picture with camera matrix `K` (3, 3).
-        depth: z (n,) of the surface at each point in the camera frame, m.
+        line: in an ideal pinhole picture with camera matrix `K` (3, 3).
+        depth: z (n,) of the surface in the camera frame, m.
         offsets: distance (n,) to the edge along each normal, px; NaN for none.
-        centre: centre of rotation (3,) in the camera frame, m.
-        edge_sigma: standard deviation of an edge's position, px.
+        centre: of rotation, (3,) in the camera frame, m.
+        edge_sigma: of an edge's position, px.
     """
     use = np.isfinite(offsets) & (depth > 0)
     points, normals, off = line.points[use], line.normals[use], offsets[use]
@@ -189,8 +189,7 @@ def solve_correction(
     """Return the step that moves outlines onto the photo's edges, with the pose from boards as prior.
 
     Args:
-        equations: one for each outline that moves with the pose.
-        centre: centre of rotation (3,) in the camera frame, m.
+        centre: of rotation, (3,) in the camera frame, m.
         information: inverse covariance (6, 6) of the prior, rotation (rad) and shift (m).
         so_far: sum (6,) of earlier steps from the prior.
     """
@@ -200,5 +199,5 @@ def solve_correction(
 
 
 def search_radii() -> list[float]:
-    """Return the decreasing search distances of the refinement rounds, grains."""
+    """Return the refinement rounds' decreasing search distances, grains."""
     return [REACH * _REACH_RATIO**k for k in range(_ROUNDS)]

@@ -69,7 +69,6 @@ def viewing_ray_grid(camera: CameraModel, x: ArrayLike, y: ArrayLike) -> NDArray
 
 
 def _cubic_weights(at: Array, knots: Array) -> Array:
-    """Return Catmull-Rom weights (n, m) of evenly spaced knots (m,) at positions (n,)."""
     place = (at - knots[0]) / (knots[1] - knots[0])
     first = np.floor(place).astype(int)
     t = place - first
@@ -151,7 +150,6 @@ class LensWarp:
         return np.asarray(bent, dtype=np.uint8)
 
     def _maps(self, fine: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Return ideal columns and rows of `fine` x `fine` points per real pixel."""
         if fine in self._known_maps:
             return self._known_maps[fine]
         camera, offset = self._camera, (fine - 1) / 2

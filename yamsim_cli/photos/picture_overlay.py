@@ -20,8 +20,8 @@ Labels = NDArray[np.uint8]
 ARM_COLOURS = ((255, 176, 0), (0, 170, 255))
 _AXIS_COLOURS = ((230, 40, 40), (40, 180, 60), (50, 90, 240))
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
-_MIN_SCALE = 0.2  # of the font; smaller text is unreadable
-_FRACTION_BITS = 4  # of fixed-point pixel coordinates in OpenCV's drawing
+_MIN_SCALE = 0.2  # smaller text is unreadable
+_FRACTION_BITS = 4  # of pixel coordinates in OpenCV's drawing
 
 
 def blend_arms(photo: Image, rendered: Image, labels: Labels, opacity: float) -> Image:

@@ -27,7 +27,7 @@ def certificate_page(
     """Return a certificate's HTML page.
 
     Args:
-        found: JSON data from `certify.CertificationResult.to_json_data`.
+        found: from `certify.CertificationResult.to_json_data`.
         titles: check code -> name of the fault, and advice.
         pictures: by check code.
         made: text at the foot.

@@ -14,8 +14,8 @@ from yamsim_cli.core.scene.objects.object_geoms import HIDDEN_GROUP, SEEN_GROUP
 
 from .tested_object import TestedObject, compile_or_raise, object_spec, with_camera
 
-_MARKER_RGBA = (0.85, 0.15, 0.10, 1.0)  # of the shape that shows mass properties
-_OBJECT_OPACITY = 0.35  # of the object around it
+_MARKER_RGBA = (0.85, 0.15, 0.10, 1.0)  # sphere or box that shows mass properties
+_OBJECT_OPACITY = 0.35  # object around that shape
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ def round_significant(value: Any, digits: int = 4) -> float:
 
 
 def object_view(tested_object: TestedObject, caption: str, *, steep: float = 0.75) -> CheckView:
-    """View the object in its initial pose; `steep` raises the camera, below 0 from underneath."""
+    """View the object in its initial pose; a negative `steep` looks up from below."""
     return _view(_spec(tested_object, steep), caption)
 
 

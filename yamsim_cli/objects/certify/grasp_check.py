@@ -36,7 +36,7 @@ _CLOSE_TIME, _LIFT_TIME, _TURN_TIME, _SHAKE_TIME = 0.8, 0.8, 1.6, 1.0  # s
 _COMMAND_PERIOD = 0.02  # s, between commanded poses
 _LIFT_HEIGHT, _TURN_ANGLE = 0.05, np.radians(45)  # m; rad, about x and y of the pinch frame
 _SHAKE_AMPLITUDE, _SHAKE_RATE = 0.015, 3.0  # m, Hz, along each axis of `world`
-_MAX_SLIP, _MAX_TURN = 0.012, np.radians(20)  # m, rad, relative to the pads, of a held object
+_MAX_SLIP, _MAX_TURN = 0.012, np.radians(20)  # m, rad; a held object moves less relative to the pads
 
 _PREFIX, _BASE = "hand_", "hand_base"
 _BASE_MASS = 20.0  # kg, so that a held object does not move the base
@@ -137,7 +137,7 @@ def _arm(locations: Locations) -> ArmConfig:
 
 def _full_opening(locations: Locations) -> float:
     fingers = _arm(locations).robot.fingers
-    assert fingers is not None  # the rig has fingers
+    assert fingers is not None
     return fingers.full_opening
 
 
@@ -156,7 +156,6 @@ class _GripperRig:
 
     @classmethod
     def for_object(cls, tested_object: TestedObject) -> _GripperRig:
-        """Make the scene with the gripper at the origin."""
         arm = _arm(tested_object.locations)
         child, robot = arm_spec(arm, None), arm.robot
         for actuator in list(child.actuators):
@@ -194,7 +193,7 @@ class _GripperRig:
         return cls(tested_object, robot, model, mujoco.MjData(model), np.eye(4))
 
     def reset(self, T_pinch: Array, opening: float) -> None:
-        """Set pinch pose (4, 4) and finger opening (m), with the object at the origin."""
+        """Set pinch pose (4, 4) and opening (m), with the object at the origin."""
         body = self.model.body(_BASE)
         body.pos, body.quat = T_pinch[:3, 3], quat_from_rotation(T_pinch[:3, :3])
         self.T_start = T_pinch
@@ -231,7 +230,7 @@ class _GripperRig:
 
 
 def _slip(before: Array, after: Array) -> tuple[float, float]:
-    """Return translation at the pads (m) and rotation (rad) between two object poses in their frame."""
+    """Return translation at the pads (m) and rotation (rad) between two object poses."""
     T = after @ inverse(before)
     return float(np.linalg.norm(T[:3, 3])), float(np.linalg.norm(rotation_vector(T[:3, :3])))
 

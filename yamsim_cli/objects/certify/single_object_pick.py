@@ -40,7 +40,7 @@ PICK_RIG = "single_linear"
 
 _ROLE = "thing"
 _POSITION = (0.33, 0.15)  # m, in `world`: within reach, beside the hand's start
-_HEADINGS = (0.0, 90.0)  # degrees, of the object; the second if `pick` fails at the first
+_HEADINGS = (0.0, 90.0)  # degrees; the second if `pick` fails at the first
 _JOB = AttemptJob(0, 0)  # every run gives the same result
 
 
@@ -60,10 +60,7 @@ class PickedGrasp:
 
 
 def simulate_pick(item: ObjectConfig, locations: Locations) -> PickedGrasp:
-    """Run `pick` on an object in physics.
-
-    Args:
-        locations: config folders, with mesh folders for collision meshes.
+    """Run `pick` on an object in physics. `locations` include mesh folders for collision meshes.
 
     Raises:
         SkillFailedError: `pick` failed at each heading; the last error.
@@ -80,10 +77,7 @@ def reachable_grasp_points(item: ObjectConfig, locations: Locations) -> tuple[Gr
     """Return the grasp points that `pick` can use, least tilt of the hand first.
 
     The arm must reach a point without contacts at one of the headings; physics does not run. Fixed or articulated
-    objects, and objects without a friction grasp, have none.
-
-    Args:
-        locations: config folders, with mesh folders for collision meshes.
+    objects, and objects without a friction grasp, have none. `locations` include mesh folders for collision meshes.
 
     Raises:
         SkillFailedError: the table has no room for the object.
@@ -110,8 +104,6 @@ def _min_tilt(context: PlanningContext, item: ObjectConfig) -> float:
 
 @dataclass(frozen=True)
 class _PickSetup:
-    """An episode with an object on the table, and the skills that pick it up."""
-
     scene: CompiledScene
     episode: Episode
     context: PlanningContext

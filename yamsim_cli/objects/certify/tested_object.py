@@ -20,8 +20,8 @@ from yamsim_cli.core.scene.compilation import compile_spec
 from yamsim_cli.core.scene.objects.scene_object import add_object
 from yamsim_cli.core.sim.geom_shapes import body_surface, geom_corners
 
-_GROUND_FRICTION = (1.0, 0.005, 0.0001)  # MuJoCo's, of the slab, as of the table in configs/scenes/tabletop.yaml
-_GROUND_HALF_SIZE = (1.0, 1.0, 0.05)  # m, of the slab; thick, so that no object falls through
+_GROUND_FRICTION = (1.0, 0.005, 0.0001)  # MuJoCo's, as of the table in configs/scenes/tabletop.yaml
+_GROUND_HALF_SIZE = (1.0, 1.0, 0.05)  # m; thick, so that no object falls through
 _TIMESTEP = 0.002  # s
 _BACKGROUND = (0.80, 0.81, 0.82)
 

@@ -22,7 +22,7 @@ from ..building import BuiltObject, ImportOptions, build_object
 from ..convex_decomposition import DECOMPOSITION_FOLDER, Share
 from ..readers.object_reader import UnitOptions, read_object
 
-_DIRECT_FOLDER = "imports"  # of `import_directly`'s configs, in the mesh folder
+_DIRECT_FOLDER = "imports"  # folder of `import_directly`'s configs, in the mesh folder
 
 
 @dataclass(frozen=True)
@@ -49,11 +49,7 @@ def import_file(
     out: Path | None,
     share: Share = lambda done: None,
 ) -> ImportedObjectFile:
-    """Import an object file (mesh, SDF, URDF or MJCF).
-
-    Args:
-        out: YAML file to write; by default `<name>.yaml` in the user's config folder.
-        share: called with the completed share of the work, 0 to 1.
+    """Import an object file (mesh, SDF, URDF or MJCF) to `out`, by default `<name>.yaml` in the user's config folder.
 
     Raises:
         UsageError: the name is invalid, the config file exists, or its folder, the unit or the up axis is unknown.
@@ -77,7 +73,7 @@ def import_directly(file: Path, locations: Locations, share: Share = lambda done
 
 
 def config_path(locations: Locations, name: str, out: Path | None) -> Path:
-    """Return a new config's path: `out`, or by default `<name>.yaml` in the user's config folder.
+    """Return `out`, or by default `<name>.yaml` in the user's config folder.
 
     Raises:
         UsageError: the user has no config folder, or the file exists.
@@ -91,7 +87,7 @@ def config_path(locations: Locations, name: str, out: Path | None) -> Path:
 
 
 def write_config(path: Path, yaml: str) -> None:
-    """Write a config file and its folder. Raises `ResourceError`."""
+    """Write a config file, and make its folder. Raises `ResourceError`."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         write_file(path, yaml.encode())
@@ -102,7 +98,6 @@ def write_config(path: Path, yaml: str) -> None:
 def _build_and_publish(
     file: Path, units: UnitOptions, options: ImportOptions, locations: Locations, share: Share
 ) -> tuple[ObjectConfig, BuiltObject, str]:
-    """Build an object, store its meshes, and return config, object and YAML."""
     if file.suffix.lower() == ".stl":
         # STL states neither; most robot files are in metres, z up.
         units = replace(units, unit=units.unit or "m", up=units.up or "z")
@@ -127,10 +122,7 @@ def _build_and_publish(
 
 
 def _with_reachable_grasps(config: ObjectConfig, locations: Locations) -> ObjectConfig:
-    """Keep only grasp points that `pick` can use.
-
-    If none is usable, all stay, and the certificate reports the fault.
-    """
+    """Keep only grasp points that `pick` can use; if there are none, all stay for the certificate to report."""
     with suppress(SkillFailedError):
         if places := reachable_grasp_points(config, locations):
             return config.with_grasp_points(places)

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 
 def import_if_file(name: str, locations: Locations, notify: Callable[[str], None]) -> str:
-    """Return the config path of an imported object file; return any other name unchanged.
+    """Return the config path of an imported object file, or any other name unchanged.
 
     Args:
         notify: called with a note about a guessed mass.

@@ -114,7 +114,7 @@ _RGBA: Mapping[str, _Rgba] = {
     "070-b_colored_wood_blocks": (0.80, 0.20, 0.15, 1),
     "077_rubiks_cube": (0.90, 0.90, 0.88, 1),
 }
-_GREY: _Rgba = (0.6, 0.6, 0.6, 1)  # all others
+_GREY: _Rgba = (0.6, 0.6, 0.6, 1)
 # Set of equal objects in a YCB id -> name of one.
 _PIECE_NAMES = {"cups": "cup", "colored_wood_blocks": "wood_block"}
 

@@ -14,7 +14,7 @@ from yamsim_cli.core.geometry.se3 import Array, inverse
 
 from .object_parts import MassProperties, RigidPart, Surface
 
-_MAX_LINKS = 64  # of a file
+_MAX_LINKS = 64
 _UNLIMITED_DEG = 1800.0  # degrees each way, of a hinge without limits; more than a hand can turn
 _HANDLE_OPENING = 0.01  # m, of each finger; files give only a handle's frame
 
@@ -91,7 +91,6 @@ def build_parts(
 def _find_root(
     links: Sequence[LinkDescription], joints: Sequence[JointDescription]
 ) -> tuple[dict[str, LinkDescription], LinkDescription, bool]:
-    """Return links by name, the root, and whether it is fixed to the world."""
     by_name = {link.name: link for link in links}
     if len(by_name) < len(links):
         raise RefusedError("damaged", "two of its links have the same name")

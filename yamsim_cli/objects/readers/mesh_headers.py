@@ -102,7 +102,6 @@ def _json(text: bytes) -> Any:
 
 
 def _check_gltf_tree(tree: Any, binary: int | None, maximum: int) -> None:
-    """Check that accessors lie in views, views in buffers, and nodes form trees."""
     try:
         _accessors(tree, binary, maximum)
         _nodes(tree)

@@ -142,7 +142,6 @@ def _damaged(suffix: str, error: Exception) -> RefusedError:
 
 
 def _meshes(scene: Any) -> list[tuple[Any, Array]]:
-    """Return mesh and pose (4, 4) of each node that shows a mesh."""
     import trimesh
 
     found, faces = [], 0
@@ -195,7 +194,6 @@ def _surface(mesh: Any, T: Array) -> Surface | None:
 
 
 def _textured(material: Any) -> tuple[Rgba, Any]:
-    """Return colour and base texture of a glTF (PBR), OBJ or COLLADA material."""
     from trimesh.visual.material import PBRMaterial
 
     if isinstance(material, PBRMaterial):
@@ -225,7 +223,7 @@ def _rgba(values: Any) -> Rgba:
 
 
 def _check_textures(data: bytes, suffix: str, meshes: list[tuple[Any, Array]]) -> None:
-    """Refuse a texture that trimesh could not read and omitted."""
+    """Refuse textures that trimesh could not read."""
     text = data if suffix == ".gltf" else data[20 : 20 + int.from_bytes(data[12:16], "little")]
     tree = json.loads(text)
     named = {
@@ -271,7 +269,7 @@ def _with_material(surface: Surface, material: SurfaceMaterial) -> Surface:
 
 
 def plain_material(folder: ConfinedFolder, rgba: Sequence[float], texture: str, base: Path) -> SurfaceMaterial:
-    """Return a material with a colour, and a texture if `texture` names an image."""
+    """Return a material with a colour and the texture `texture`, if it names an image."""
     red, green, blue, alpha = (min(1.0, max(0.0, value)) for value in (*rgba, 1.0, 1.0, 1.0, 1.0)[:4])
     colour: Rgba = (red, green, blue, alpha if len(rgba) > 3 else 1.0)
     if not texture:

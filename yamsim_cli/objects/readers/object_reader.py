@@ -24,16 +24,16 @@ from .reader_process import REFUSAL_FILE, read_written
 
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}  # unit -> m
 
-_MAX_SIZE, _MIN_SIZE = 2.0, 0.003  # m, that an arm can handle
+_MAX_SIZE, _MIN_SIZE = 2.0, 0.003  # m, of objects that an arm can handle
 _LIKELY = (0.01, 0.8)  # m; the error for a missing unit suggests units that give these sizes
-_CPU_SECONDS, _CPU_SECONDS_PER_MB = 15.0, 0.7  # s, of CPU time to read a file, and per megabyte
+_CPU_SECONDS, _CPU_SECONDS_PER_MB = 15.0, 0.7  # s of CPU time, and per megabyte of the file
 _WALL_CLOCK_FACTOR = 4.0  # elapsed over CPU time, for a busy machine
 _PACKAGES = ("trimesh", "PIL", "defusedxml", "collada")  # of the extra `import`; binary STL needs none
 
 
 @dataclass(frozen=True)
 class UnitOptions:
-    """A file's unit (key of `UNITS`), up axis (x, y or z) and factor of lengths, which override the file."""
+    """A file's unit (a key of `UNITS`), up axis (x, y or z) and scale, each of which overrides the file."""
 
     unit: str | None = None
     up: str | None = None
@@ -156,7 +156,6 @@ def _rotation_to_z(up: str) -> Array:
 
 
 def _convert_units(thing: ObjectDescription, metre: float, turn: Array) -> ObjectDescription:
-    """Multiply lengths by `metre`, and rotate by `turn` (3, 3)."""
     if metre == 1.0 and np.array_equal(turn, np.eye(3)):
         return thing
     base, *others = thing.parts

@@ -15,7 +15,7 @@ from yamsim_cli.core.geometry.stl import Faces
 from .object_parts import Surface, SurfaceMaterial
 
 _SEGMENTS = 40  # facets around the axis
-_AXIS_TOLERANCE = 1e-6  # of a vertical axis's z component from 1
+_AXIS_TOLERANCE = 1e-6  # deviation of a vertical axis's z component from 1
 
 
 def _revolve(outline: Array, material: SurfaceMaterial) -> Surface:
@@ -68,9 +68,7 @@ def collision_shape(kind: str, size: Array, T: Array) -> Mapping[str, Any] | Sur
 
 
 def visual_surface(kind: str, size: Array, material: SurfaceMaterial) -> Surface:
-    """Return a centred primitive's surface, with `size` as in `collision_shape`. Raises `RefusedError` for absurd
-    sizes.
-    """
+    """Return a centred primitive's surface. Raises `RefusedError` for absurd sizes."""
     if not all(1e-6 <= length <= 1e4 for length in size):
         raise RefusedError("impossible", f"it has a body of size {' x '.join(f'{length:g}' for length in size)}")
     match kind:

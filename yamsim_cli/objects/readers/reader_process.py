@@ -23,10 +23,10 @@ from .object_parts import MassProperties, ObjectDescription, RigidPart, Surface,
 REFUSAL_FILE = "refused.json"  # written if the child refuses the file
 _DESCRIPTION_FILE, _ARRAYS = "thing.json", "arrays.npz"
 
-_BASE_BYTES = 3_000_000_000  # address space of Python and its libraries, mostly only reserved
-_MEMORY_FACTOR = 60  # further address space per byte of the object file
-_MAX_MEMORY = 12_000_000_000  # of address space
-_MAX_WRITTEN = 2_000_000_000  # of each written file; enough for the largest mesh
+_BASE_BYTES = 3_000_000_000  # bytes, address space of Python and its libraries, mostly only reserved
+_MEMORY_FACTOR = 60  # bytes of address space per byte of the file
+_MAX_MEMORY = 12_000_000_000  # bytes of address space
+_MAX_WRITTEN = 2_000_000_000  # bytes per written file; enough for the largest mesh
 
 
 def main(file: str, root: str, out: str, seconds: int) -> None:
@@ -76,7 +76,7 @@ def read_file(path: Path, root: Path) -> ObjectDescription:
 
 
 def _description(data: bytes, folder: ConfinedFolder, base: Path) -> ObjectDescription:
-    """The root element, not the ending, gives the file type."""
+    """Read a file by its root element, not its ending."""
     from .untrusted_xml import parse_untrusted_xml
 
     match parse_untrusted_xml(data).tag:
@@ -119,11 +119,7 @@ def _write_object(thing: ObjectDescription, folder: Path) -> None:
 
 
 def read_written(folder: Path) -> ObjectDescription:
-    """Return the object that the child wrote.
-
-    Raises:
-        OSError, ValueError, KeyError, TypeError: the files are missing, incomplete or invalid.
-    """
+    """Return the object that the child wrote. Raises OSError, ValueError, KeyError or TypeError."""
     data = json.loads((folder / _DESCRIPTION_FILE).read_bytes())
     with np.load(folder / _ARRAYS, allow_pickle=False) as stored:
         arrays = {name: stored[name] for name in stored.files}

@@ -28,12 +28,12 @@ from .object_parts import MassProperties, ObjectDescription, Surface, SurfaceMat
 from .primitive_shapes import collision_shape, visual_surface
 from .untrusted_xml import Element, inertia_matrix, number, numbers, parse_untrusted_xml, rotation_from_rpy
 
-_MAX_INCLUDE_DEPTH = 8  # models in models
+_MAX_INCLUDE_DEPTH = 8  # levels of included models
 _JOINTS = {"revolute": "hinge", "continuous": "hinge", "prismatic": "slide", "screw": "screw"}
 
 
 def read_sdf(data: bytes, folder: ConfinedFolder, base: Path) -> ObjectDescription:
-    """Read an SDFormat file. Raises `RefusedError` if it is damaged, has several models, or exceeds configs."""
+    """Read an SDFormat file. Raises `RefusedError` for damage, several models, or content beyond configs."""
     model, where = _model(data, folder, base, ())
     reader = _Reader(folder, where)
     links, joints = reader.model(model)
@@ -61,7 +61,7 @@ def _model(data: bytes, folder: ConfinedFolder, base: Path, seen_files: tuple[Pa
 def _included(
     include: Element, folder: ConfinedFolder, base: Path, seen_files: tuple[Path, ...]
 ) -> tuple[Element, Path]:
-    """Return the model of an <include>, and its folder: an SDF file, or a folder with `model.sdf`."""
+    """Return the model of an <include>, and its folder."""
     uri = (include.findtext("uri") or "").strip()
     try:
         path = folder.find(uri, base)
@@ -75,8 +75,6 @@ def _included(
 
 
 class _Reader:
-    """Reads a model, whose file names are relative to `base`."""
-
     def __init__(self, folder: ConfinedFolder, base: Path) -> None:
         self._folder, self._base = folder, base
         self.notes: list[str] = []
@@ -298,7 +296,6 @@ def _name_of(element: Element) -> str:
 
 
 def _pose_of(element: Element) -> Array:
-    """Return the pose (4, 4) in <pose>, by default the identity."""
     found = element.find("pose")
     if found is None:
         return np.eye(4)

@@ -12,7 +12,7 @@ from yamsim_cli.core.files.untrusted.refusals import RefusedError
 from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.core.geometry.stl import Faces
 
-_MAX_PIXELS = 64_000_000  # of a decoded image
+_MAX_PIXELS = 64_000_000
 _MAX_SIDE = 2048  # px, of a stored texture
 _TILE = 2  # px, a triangle's square: one texel per corner, a fourth for interpolation
 
@@ -59,8 +59,7 @@ def encode_png_texture(image: Any, name: str) -> bytes:
 def bake_colours(vertices: Array, faces: Faces, colours: NDArray[np.uint8]) -> tuple[Array, bytes]:
     """Return texture coordinates (m, 3, 2) and a PNG of vertex colours (n, 4), interpolated over triangles.
 
-    Each triangle has a tile. Neighbours' tiles are close together: smaller versions of the texture blend similar
-    colours.
+    Each triangle has a tile. Tiles of neighbours are close together, so that a smaller texture blends similar colours.
     """
     from PIL import Image
 
@@ -82,7 +81,7 @@ def bake_colours(vertices: Array, faces: Faces, colours: NDArray[np.uint8]) -> t
 
 
 def _morton_order(points: Array) -> NDArray[np.int64]:
-    """Return indices (n,) that sort points (n, 3) in Morton order, which keeps neighbours together."""
+    """Return indices (n,) of points (n, 3) in Morton order, which keeps neighbours together."""
     low, high = points.min(axis=0), points.max(axis=0)
     cells = ((points - low) / np.maximum(high - low, 1e-12) * 1023).astype(np.int64)
     key = np.zeros(len(points), np.int64)

@@ -63,7 +63,7 @@ def numbers(text: str | None, count: int, default: tuple[float, ...] | None = No
 
 
 def number(text: str | None, default: float | None = None) -> float:
-    """Return a finite number, or `default` for an empty text, else raise `RefusedError`."""
+    """As `numbers`, for one number."""
     return numbers(text, 1, None if default is None else (default,))[0]
 
 
@@ -79,7 +79,7 @@ def collada_asset(data: bytes) -> tuple[float, str]:
 
 
 def rotation_from_rpy(roll: float, pitch: float, yaw: float) -> Array:
-    """Rotate (3, 3) about the fixed x, then y, then z axis, rad, as in SDFormat and URDF."""
+    """Return the rotation (3, 3) about the fixed x, then y, then z axis, rad, as in SDFormat and URDF."""
     cr, sr, cp, sp, cy, sy = (f(a) for a in (roll, pitch, yaw) for f in (math.cos, math.sin))
     return np.array(
         [

@@ -29,13 +29,13 @@ Grey = NDArray[np.uint8]
 # A marker that the fit excludes, but that is whole and displaced, lies beyond a crease. A covered marker has a low
 # correlation or no shift. Source: 14 half-covered prints and 3 creased ones.
 _MIN_DISPLACED = 2  # displaced markers that indicate a crease
-_MIN_DISPLACED_CORRELATION = 0.5  # correlation of rendering and photo, above which a marker is whole
-_DISPLACED_PX = 0.7  # px, shift above which a marker is displaced
-_CREASED_SHARE_IF_DISPLACED = 0.9  # prior probability of a crease with displaced markers
-_SHARED_ERROR_FACTOR = 4 / 3  # on `PoseLimits.turn`, for a sigma with errors of lens and print scale
-_MIN_FLAT_PROBABILITY = 0.5  # of a flat print, up to which a message blames the print's shape
+_MIN_DISPLACED_CORRELATION = 0.5  # of print and photo, above which a marker is whole
+_DISPLACED_PX = 0.7  # px, above which a marker is displaced
+_CREASED_SHARE_IF_DISPLACED = 0.9  # prior probability
+_SHARED_ERROR_FACTOR = 4 / 3  # factor on `PoseLimits.turn` for a sigma with errors of lens and print scale
+_MIN_FLAT_PROBABILITY = 0.5  # up to which a message blames the print's shape
 
-PRINT_SIGMA = 0.0025  # relative size error of an unmeasured print: printers stretch by tenths of a percent
+PRINT_SIGMA = 0.0025  # relative, of an unmeasured print: printers stretch by tenths of a percent
 
 # Limits within which nearly all boards are found. Source: `make bench-fiducials`.
 _MAX_MOTION_PX = 3.0  # px, motion blur
@@ -44,8 +44,8 @@ _MIN_CONTRAST_RATIO = 8.0  # contrast of the print over the noise's sigma
 _MIN_CELL_PX = 0.8  # px, shorter side of a marker cell
 _MIN_GREY_RANGE = 60.0  # grey levels; below, a photo is dark or has low contrast
 _MAX_EDGE_SIGMA = 2.5  # px, sigma of the sharpest edge; above, a photo is blurred
-_SMOOTHING_SIGMA = 1.5  # px, smoothing against noise before edges are measured
-_RANGE_PERCENTILES = (0.5, 99.5)  # of the grey levels, that define a photo's range
+_SMOOTHING_SIGMA = 1.5  # px, against noise before edges are measured
+_RANGE_PERCENTILES = (0.5, 99.5)  # that define a photo's range of grey levels
 
 
 class BoardStatus(StrEnum):
@@ -90,17 +90,17 @@ class BoardDetection:
 
     @property
     def explanation(self) -> str:
-        """Reason and advice, for users; empty for OK."""
+        """Reason and advice, for users."""
         return f"{self.reason}; would help: {', '.join(self.advice)}" if self.advice else self.reason
 
     @property
     def position_sigma(self) -> float | None:
-        """The root sum square of the centre's position sigmas, m."""
+        """Root sum square of the centre's position sigmas, m."""
         return None if self.covariance is None else math.sqrt(float(np.trace(self.covariance[3:, 3:])))
 
     @property
     def own_position_sigma(self) -> float | None:
-        """The position sigma, m, without the errors that all boards share."""
+        """Position sigma, m, without the errors that all boards share."""
         if self.covariance is None or self.shared_errors is None:
             return None
         return math.sqrt(
@@ -109,18 +109,13 @@ class BoardDetection:
 
     @property
     def rotation_sigma(self) -> float | None:
-        """The root sum square of the rotation sigmas, rad."""
+        """Root sum square of the rotation sigmas, rad."""
         return None if self.covariance is None else math.sqrt(float(np.trace(self.covariance[:3, :3])))
 
 
 @dataclass(frozen=True)
 class PoseLimits:
-    """The largest accepted sigmas over all axes, without the errors that all boards of a photo share.
-
-    Attributes:
-        turn: rad. With the shared errors, a third more is accepted.
-        shift: of the centre, m.
-    """
+    """The largest accepted rotation and position sigmas, rad and m, without errors that all boards of a photo share."""
 
     turn: float = math.radians(1.5)
     shift: float = 0.01
@@ -142,14 +137,13 @@ def judge_detection(
 
     Args:
         photo: grey levels (height, width).
-        fit: the pose that explains the photo best.
-        fits: all fitted poses, from different start poses.
+        fit: the best of `fits`, which are from different start poses.
         predicted_poses: approximate poses (4, 4) from other boards, which resolve an ambiguity.
     """
     fit = without_outliers(photo, camera, board, fit)
     rival = find_competing_fit(photo, camera, board, fit, fits, predicted_poses)
     if rival is not None and is_clearly_better(rival, fit):
-        # A flat board allows two poses, and the fit started at the wrong one.
+        # The fit started at the wrong one of a flat board's two poses.
         fit, rival = rival, find_competing_fit(photo, camera, board, rival, [*fits, fit], predicted_poses)
     ids = tuple(sorted(board.ids[k] for k in fit.agreeing))
     rms = marker_shift_rms(fit.alignment.tiles[0])
@@ -201,7 +195,7 @@ def _has_displaced_markers(photo: NDArray[np.float32], camera: CameraModel, boar
 
 
 def marker_shift_rms(tiles: Mapping[int, MarkerTile]) -> float:
-    """Return the rms distance (px) of markers in the photo from rendered ones."""
+    """Return the markers' rms distance (px) from rendered ones."""
     shifts = np.array([tile.shift for tile in tiles.values()])
     return float(np.sqrt((shifts**2).sum(axis=1).mean()))
 
@@ -250,7 +244,7 @@ def measure_appearance(
 
 
 def suggest_improvements(looks: BoardAppearance) -> tuple[str, ...]:
-    """Return advice for better photos; empty if motion, blur, contrast and cell size suffice."""
+    """Return advice for better photos, if any."""
     found = []
     if looks.motion > _MAX_MOTION_PX:
         found.append(f"hold still (it is smeared by {looks.motion:.0f} px)")
@@ -277,7 +271,7 @@ def suggest_photo_improvements(grey: Grey) -> tuple[str, ...]:
 
 
 def _min_blur(grey: Grey, contrast: float) -> float:
-    """Return the approximate sigma (px) of the sharpest edges."""
+    """Return the sharpest edges' approximate sigma (px)."""
     smooth = cv2.GaussianBlur(grey.astype(np.float32), (0, 0), _SMOOTHING_SIGMA)
     across, down = cv2.Scharr(smooth, cv2.CV_32F, 1, 0) / 32, cv2.Scharr(smooth, cv2.CV_32F, 0, 1) / 32
     steepest = float(np.percentile(np.hypot(across, down)[::2, ::2], 99.9))

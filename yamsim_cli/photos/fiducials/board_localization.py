@@ -91,7 +91,7 @@ def locate_boards(
 def _poses_by_other_boards(
     k: int, detections: Sequence[BoardDetection], T_boards_in_ref: Sequence[Array]
 ) -> list[Array]:
-    """Return the k-th board's pose (4, 4) in the camera frame, as each other located board predicts it."""
+    """Return the k-th board's pose (4, 4) in the camera frame, as other boards predict it."""
     if not T_boards_in_ref:
         return []
     return [
@@ -106,9 +106,7 @@ def boards_without_pose(
 ) -> tuple[list[BoardDetection], dict[str, list[DetectedMarker]]]:
     """Return detections without pose for `reason`, and all markers by dictionary.
 
-    Args:
-        grey: the photo (height, width).
-        camera: any focal length suffices to group markers.
+    `grey` is (height, width); any focal length of `camera` suffices to group markers.
     """
     markers = find_markers(grey, sorted({board.dictionary for board in boards}))
     sightings = []
@@ -166,10 +164,9 @@ def with_pose(grey: Grey, camera: CameraModel, seen: BoardDetection, T_board_in_
 def locate_together(
     grey: Grey, camera: CameraModel, detections: Sequence[BoardDetection], T_boards_in_ref: Sequence[Array]
 ) -> list[BoardDetection] | None:
-    """Fit one pose to boards with known relative poses, since boards far apart determine tilt better.
+    """Fit one pose to boards with poses and known relative poses: distant boards determine tilt better.
 
     Args:
-        detections: at least one, each with a pose.
         T_boards_in_ref: poses (4, 4) in a shared frame `ref`.
 
     Returns:

@@ -25,7 +25,7 @@ _MAX_ENLARGEMENT = 3
 _REDUCED_SIDE = 4096
 # The detector suits photos that use all grey levels.
 _STRETCHED_PERCENTILES = (0.1, 99.9)  # stretched to the whole range
-_MIN_UNSTRETCHED_RANGE = 128.0  # grey levels between them, from which a photo is not stretched
+_MIN_UNSTRETCHED_RANGE = 128.0  # grey levels, from which a photo is not stretched
 _MAX_CENTRE_DISTANCE = 0.8  # marker edges, between the board centres that two markers predict
 
 
@@ -53,7 +53,7 @@ def find_markers(grey: Grey, dictionaries: Sequence[str]) -> dict[str, list[Dete
     """
     sized, factor = _resize_for_detector(grey)
     parameters = cv2.aruco.DetectorParameters()
-    # Corners are only start values; refinement would take six times the detection.
+    # Start values only; refinement would take six times the detection.
     parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_NONE
     found = {}
     for name in dictionaries:
@@ -69,7 +69,7 @@ def find_markers(grey: Grey, dictionaries: Sequence[str]) -> dict[str, list[Dete
 
 
 def _resize_for_detector(grey: Grey) -> tuple[Grey, Array]:
-    """Return the photo sized for the detector, and the scale factors (2,) of width and height."""
+    """Return the resized photo, and scale factors (2,) of width and height."""
     longer = max(grey.shape)
     if longer > _REDUCED_SIDE:
         size = tuple(round(side * _REDUCED_SIDE / longer) for side in grey.shape[::-1])

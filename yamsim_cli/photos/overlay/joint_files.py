@@ -135,7 +135,6 @@ def _array(value: object, path: Path) -> Array:
 
 
 def _split_by_arm(values: Array, rig: RigConfig, path: Path) -> list[Array]:
-    """Split rows of all arms' values into an array per arm."""
     rows = np.atleast_2d(values)
     if len(rows) == 0:
         raise ConfigError(f"{path}: holds no row of joints")
@@ -157,7 +156,6 @@ def _padded(rows: Array, width: int) -> Array:
 
 
 def _describe_columns(rig: RigConfig) -> str:
-    """Return text like "14 (left 6, left gripper, right 6, right gripper)"."""
     arms = [rig.arms[k] for k in rig.recording_order]
     parts = []
     for arm in arms:

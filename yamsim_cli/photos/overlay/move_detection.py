@@ -25,11 +25,11 @@ _MIN_TURN = math.radians(0.1)  # rad
 # Minimum pose sigma; identical photos would give zero.
 _NOISE_SHIFT = 5e-5  # m
 _NOISE_TURN = math.radians(0.01)  # rad
-_MAX_EVENT_SPAN = 3  # photos between steps of two boards that count as one event
+_MAX_EVENT_SPAN = 3  # photos between steps of two boards in one event
 _HANDHELD_NOISE_RATIO = 8.0  # scatter of a pose over its sigma in one photo, of a hand-held camera
 _MIN_PHOTOS_PER_STEP = 12  # if several steps have fewer, the camera is hand-held
 
-_MIN_SAMPLES = 4  # photos between steps; with fewer, one outlier dominates the median
+_MIN_SAMPLES = 4  # photos; with fewer, one outlier dominates the median
 # Squared pose difference in variances. Noise exceeds it once in 20 million (chi-squared, 6 degrees of freedom).
 _MIN_STRENGTH = 45.0
 _MAX_SAMPLE_COST = 6.0  # standard deviations a sample counts for, so that one wrong pose is no step
@@ -97,7 +97,7 @@ def describe_move(move: DetectedMove) -> str:
 def find_moves(results: Sequence[RigInPhoto]) -> MoveReport:
     """Return the moves in photos from a camera on a tripod or stand.
 
-    If all boards share a motion, the camera moved; if one moved alone, its base did.
+    A motion that all boards share is the camera's; a motion of one board alone is its base's.
     """
     arms = range(len(results[0].arms)) if results else range(0)
     tracks = [track for k in arms if (track := _track(results, k)) is not None]
@@ -146,7 +146,7 @@ class _BoardTrack:
         return [step for step in _find_steps(self.motions, self._least) if _is_significant(step)]
 
     def step_before(self, photo: int) -> _PoseStep | None:
-        """Return the median pose's change at a photo, however small; None with too few photos around."""
+        """Return the median pose's change at a photo; None with too few photos around."""
         cut = int(np.searchsorted(self.photos, photo))
         edges = [0, *(step.at for step in self.steps if abs(step.at - cut) > _MAX_EVENT_SPAN), len(self.photos)]
         low = max(edge for edge in edges if edge <= cut)
@@ -157,18 +157,18 @@ class _BoardTrack:
 
     @property
     def camera_never_rests(self) -> bool:
-        """Whether the camera moves almost all the time, as in a hand."""
+        """Whether the camera moves almost always, as in a hand."""
         shaken = float(np.median(_noise_of(self.motions, self._least) / self._least))
         steps = len(self.steps)
         return shaken > _HANDHELD_NOISE_RATIO or (steps > 1 and steps * _MIN_PHOTOS_PER_STEP > len(self.photos))
 
     def base(self, motion: Array) -> Array:
-        """Return the base's pose (4, 4) in the camera frame for a board motion (6,)."""
+        """Return the base's pose (4, 4) in the camera frame after a board motion (6,)."""
         turn = rotation_from_vector(motion[:3]) @ self._board[:3, :3]
         return pose(self._board[:3, 3] + motion[3:], turn) @ self._T_base_in_board
 
     def sigma(self, step: _PoseStep) -> tuple[float, float]:
-        """Return the sigmas of the base's shift (m) and rotation (rad) over all axes."""
+        """Return sigmas of the base's shift (m) and rotation (rad)."""
         turn = float(np.linalg.norm(step.sigma[:3]))
         lever = float(np.linalg.norm(self._T_base_in_board[:3, 3]))
         return math.hypot(float(np.linalg.norm(step.sigma[3:])), lever * turn), turn
@@ -202,7 +202,6 @@ def _photo_noise(arm: ArmPose) -> Array:
 
 
 def _relative_motion(T: Array, start: Array) -> Array:
-    """Return the motion (6,): rotation vector, rad, and shift, m, in the parent frame."""
     return np.concatenate([rotation_vector(T[:3, :3] @ start[:3, :3].T), T[:3, 3] - start[:3, 3]])
 
 
@@ -281,7 +280,7 @@ def _move(
 
 
 def _noise_of(series: Array, minimum: Array) -> Array:
-    """Return the noise (d,) of a series (n, d), robust to a few steps."""
+    """Return the noise (d,), robust to a few steps."""
     jumps = np.abs(np.diff(series, axis=0))
     sigma: Array = np.maximum(_SIGMA_PER_MAD * np.median(jumps, axis=0) / np.sqrt(2), minimum)
     return sigma
@@ -303,14 +302,13 @@ def _find_steps(series: Array, minimum: Array) -> list[_PoseStep]:
 
 
 def _step_at(series: Array, at: int, sigma: Array) -> _PoseStep:
-    """Return the step before sample `at` of a series (n, d) with noise `sigma` (d,)."""
     before, after = np.median(series[:at], axis=0), np.median(series[at:], axis=0)
     spread = sigma * np.sqrt(_MEDIAN_VARIANCE_RATIO * (1 / at + 1 / (len(series) - at)))
     return _PoseStep(at, before, after, spread, float(np.sum(((after - before) / spread) ** 2)))
 
 
 def _split(series: Array, start: int) -> list[int]:
-    """Return `start` plus the steps of a series with noise 1, by recursive splits into two levels."""
+    """Return `start` plus the steps, by recursive splits into two levels with noise 1."""
     n = len(series)
     if n < 2 * _MIN_SAMPLES:
         return []

@@ -31,7 +31,7 @@ _MIN_POINTS = 20  # of an outline; fewer do not move a pose
 
 
 def score_outlines(result: RigInPhoto, renderer: ArmRenderer, grey: NDArray[np.uint8]) -> RigInPhoto:
-    """Return the result with median distances (px) of rendered outlines to edges, by arm and overall."""
+    """Return median distances (px) of outlines to edges in the result, by arm and overall."""
     flat_grey = renderer.undistort(grey)
     labels = renderer.flat_labels()
     offsets = {
@@ -53,10 +53,9 @@ def _other_arms_mask(labels: NDArray[np.uint8], k: int) -> NDArray[np.bool_]:
 def refine_poses(
     result: RigInPhoto, renderer: ArmRenderer, postures: ArmPostures, grey: NDArray[np.uint8], together: bool
 ) -> RigInPhoto:
-    """Refine poses by edges of a photo (height, width), with the poses from boards as prior.
+    """Refine poses by edges of a photo (height, width), with poses from boards as prior.
 
-    Args:
-        together: the arms move as one rigid body.
+    With `together`, the arms move as one rigid body.
     """
     flat_grey = renderer.undistort(grey)
     start = result.bases
@@ -84,7 +83,6 @@ def refine_poses(
 def _equations(
     flat: PinholeArms, flat_grey: NDArray[np.uint8], k: int, centre: Array, reach: float
 ) -> EdgeEquations | None:
-    """Return the k-th arm's equations; None if too little is visible."""
     line = mask_outline(flat.labels == k + 1, _other_arms_mask(flat.labels, k))
     if len(line.points) < _MIN_POINTS:
         return None

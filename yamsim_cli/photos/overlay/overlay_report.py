@@ -21,11 +21,7 @@ REPORT_NAME = "overlay.json"
 
 @dataclass
 class OverlayReport:
-    """The results of an overlay run, with the paths of written `files`.
-
-    `failures` names violated limits, `unreadable` photos that could not be read, and `move_report` moves between
-    photos.
-    """
+    """The results of an overlay run: written `files`, violated limits (`failures`), and `unreadable` photos."""
 
     rig: RigConfig
     results: list[RigInPhoto] = field(default_factory=list)
@@ -73,7 +69,7 @@ class OverlayReport:
 
 
 def captions(result: RigInPhoto) -> list[str]:
-    """Return text lines to draw: one per arm, then joints, lens and distance of the arms."""
+    """Return text to draw: a line per arm, then joints, lens and distance of the arms."""
     lines = []
     for arm in result.arms:
         text = f"{arm.name}: {arm.status}"

@@ -55,11 +55,10 @@ class OverlayRequest:
         trust_margin: take the rig's relative arm poses as exact, and fit one rig pose.
         refine: move poses until outlines match the photo's edges.
         opacity: of the rendered arms, 0..1.
-        limits: the largest accepted pose uncertainty of a board.
         video: MP4 file of all pictures, which is replaced.
         frame_period: of the video, s.
-        max_reprojection: largest accepted RMS error of a board's markers, px.
-        min_iou: smallest accepted overlap of rendered and given mask, 0..1.
+        max_reprojection: RMS error of a board's markers, px.
+        min_iou: overlap of rendered and given mask, 0..1.
         fail_if_moved: a move of the camera or a base is a failure.
     """
 
@@ -94,8 +93,8 @@ def photo_jobs(
 
     Args:
         postures: one element for all photos, or one each; None for recorded ones.
-        write_masks: write rendered masks: 0 background, k the k-th arm.
-        mask_images: the robot mask of all photos, or a folder with masks named after the photos.
+        write_masks: 0 background, k the k-th arm.
+        mask_images: the robot mask of all photos, or a folder with masks named after them.
 
     Raises:
         ConfigError: the number of postures does not match the photos.
@@ -119,7 +118,7 @@ def photo_jobs(
 
 
 def _result_names(photos: Sequence[Photo]) -> list[str]:
-    """Return distinct output names: the stem or, for duplicates, with suffix or list position."""
+    """Return distinct names: the stem or, for duplicates, with suffix or list position."""
     stems = [photo.path.stem for photo in photos]
     if len(set(stems)) < len(stems):
         stems = [photo.path.name.replace(".", "_") for photo in photos]

@@ -28,11 +28,11 @@ _MAX_REPROJECTION_PX = 0.5  # px, above which the result has a note
 _MARGIN_TOLERANCE = 0.002  # m, error of the rig's distance between arms, above which the result has a note
 
 # Chi-squared test of whether two prints have the rig's sizes.
-_MARGIN_SIGMA = 0.005  # m, of the arms' real margin
-_POSITION_SIGMA = 0.002  # m, of real arm positions along each axis
-_MIN_EXPLAINED = 25.0  # decrease of chi squared by another print size
-_MAX_UNEXPLAINED = 14.0  # chi squared that remains with another size
-_MIN_SIZE_DIFFERENCE = 0.01  # of reported sizes, relative to the rig
+_MARGIN_SIGMA = 0.005  # m, real margin of the arms from the rig's
+_POSITION_SIGMA = 0.002  # m, real arm positions from the rig's, along each axis
+_MIN_EXPLAINED = 25.0  # of chi squared by another print size
+_MAX_UNEXPLAINED = 14.0  # of chi squared with another print size
+_MIN_SIZE_DIFFERENCE = 0.01  # reported, relative to the rig
 
 
 @dataclass(frozen=True)
@@ -111,7 +111,6 @@ def find_arms(
         lens: with too uncertain a focal length, no board gives a pose.
         trust_margin: take the rig's relative arm poses as exact, and fit one rig pose.
         before: the previous photo's result, for start poses.
-        limits: the largest accepted pose uncertainty of a board.
     """
     boards, camera = [arm.board.board for arm in rig.arms if arm.board], lens.camera
     if lens.focal.reason:
@@ -211,7 +210,6 @@ def _with_other_pose(arm: ArmPose, status: str, T_base_in_cam: Array) -> ArmPose
 
 
 def _recorded(rig: RigConfig, result: RigInPhoto, T_first_base_in_cam: Array) -> RigInPhoto:
-    """Return the result with recorded poses for arms without one."""
     T_world_in_cam = T_first_base_in_cam @ inverse(rig.T_base_in_world(0))
     arms = tuple(
         arm if arm.located else _with_other_pose(arm, RECORDED, T_world_in_cam @ rig.T_base_in_world(k))
@@ -231,7 +229,6 @@ def _inconsistencies(arms: Sequence[ArmPose]) -> tuple[str, ...]:
 
 
 def _with_margin(rig: RigConfig, result: RigInPhoto) -> RigInPhoto:
-    """Return the result with the measured margin, and a note if the rig's differs."""
     if len(result.arms) < 2 or not all(arm.located for arm in result.arms[:2]):
         return result
     one, two = result.arms[:2]
@@ -273,7 +270,6 @@ def _margin_sigma(one: ArmPose, two: ArmPose, direction: Array) -> float:
 
 
 def _pose_by_trusted_margin(rig: RigConfig, result: RigInPhoto, grey: NDArray[np.uint8]) -> RigInPhoto:
-    """Return the result with all arms at one rig pose, fitted to all located boards."""
     seen = dict(_located_boards(result.arms))
     T_boards = [_T_board_in_world(rig, k) for k in seen]
     joint = locate_together(grey, result.lens.camera, list(seen.values()), T_boards)

@@ -16,7 +16,7 @@ from yamsim_cli.core.images.image_files import read_image, to_grey
 from ..fiducials.focal_length.focal_estimate import FocalEstimate, estimate_focal, find_outlines, known_focal
 from .photos import Photo
 
-_MAX_SEARCHED_PHOTOS = 40  # photos, to estimate a focal length
+_MAX_SEARCHED_PHOTOS = 40  # to estimate a focal length
 _SUFFICIENT_PHOTOS = 8  # photos with a board that end the search
 
 
@@ -39,11 +39,9 @@ class PhotoCamera:
 
 
 class PhotoCameras:
-    """Determines cameras; photos of one size from an unknown camera share an estimate.
+    """Determines cameras; photos of one size from an unknown camera share an estimate from `paths`.
 
-    Args:
-        paths: photos that may give the estimate.
-        camera: calibration of all photos; None for the recorded camera or an estimate.
+    `camera` is the calibration of all photos; None for the recorded camera or an estimate.
     """
 
     def __init__(self, rig: RigConfig, paths: Sequence[Path], camera: CameraModel | None) -> None:

@@ -46,7 +46,7 @@ class Photo:
 
 
 def find_photos(paths: Sequence[Path]) -> list[Path]:
-    """Return photos at files and in folders, in order and once each, without earlier outputs in folders.
+    """Return photos in order and once each, without earlier outputs in folders.
 
     Raises:
         ResourceError: a path does not exist, is no PNG or JPEG, or a folder has none.
@@ -69,7 +69,6 @@ def find_photos(paths: Sequence[Path]) -> list[Path]:
 
 
 def _may_be_photo(path: Path) -> bool:
-    """Return whether a file is a photo, and not hidden or an earlier output."""
     written = path.name.endswith((OVERLAY_ENDING, MASK_ENDING))
     return path.suffix.lower() in SUFFIXES and not path.name.startswith(".") and not written and path.is_file()
 
@@ -154,9 +153,7 @@ def _frame_photo(episode: Path, camera: str, path: Path, rig: RigConfig) -> Phot
 def camera_matrix(frame: Mapping[str, Any], key: str, camera: str) -> Array:
     """Return a camera's "intrinsics" (3, 3) or "extrinsics" (4, 4: pose in an arm's base).
 
-    Raises:
-        KeyError: the frame has no such matrix.
-        ValueError: its shape is wrong, or it is not finite.
+    Raises KeyError without a matrix, and ValueError for a wrong shape or infinite values.
     """
     side = {"intrinsics": 3, "extrinsics": 4}[key]
     matrix = np.asarray(frame[key][camera], dtype=np.float64)

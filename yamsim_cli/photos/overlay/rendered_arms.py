@@ -28,8 +28,8 @@ from yamsim_cli.core.scene.compose import compose
 
 from ..lens_distortion import LensWarp
 
-_CAMERA = "photo"  # in the MuJoCo scene
-_HIDDEN_GROUP = 5  # not rendered
+_CAMERA = "photo"
+_HIDDEN_GROUP = 5
 _MAX_SUPERSAMPLED_SIDE = 1400  # px, up to which double resolution smooths edges in any OpenGL
 _MAX_SIDE = 8192  # px, of a rendered picture
 
@@ -96,7 +96,7 @@ class ArmRenderer(Closable):
         self._renderer = SceneRenderer(self._model, size)
 
     def pose(self, T_base_in_cam: Mapping[int, Array], postures: Sequence[ArmPosture]) -> None:
-        """Set base poses (arm index -> (4, 4)), which hides other arms, and all arms' joints."""
+        """Set base poses by arm index, (4, 4), and all arms' joints; other arms are hidden."""
         model, data = self._model, self._data
         for k, (arm, root) in enumerate(zip(self._rig.arms, self._roots, strict=True)):
             own = self._arm_of_geom[:-1] == k + 1

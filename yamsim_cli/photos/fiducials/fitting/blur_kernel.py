@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 Grey = NDArray[np.float32]
 
-_POINTS_PER_PX, _MIN_POINTS = 4, 9  # per px of a motion's length, and at least
+_POINTS_PER_PX, _MIN_POINTS = 4, 9  # sample points per px of a motion, and their minimum
 _BLUR_STEP = 0.03  # share of the blur, step of the numeric derivative
 # Two pixels on each side: with one, derivatives of a sharp picture would be a third too small.
 _DERIVATIVE_KERNEL = np.array([1, -8, 0, 8, -1], np.float32) / 12
@@ -21,11 +21,9 @@ _BORDER = cv2.BORDER_REPLICATE
 
 @dataclass(frozen=True)
 class BlurKernel:
-    """The defocus and motion blur of a picture, px.
+    """Defocus `blur` (sigma of a Gaussian) and uniform `motion` (right, down) of a picture, px.
 
-    Attributes:
-        blur: sigma of a Gaussian.
-        motion: uniform motion (right, down) during the exposure; opposite motions are equivalent.
+    Opposite motions are equivalent.
     """
 
     blur: float
@@ -33,16 +31,16 @@ class BlurKernel:
 
     @property
     def length(self) -> float:
-        """The motion's length, px."""
+        """Length of the motion, px."""
         return math.hypot(*self.motion)
 
     @property
     def radius(self) -> float:
-        """The radius (px) that contains most of a blurred point."""
+        """Radius (px) that contains most of a blurred point."""
         return 1.2 * math.sqrt(self.blur**2 + self.length**2 / 12)
 
     def in_larger_pixels(self, coarser: int) -> BlurKernel:
-        """Return the blur in pixels of a picture reduced by the factor `coarser`."""
+        """Convert to pixels of a picture reduced by the factor `coarser`."""
         return BlurKernel(self.blur / coarser, (self.motion[0] / coarser, self.motion[1] / coarser))
 
     def apply(self, picture: Grey) -> Grey:
@@ -53,7 +51,7 @@ class BlurKernel:
         return np.asarray(blurred, dtype=np.float32)
 
     def motion_derivatives(self, picture: Grey) -> tuple[Grey, Grey]:
-        """Return derivatives (rows, columns) of the blurred picture by motion right and down."""
+        """Return the blurred picture's derivatives (rows, columns) by motion right and down."""
         blurred = cv2.GaussianBlur(picture, (0, 0), self.blur, borderType=_BORDER)
         line = self._line(slope=True)
         across, down = (
@@ -63,13 +61,13 @@ class BlurKernel:
         return across, down
 
     def blur_derivative(self, picture: Grey, blurred: Grey) -> Grey:
-        """Return the derivative (rows, columns[, channels]) of the picture `blurred` by the blur sigma."""
+        """Return the derivative (rows, columns[, channels]) of `blurred` by the blur sigma."""
         more = _BLUR_STEP * self.blur
         by_blur: Grey = (BlurKernel(self.blur + more, self.motion).apply(picture) - blurred) / np.float32(more)
         return by_blur
 
     def _line(self, slope: bool) -> Grey:
-        """Return the kernel (k, k) of the motion; `slope` weights points by their position along it."""
+        """Return the motion's kernel (k, k); `slope` weights points by their position along it."""
         x, y = self.motion
         side = math.ceil(self.length / 2 + 1)
         kernel = np.zeros((2 * side + 1, 2 * side + 1), np.float32)
@@ -85,7 +83,7 @@ class BlurKernel:
         for dx, dy in ((0, 0), (1, 0), (0, 1), (1, 1)):
             share = np.abs(1 - dx - right) * np.abs(1 - dy - below)
             np.add.at(kernel, (row + dy, column + dx), values * share)
-        # The derivative of the sample at -s by the motion is minus the slope there.
+        # The sample at -s changes by minus the slope there.
         return -kernel if slope else kernel
 
 

@@ -18,7 +18,7 @@ from .blur_kernel import BlurKernel, picture_gradients
 from .print_view import PhotoRegion, RenderedPrint, draw_print
 
 _MIN_TILE_PIXELS = 12  # below, a tile (a marker and half its gap) is not compared
-_MIN_SURROUNDINGS_POWER = 1e-4  # sum of a tile's squared pixel shares outside the print; less is ignored
+_MIN_SURROUNDINGS_POWER = 1e-4  # of squared pixel shares outside the print; tiles with less ignore the surroundings
 _MIN_CONTRAST = 1.0  # grey levels; below, a tile shows no print
 
 _HUBER_THRESHOLD = 1.345  # standard deviations, beyond which residuals have less weight (95 % efficiency)
@@ -50,9 +50,9 @@ class PixelDerivatives:
     """Compared pixels and derivatives of the print's brightness there.
 
     Attributes:
-        at: positions on the board (n, 2), m.
+        at: on the board (n, 2), m.
         rays: viewing rays (n, 2).
-        by_ray, by_shift: derivatives (n, 2) by a print shift in ray units, and in px.
+        by_ray, by_shift: (n, 2) by a print shift in ray units, and in px.
     """
 
     at: Array
@@ -101,7 +101,6 @@ def linearize_print(
 def _picture_derivatives(
     sharp: NDArray[np.float32], blurred: NDArray[np.float32], blur: BlurKernel, use: NDArray[np.bool_]
 ) -> tuple[Array, Array, Array]:
-    """Return derivatives at the used pixels by position (n, 2), blur (n,) and motion (n, 2)."""
     slopes = np.stack([slope.ravel()[use] for slope in picture_gradients(blurred)], axis=-1).astype(np.float64)
     by_blur = blur.blur_derivative(sharp, blurred).ravel()[use].astype(np.float64)
     by_motion = np.zeros((len(by_blur), 2))
@@ -113,7 +112,7 @@ def _picture_derivatives(
 def _surroundings_brightness(
     photo: NDArray[np.float32], drawn: NDArray[np.float32], outside_shares: NDArray[np.float32], tile: NDArray[np.int_]
 ) -> Array:
-    """Return the surroundings' brightness (n, sides) in units of the print's contrast."""
+    """Return the surroundings' brightness (n, sides), in print contrasts."""
     order = np.argsort(tile, kind="stable")
     _, starts, which = np.unique(tile[order], return_index=True, return_inverse=True)
     every = np.column_stack([drawn, outside_shares, photo])[order].astype(np.float64)
@@ -137,7 +136,6 @@ def _surroundings_brightness(
 
 
 def _tiles(view: PhotoRegion, drawing: RenderedPrint) -> NDArray[np.int_]:
-    """Return the marker (n,) at each pixel; -1 for none or too few pixels."""
     board, marker = view.piece.board, drawing.marker.copy()
     counts = np.bincount(marker[marker >= 0], minlength=board.rows * board.columns)
     marker[~np.append(counts >= _MIN_TILE_PIXELS, False)[marker]] = -1
@@ -160,7 +158,6 @@ def _project_out_light(
     numbers, starts, which = np.unique(tile[order], return_index=True, return_inverse=True)
 
     def of_tiles(values: Array) -> Array:
-        """Return sums (t, ...) of values (n, ...) over each tile's pixels."""
         return np.add.reduceat(values, starts, axis=0)
 
     # Subtract tile means and surroundings from photo, rendering and derivatives.
@@ -244,14 +241,14 @@ class PrintProblem(LeastSquares[S, NormalEquations]):
 
     @abstractmethod
     def system(self, state: S, noise: float | None) -> NormalEquations | None:
-        """Return the equations at a state; None as `noise` estimates the noise for the weights."""
+        """Return the equations at a state; if `noise` is None, the residuals give the noise for the weights."""
 
     @abstractmethod
     def print_shift_px(self, state: S, step: Array) -> float:
         """Return the approximate print shift in the picture by a step (f,), px."""
 
     def linearize(self, state: S, before: NormalEquations | None) -> NormalEquations | None:
-        """Return the equations at a state, with weights for the noise of the state before."""
+        """Return the equations, with weights for the noise of the state before."""
         if before is None:
             return self.system(state, None)
         found = self.system(state, before.noise)
@@ -269,7 +266,7 @@ class PrintProblem(LeastSquares[S, NormalEquations]):
         return of_noise < sigmas or self.print_shift_px(state, step) < px
 
     def solve(self, start: S) -> tuple[S, NormalEquations] | None:
-        """Return the best state near a start and its equations; None if the photo does not show the print."""
+        """Return the best state near a start; None if the photo does not show the print."""
         return solve_least_squares(self, start, _MAX_STEPS)
 
 

@@ -239,7 +239,6 @@ class _PoseProblem(PrintProblem[_PoseState]):
         return np.column_stack([*turns, by_shift, by_size, *by_lens])
 
     def _shape_columns(self, pixels: PixelDerivatives, piece: PrintPiece, T: Array, larger: float) -> Array:
-        """Return `_columns`, then derivatives (n, m) by each board's shape modes."""
         columns = self._columns(pixels, piece, T, larger)
         along_x, along_y, by_height = (columns[:, 3:6] @ T[:3, :3] @ piece.T_board_in_ref[:3, :3]).T[:, :, None]
         by_x, by_y = placement_modes(piece.board, pixels.at)
@@ -291,7 +290,7 @@ class _PoseProblem(PrintProblem[_PoseState]):
         return _PoseState(pose(at - R @ self._centre, R), kernel, state.log_scale + float(every[_LOG_SCALE]))
 
     def _every(self, step: Array) -> Array:
-        """Return the step of all parameters but the lens; 0 for those not fitted."""
+        """Return all parameters' step without the lens, 0 if not fitted."""
         every = np.zeros(_LENS.start)
         every[list(self._free)] = step
         return every

@@ -29,7 +29,7 @@ _OUTLIER_CORRELATION = 0.9  # above, a marker is no outlier
 _MAX_ROUNDS = 3  # several, because one outlier displaces the pose and hides others
 _MIN_EVIDENCE = 12.0  # difference of log-likelihoods that excludes a competing pose
 _PIXELS_PER_SAMPLE = 4.0  # neighbouring pixels that count as one sample
-_SAME_POSE = math.radians(4.0)  # rad; at smaller angles, two poses are the same
+_SAME_POSE = math.radians(4.0)  # rad; at smaller angles, poses are the same
 _DECIDING_SHARE = 0.25  # of the angle between two poses; a prediction nearer to one selects it
 _MAX_COMPETING_RATIO = 4.0  # of mean squared residuals before the fit; above, a competing fit cannot win
 
@@ -65,7 +65,7 @@ def planar_poses(points: Array, seen: Array) -> list[Array]:
 
 
 def initial_poses(group: MarkerGroup, board: Board, camera: CameraModel) -> list[Array]:
-    """Return a group's poses (4, 4) in front of the camera, by increasing reprojection error."""
+    """Return poses (4, 4) in front of the camera, by increasing reprojection error."""
     points = board.corners()[list(group.places)].reshape(-1, 3)
     pixels = group.corners.reshape(-1, 2)
     count, turns, shifts, _ = cv2.solvePnPGeneric(
@@ -127,7 +127,7 @@ def fit_pose(
 
 
 def without_outliers(photo: NDArray[np.float32], camera: CameraModel, board: Board, fit: PoseFit) -> PoseFit:
-    """Repeat a fit without outliers, such as partly covered markers, which displace the pose."""
+    """Repeat a fit without outliers, which displace the pose, such as partly covered markers."""
     candidates = whole_board_piece(board, fit.agreeing)
     tiles = fit.alignment.tiles[0]
     for _ in range(_MAX_ROUNDS):
@@ -164,8 +164,7 @@ def find_competing_fit(
 ) -> PoseFit | None:
     """Return another pose that explains the same markers nearly as well, if any.
 
-    Args:
-        predicted_poses: approximate poses (4, 4) in the camera frame, from other boards.
+    `predicted_poses` (4, 4) in the camera frame are approximate, from other boards.
     """
     piece = whole_board_piece(board, fit.agreeing)
     corners = board.corners()[list(fit.agreeing)].reshape(-1, 3)
@@ -207,5 +206,5 @@ def is_clearly_better(fit: PoseFit, competing: PoseFit) -> bool:
 
 
 def angle_between(T_a: Array, T_b: Array) -> float:
-    """Return the angle (rad) between two poses' orientations."""
+    """Return the angle (rad) between orientations."""
     return float(np.linalg.norm(rotation_vector(T_a[:3, :3].T @ T_b[:3, :3])))

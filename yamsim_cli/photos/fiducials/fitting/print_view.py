@@ -24,7 +24,7 @@ _SUBSAMPLES = 3  # sample points per pixel along each axis
 _TARGET_PX_PER_CELL = 2.7  # minimum in a reduced photo; finer pictures only cost time
 _MIN_SURROUNDINGS_RADIUS = 0.9  # px, blur radius from which a print's surroundings affect compared pixels
 _MARGIN_PX = 3  # px around the board, by which a fit can move the print
-_MIN_VIEW_PX = 8  # px, smallest side
+_MIN_VIEW_PX = 8  # px, side
 
 
 @dataclass(frozen=True)
@@ -71,13 +71,13 @@ class RenderedPrint:
     """The print as the camera sees it.
 
     Attributes:
-        sharp: without blur (rows, columns), 0 black to 1 white. Unknown surroundings are black, as the border.
+        sharp: (rows, columns) without blur, 0 black to 1 white. Unknown surroundings are black, as the border.
         grey: `sharp` with blur.
-        outside: share (rows, columns, 2) of each pixel beside the print, and above or below. None if little blur mixes
-            it into compared pixels.
+        outside: share (rows, columns, 2) of each pixel left or right of the print, and above or below; None with little
+            blur.
         beside: `outside` with blur.
-        at: position (n, 2) of each pixel on the board, m.
-        marker: index (n,) at each pixel, with half the gap around it; -1 for none.
+        at: (n, 2) on the board, m.
+        marker: marker index (n,) at each pixel, with half the gap around it; -1 for none.
     """
 
     sharp: Grey
@@ -95,7 +95,7 @@ def print_plane(piece: PrintPiece, T_ref_in_cam: Array, larger: float = 1.0) -> 
 
 
 def view_print(photo: Grey, camera: CameraModel, piece: PrintPiece, plane: Array) -> PhotoRegion | None:
-    """Return the region of a photo (height, width) that shows a board in front of the camera; None below 8 px.
+    """Return the part of a photo (height, width) with the board; None if behind the camera or below 8 px.
 
     Args:
         plane: (3, 3) from (x, y, 1) on the board, m, to the camera frame, up to a positive factor.

@@ -33,10 +33,11 @@ from ..fitting.pose_fits import SAME_PRINT
 from ..fitting.print_view import PhotoRegion, PrintPiece, view_print
 from ..markers import MarkerGroup
 
-# px, of a point without noise: the rendering has few sample points per pixel. Source: 350 outlines of random views.
-# With this error and the noise, 95 % of squared distances are within the 95 % normal bound.
+# px, sigma of a point without noise: the rendering has few sample points per pixel. Source: 350 outlines of random
+# views, 95 % of whose squared distances are within the 95 % normal bound.
 _MIN_SIGMA_PX = 0.003
-# Over the noise alone: the print's shape and placement are not marginalized. Source: `python -m tools.bench.intervals`.
+# Sigmas over those from noise alone: the print's shape and placement are not marginalized. Source: `python -m
+# tools.bench.intervals`.
 _INFLATION = 2.0
 _USUAL_BLUR = 0.9  # px, sigma at the start of a fit
 _FITTED = (0, *range(3, 11))  # blur and homography, but not motion
@@ -63,7 +64,7 @@ class BoardOutline:
 def fit_outline(photo: NDArray[np.float32], group: MarkerGroup, board: Board) -> BoardOutline | None:
     """Fit a homography to the print around detected markers in a photo (height, width); None if it is undetermined."""
     height, width = photo.shape
-    # Any focal length will do: the result is in pixels.
+    # Results are in pixels: any focal length will do.
     camera = CameraModel.pinhole(width, height, float(max(width, height)))
     corners = board.corners()[list(group.places)].reshape(-1, 4, 3)[..., :2].reshape(-1, 2)
     plane: Any = cv2.findHomography(corners, viewing_rays(camera, group.corners.reshape(-1, 2)))[0]
@@ -124,7 +125,7 @@ class _PlaneProblem(PrintProblem[_MapState]):
         )
 
     def _by_map(self, state: _MapState, at: Array, seen: Array, by_ray: Array) -> Array:
-        """Return derivatives (n, 8) by the map, from `by_ray` (n, 2) by viewing rays."""
+        """Return derivatives (n, 8) by the map, given `by_ray` (n, 2) by viewing rays."""
         w = np.column_stack([at, np.ones(len(at))]) @ state.plane[2]
         u = np.column_stack([at * self._per_metre, np.ones(len(at))]) / w[:, None]
         along = (by_ray * seen).sum(axis=1, keepdims=True)
@@ -145,7 +146,6 @@ class _PlaneProblem(PrintProblem[_MapState]):
         return seen
 
     def _by_points(self, state: _MapState) -> Array:
-        """Return the derivative (8, 8) of the points, px, by the map."""
         seen, focal = self._rays(state), self._focal
         by = [self._by_map(state, self._on_board, seen, np.tile(axis, (4, 1))) for axis in ([focal, 0], [0, focal])]
         return np.stack(by, axis=1).reshape(8, 8)

@@ -19,9 +19,9 @@ if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
 _MAX_STEPS = 30
-_MIN_GAIN = 1e-3  # of chi squared, relative to 1 + chi squared, below which a fit ends
+_MIN_GAIN = 1e-3  # of chi squared, relative to 1 + chi squared; with less, a fit ends
 _GRID_POINTS = 5  # along each edge of a board, at which distortion is evaluated
-_MIN_AREA = 1e-6  # of a board's picture (longer side squared), below which the view is edge-on
+_MIN_AREA = 1e-6  # of a board's picture (longer side squared); smaller is edge-on
 _MAX_BEND = 3.0  # longer sides, shift by k1 = 1, above which rounding dominates
 _MAX_ROTATION = 0.5  # rad, per step
 
@@ -42,7 +42,6 @@ def fit_board_poses(outline: BoardOutline, size: tuple[int, int], spread: Array)
 
 
 def _starts(on_board: Array, seen: Array, spread: Array) -> list[FocalPoses]:
-    """Return two sets of start poses, each with a pose per focal length."""
     points = np.column_stack([on_board, np.zeros(4)])
     turns, shifts = np.empty((2, len(spread), 3, 3)), np.empty((2, len(spread), 3))
     for k, value in enumerate(spread):
@@ -118,14 +117,14 @@ class BoardPoses:
         # Distortion shifts hardly change during the fit.
         bend = np.linalg.solve(self._whiten, by_lens[..., 2:])[..., 0].reshape(-1, 4, 2).astype(np.float64)
         found = solve_least_squares(_BoardPosesProblem(self, lens, bend), poses, _MAX_STEPS)
-        assert found is not None  # the equations exist at every state
+        assert found is not None
         return found[0]
 
     def _distortion_shifts(self, poses: FocalPoses, at: Array, w: Array) -> Array:
         """Return shifts (n, 4, 2) of the outline points by distortion with k1 = 1.
 
-        The outline is the homography nearest to the board's distorted picture, so distortion on a grid is reduced to
-        its homography part.
+        The outline is the homography nearest to the distorted board, so only that part of the distortion on a grid
+        counts.
         """
         spread = self._spread[:, None]
         on_grid = self._grid @ np.swapaxes(poses.rotations[:, :, :2], 1, 2) * poses.sizes[:, None, None]

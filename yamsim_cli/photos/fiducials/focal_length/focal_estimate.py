@@ -28,7 +28,7 @@ Grey = NDArray[np.uint8]
 
 # Longer sides of the image: from 100 degrees field of view to lenses too long to film robots.
 _FOCAL_RANGE = (0.42, 16.0)
-_NODES, _REFINED_NODES = 57, 33  # focal lengths over the range, and over one valley
+_NODES, _REFINED_NODES = 57, 33  # over the range, and over one valley
 _MAX_VALLEYS = 3  # local minima of chi squared to refine
 _MIN_VALLEY_NODES = 14  # focal lengths within a valley, up to which it is refined
 _MAX_REFINEMENTS = 6  # finer grids in a valley
@@ -38,15 +38,15 @@ _CHI_VALLEY = 16.0  # chi squared above the minimum, within a valley
 # Minimum sigmas, from lens effects outside the model: log focal length, principal point (focal lengths), k1. Source:
 # 120 sets of five photos with distortion; rms focal errors of 0.2 and 0.3 %, of which outlines explain 0.1 %.
 _MIN_SIGMAS = np.array([0.003, 0.0005, 0.0005, 0.002])
-# Of each sigma, added independently: the valley of likely lenses is curved, a covariance straight. Source: outlines of
-# 200 single photos and 70 sets of four, lenses from the prior. 62 and 84 % of squared errors are within the 95 % bounds
-# without this share, 95 and 96 % with it.
+# Share of each sigma that is added independently: the valley of likely lenses is curved, a covariance straight. Source:
+# outlines of 200 single photos and 70 sets of four, lenses from the prior: 62 and 84 % of squared errors are within the
+# 95 % bounds without this share, 95 and 96 % with it.
 _CURVATURE_SHARE = 0.5
 _MAX_INTERVAL_RATIO = 1.5  # of a 95 % interval's ends, above which errors are far from normal
 _MAX_MISFIT_SIGMAS = 3.72  # of chi squared, which 1 in 10,000 consistent sets exceeds
 
 _TYPICAL_FOCAL = 0.5 / math.tan(math.radians(30.0))  # longer sides of the image, 60 degrees field of view
-_TYPICAL_LOG_SIGMA = 0.35  # of the logarithm
+_TYPICAL_LOG_SIGMA = 0.35  # of the typical focal length's logarithm
 
 _NO_BOARD = "no board tells the focal length"
 _ADVICE = "photograph the board from a slant, or give --camera"
@@ -59,7 +59,7 @@ _MAX_LENS_ROUNDS = 25  # steps of the lens, each with refitted poses
 _MAX_IDLE_ROUNDS = 2  # without gain, after which the search ends
 _CHI_RELEVANT = 150.0  # chi squared above the minimum, from which its value is irrelevant
 _MIN_GAIN = 0.03  # of chi squared, up to which a round is idle
-_CHI_IMPOSSIBLE = 1e12  # for an infinite or undefined chi squared
+_CHI_IMPOSSIBLE = 1e12  # stands for infinite or undefined chi squared
 
 
 @dataclass(frozen=True)
@@ -95,15 +95,13 @@ def compute_profile(
         lens = np.column_stack([np.interp(spread, near.spread, near.lens[:, k]) for k in range(3)])
     problem = _LensProblem([fit_board_poses(outline, size, spread) for outline in outlines])
     found = solve_least_squares(problem, problem.start(lens), _MAX_LENS_ROUNDS)
-    assert found is not None  # the evidence exists at every state
+    assert found is not None
     state, known = found
     return FocalProfile(spread, known.cost, state.lens, known.covariance())
 
 
 @dataclass(frozen=True)
 class _LensState:
-    """Principal point shift and k1 (n, 3), and each board's two poses with this lens."""
-
     lens: Array
     poses: tuple[tuple[FocalPoses, ...], ...]
 
@@ -137,13 +135,11 @@ class _LensEquations:
 
     @property
     def cost(self) -> Array:
-        """Chi squared (n,) with the lens prior."""
         cost: Array = self.misfit + (self.lens**2 / _LENS_SIGMAS**2).sum(axis=1)
         return np.where(np.isfinite(cost), cost, _CHI_IMPOSSIBLE)
 
     @property
     def normal(self) -> Array:
-        """Inverse covariance (n, 3, 3) of the lens, with the prior."""
         return np.nan_to_num(self.information) + np.diag(_LENS_SIGMAS**-2.0)
 
     @property
@@ -162,7 +158,7 @@ class _LensProblem(LeastSquares[_LensState, _LensEquations]):
         self._idle = 0
 
     def start(self, lens: Array) -> _LensState:
-        """Return a lens (n, 3) with the boards' poses fitted for it."""
+        """Fit the boards' poses for a lens (n, 3)."""
         return self._through(lens, [[board.first for board in pair] for pair in self._boards])
 
     def _through(self, lens: Array, poses: Sequence[Sequence[FocalPoses]]) -> _LensState:
@@ -170,7 +166,6 @@ class _LensProblem(LeastSquares[_LensState, _LensEquations]):
         return _LensState(lens, tuple(tuple(b.refine(p, lens) for b, p in zip(*pair, strict=True)) for pair in pairs))
 
     def linearize(self, state: _LensState, before: _LensEquations | None) -> _LensEquations:
-        """Return the sum over boards, each at the better of its two poses."""
         taken = []
         for boards, poses in zip(self._boards, state.poses, strict=True):
             one, two = (_LensEquations.from_board(b, p, state.lens) for b, p in zip(boards, poses, strict=True))
@@ -225,7 +220,6 @@ def find_outlines(grey: Grey, boards: Sequence[Board]) -> list[BoardOutline]:
     """Return the outlines of boards in a photo (height, width) from an unknown camera."""
     height, width = grey.shape
     markers = find_markers(grey, sorted({board.dictionary for board in boards}))
-    # Any focal length groups markers.
     camera = CameraModel.pinhole(width, height, float(max(width, height)))
     found, photo = [], None
     for board in boards:
@@ -237,7 +231,7 @@ def find_outlines(grey: Grey, boards: Sequence[Board]) -> list[BoardOutline]:
 
 
 def estimate_focal(outlines: Sequence[BoardOutline], size: tuple[int, int]) -> FocalEstimate:
-    """Estimate the focal length from the outlines in all photos of one camera, of `size` (width, height), px."""
+    """Estimate the focal length from all photos of one camera, of `size` (width, height), px."""
     width, height = size
     usual = CameraModel.pinhole(width, height, _TYPICAL_FOCAL * max(size), _TYPICAL_LOG_SIGMA)
     if not outlines:
@@ -285,7 +279,7 @@ def _refine_profile(
 
 
 def _interval(found: FocalProfile, size: tuple[int, int]) -> tuple[float | None, float | None]:
-    """Return the 95 % interval's ends (px); None beyond the searched range."""
+    """Return ends (px) of the 95 % interval; None beyond the searched range."""
     best = math.log(found.spread[np.argmin(found.misfit)])
     over = found.misfit - found.misfit.min() - _CHI_95
     inside = np.flatnonzero(over <= 0)
@@ -302,7 +296,6 @@ def _interval(found: FocalProfile, size: tuple[int, int]) -> tuple[float | None,
 
 
 def _reason(found: FocalProfile, boards: int, low: float | None, high: float | None) -> str:
-    """Return why an interval is too poor for poses, if so."""
     freedom = 2 * boards - 1
     # Wilson and Hilferty's approximation of chi squared.
     most = freedom * (1 - 2 / (9 * freedom) + _MAX_MISFIT_SIGMAS * math.sqrt(2 / (9 * freedom))) ** 3
@@ -325,9 +318,9 @@ def _camera(found: FocalProfile, size: tuple[int, int]) -> CameraModel:
     focal = max(size) / float(found.spread[best])
     off = -np.log(found.spread / found.spread[best])
     likely = np.exp(-0.5 * (found.misfit - found.misfit[best]))
-    # About the likeliest value, which differs from the mean in an asymmetric valley.
+    # About the likeliest value: the mean differs in an asymmetric valley.
     variance = float((likely * off**2).sum() / likely.sum())
-    # Principal point: from longer sides to focal lengths.
+    # Principal point in focal lengths.
     units = np.array([found.spread[best], found.spread[best], 1.0])
     lens = found.lens * units
     slope = (likely * off) @ (lens - lens[best]) / max(float((likely * off**2).sum()), 1e-30)

@@ -37,7 +37,7 @@ _RANGE_PERCENTILES = (0.5, 99.5)  # of grey levels, that define a photo's range
 _EDGE_THRESHOLDS = ((0.14, 3), (0.18, 3), (0.22, 3), (0.27, 3), (0.34, 3), (0.42, 5))
 _MIN_THICKNESS = 5  # px, of a patch full of edges; a single edge is thinner
 _MIN_AREA = 30  # px^2
-_MIN_CONTOUR = 20  # px, of a patch's contour
+_MIN_CONTOUR = 20  # px
 _MAX_PATCH_SHARE = 0.8  # of a patch's sides over the photo's
 _MIN_HULL_SHARE = 0.78  # of a patch's area over its convex hull's
 _MAX_QUAD_RATIO = 1.3  # of the quadrilateral's area over the hull's
@@ -53,9 +53,9 @@ _MIN_AGREEMENT = 2.5  # standard deviations of random bits
 # Step, px, and agreement after it, standard deviations of random bits. Source: photos from a physically based renderer:
 # without a board, patches reached 4.3 at the end, and boards 7.
 _REFINEMENT_STEPS = ((3.0, 3.5), (1.5, 4.5), (0.75, 5.0))
-_MAX_REFINED = 4  # patches
+_MAX_REFINED = 4
 _MIN_REFINED_AGREEMENT = 1.5  # standard deviations of random bits, to refine a patch
-_ROUNDS_PER_STEP = 3  # over all corners and edges
+_ROUNDS_PER_STEP = 3
 
 
 def dark_quads(grey: Grey, whole: bool) -> list[Array]:
@@ -100,7 +100,6 @@ def edge_quads(grey: Grey) -> list[Array]:
 
 
 def _limit_resolution(max_side: int, grey: Grey) -> tuple[Grey, float]:
-    """Return the reduced photo and the reduction factor."""
     factor = max(1.0, max(grey.shape) / max_side)
     if factor > 1:
         size = tuple(round(side / factor) for side in grey.shape[::-1])
@@ -109,7 +108,6 @@ def _limit_resolution(max_side: int, grey: Grey) -> tuple[Grey, float]:
 
 
 def _enclosed_quads(dark: NDArray[np.bool_]) -> Iterator[Array]:
-    """Yield the corners (4, 2) of each patch that a quadrilateral fits well."""
     contours, nested = cv2.findContours(dark.view(np.uint8), cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
     most = _MAX_PATCH_SHARE * np.array(dark.shape[::-1])
     for k, contour in enumerate(contours):
@@ -127,7 +125,7 @@ def _enclosed_quads(dark: NDArray[np.bool_]) -> Iterator[Array]:
 
 
 def _distinct_quads(quads: list[Array]) -> list[Array]:
-    """Return distinct patches, clockwise from the corner nearest the top left."""
+    """Return distinct quads, clockwise from the corner nearest the top left."""
     kept: list[Array] = []
     for quad in quads:
         signed = cv2.contourArea(quad.astype(np.float32), oriented=True)
@@ -164,7 +162,6 @@ def board_quads(markers: Sequence[Array], board: Board) -> list[Array]:
 
 
 def _grow_grid(seed: int, quads: Array, areas: Array, step: float) -> Grid:
-    """Return the grid around the patch `seed`."""
     middles = quads.mean(axis=1)
     grid, ends, used = {(0, 0): seed}, [(0, 0)], {seed}
     right = (quads[seed, 1] - quads[seed, 0] + quads[seed, 2] - quads[seed, 3]) / 2 * step
@@ -189,7 +186,7 @@ def _grow_grid(seed: int, quads: Array, areas: Array, step: float) -> Grid:
 
 
 def _board_corners(grid: Grid, quads: Array, board: Board) -> Iterator[Array]:
-    """Yield the outer corners for each part of the board that the grid may show."""
+    """Yield outer corners for each part of the board that the grid may show."""
     places = np.array(list(grid))
     low, high = places.min(axis=0), places.max(axis=0)
     size = high - low + 1
@@ -216,7 +213,6 @@ def _board_corners(grid: Grid, quads: Array, board: Board) -> Iterator[Array]:
 
 
 def _align_corner_order(quads: Array, first: Array) -> Array:
-    """Return patches (n, 4, 2) with corners ordered as in `first` (4, 2)."""
     wanted = first - first.mean(axis=0)
     turned = np.stack([np.roll(quads, turn, axis=1) for turn in range(4)])
     own = turned - turned.mean(axis=2, keepdims=True)
@@ -247,21 +243,21 @@ class BoardCandidate:
 def candidates(
     grey: Grey, board: Board, quads: Sequence[Array], minimum: float = _MIN_AGREEMENT
 ) -> list[BoardCandidate]:
-    """Return oriented patches whose bits agree with a board by `minimum`, best first."""
+    """Return oriented patches that agree with a board by `minimum`, best first."""
     turned = [np.roll(quad, turn, axis=0) for quad in quads for turn in range(4)]
     found = [BoardCandidate(corners, _agreement(grey, board, corners)) for corners in turned]
     return sorted((one for one in found if one.agreement > minimum), key=lambda one: -one.agreement)
 
 
 def refine_candidates(grey: Grey, board: Board, quads: Sequence[Array]) -> list[BoardCandidate]:
-    """Return patches that may be a board, best first, with corners moved to the best agreement."""
+    """Return patches with corners moved to the best agreement, best first."""
     rough = candidates(grey, board, quads, _MIN_REFINED_AGREEMENT)[:_MAX_REFINED]
     found = [moved for candidate in rough if (moved := _refine_quad(grey, board, candidate)) is not None]
     return sorted(found, key=lambda one: -one.agreement)
 
 
 def _refine_quad(grey: Grey, board: Board, candidate: BoardCandidate) -> BoardCandidate | None:
-    """Move corners and edges one by one while agreement grows; None if it stays too low."""
+    """Move corners and edges while agreement grows; None if it stays too low."""
     for step, least in _REFINEMENT_STEPS:
         for _ in range(_ROUNDS_PER_STEP):
             before = candidate.agreement
@@ -278,7 +274,6 @@ def _refine_quad(grey: Grey, board: Board, candidate: BoardCandidate) -> BoardCa
 
 @functools.lru_cache(maxsize=1)
 def _corner_moves() -> Array:
-    """Return moves (n, 4, 2) of corners and edges by 1 px in four directions."""
     moves = []
     for corner in range(4):
         for along in np.array([[1, 0], [-1, 0], [0, 1], [0, -1]]):
@@ -293,7 +288,7 @@ _UNIT_SQUARE = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], np.float32)
 
 
 def _agreement(grey: Grey, board: Board, corners: Array) -> float:
-    """Return the correlation of a patch's bits with a board's, with equal weight per marker."""
+    """Return the correlation of bits, with equal weight per marker."""
     at, size = _bit_points(board)
     flat = cv2.getPerspectiveTransform(_UNIT_SQUARE, corners.astype(np.float32))
     seen = np.asarray(cv2.perspectiveTransform(at[None], flat), dtype=np.float32)

@@ -98,7 +98,7 @@ class BoardRecognizer:
 
         Args:
             predicted_poses: approximate poses (4, 4) in the camera frame, from other boards.
-            before: the pose (4, 4) in the previous photo, or empty.
+            before: poses (4, 4) in the previous photo.
             anywhere: search the whole photo besides.
         """
         board, fits = seen.board, list[PoseFit]()
@@ -127,7 +127,6 @@ class BoardRecognizer:
         yield refine_candidates(self._grey, board, self._edge_patches)
 
     def _advice(self, board: Board) -> tuple[str, ...]:
-        """Return advice from the board's likeliest fit."""
         if self._likeliest is not None and self._likeliest[0] < _MAX_BOARD_LOG_CHANCE:
             found = suggest_improvements(measure_appearance(board, self._camera, self._photo, self._likeliest[1]))
             if found:
@@ -139,7 +138,6 @@ class BoardRecognizer:
         return float(np.linalg.norm(at[0] - at[1]))
 
     def _starts(self, board: Board, candidate: BoardCandidate) -> list[Array]:
-        """Return the poses (4, 4) that a patch's corners allow, the likelier first."""
         poses = planar_poses(board.outer_corners(), viewing_rays(self._camera, candidate.corners))
         return [T for T in poses if np.isfinite(T).all() and faces_camera(T)]
 
@@ -157,7 +155,6 @@ class BoardRecognizer:
         whole = whole_board_piece(board)
         found = self._recognized(whole, T)
         if found is not None and not _is_explained(found[0]) and found[1].log_chance < _MAX_RETRIED_LOG_CHANCE:
-            # A better pose gives a better blur.
             again = self._recognized(whole, found[0].T_ref_in_cam, found[0].blur)
             if again is not None and again[1].log_chance < found[1].log_chance:
                 found = again
@@ -185,7 +182,7 @@ class BoardRecognizer:
     def _recognized(
         self, piece: PrintPiece, T: Array, tried: BlurKernel | None = None
     ) -> tuple[Alignment, BitEvidence] | None:
-        """Align a piece from a pose and an estimated blur; None if that blur resembles `tried`, an earlier one."""
+        """Align a piece with an estimated blur; None if that resembles the earlier blur `tried`."""
         view, plane = self._view(piece, T)
         kernel = None if view is None else estimate_blur(view, plane)
         if kernel is None or (tried is not None and abs(kernel.length - tried.length) < _SAME_MOTION):
@@ -197,7 +194,7 @@ class BoardRecognizer:
         return None if view is None else (fit, measure_evidence(view, plane, fit.blur, fit.noise))
 
     def _shift_to_match(self, board: Board, T: Array) -> Array | None:
-        """Shift a pose along the image plane to the print's best match; None if the board faces away."""
+        """Shift a pose along the image plane to the best match; None if the board faces away."""
         if not faces_camera(T):
             return None
         corners = project_points(self._camera, board.outer_corners() @ T[:3, :3].T + T[:3, 3])

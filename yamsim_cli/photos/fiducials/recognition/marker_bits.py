@@ -20,7 +20,7 @@ from yamsim_cli.core.images.board_image import marker_cells
 from ..fitting.blur_kernel import BlurKernel
 from ..fitting.print_view import PhotoRegion, RenderedPrint, draw_print, fine_board_points
 
-_MIN_PIXELS = 12  # of a marker, below which bits are not estimated
+_MIN_PIXELS = 12  # of a marker; with fewer, bits are not estimated
 
 
 @dataclass(frozen=True)
@@ -107,7 +107,6 @@ def _estimated(
     bits: Array,
     noise: float,
 ) -> Array | None:
-    """Return a marker's estimated bits (k,) of norm 1; None if it is not visible."""
     rows, columns = view.photo.shape
     use = (drawing.marker == marker).reshape(rows, columns)
     count, fine = len(bits), cells.shape[0] // rows
@@ -121,7 +120,7 @@ def _estimated(
     fine_part = np.s_[top * fine : (bottom + 1) * fine, left * fine : (right + 1) * fine]
     which, points = cells[fine_part] - marker * count, mine[fine_part]
     y, x = (at // fine for at in np.nonzero(points))
-    # The share of each pixel that each bit covers.
+    # Share of each pixel that each bit covers.
     share = np.bincount((y * wide + x) * count + which[points], minlength=high * wide * count).astype(np.float32)
     blurred = blur.apply(share.reshape(high, wide, count) / fine**2)
     inside = use[part]
@@ -135,7 +134,7 @@ def _estimated(
         light += [*drawing.beside[part][inside].T]
     q, _ = np.linalg.qr(np.column_stack(light))
     by_bit, photo = by_bit - q @ (q.T @ by_bit), photo - q @ (q.T @ photo)
-    # The bits' prior variance is the signal's, so noise is not amplified.
+    # The bits' prior variance is the signal's: noise is not amplified.
     strength = max(float(photo @ photo) / max(float((by_bit**2).sum()), 1e-9), 1e-9)
     normal = by_bit.T @ by_bit + noise**2 / strength * np.eye(count)
     found = np.linalg.solve(normal, by_bit.T @ photo)
