@@ -34,7 +34,7 @@ def merged_surface(surfaces: tuple[Surface, ...]) -> tuple[Array, Faces]:
 def simplified_mesh(
     body: tuple[Array, Faces], counts: Iterable[int], limit_mm: float, *, closed: bool = False
 ) -> tuple[Array, Faces] | None:
-    """Reduce a surface (m) to the first of `counts` triangles, the smallest first, within `limit_mm`; None if none is."""
+    """Reduce a surface (m) to the first of `counts` triangles that keeps within `limit_mm`; None if none does."""
     source = body[0] * _MM_PER_M, body[1]
     for count in counts:
         if count >= len(body[1]):

@@ -14,26 +14,26 @@ from yamsim_cli.core.scene.compilation import physics_failure
 from yamsim_cli.core.scene.compiled import ArmAddresses, CompiledScene
 
 _CHECK_STEPS = 200  # physics steps between checks for a breakdown
-_START_SECONDS = 0.2  # s of errors that select one of several initial states
-_MIN_IMPROVEMENT = 2.0  # factor by which another initial state must reduce the error of a start at rest
-_SLOPE_SAMPLES = 6  # for the initial velocity
+_START_SECONDS = 0.2  # s of the errors that select the initial state
+_MIN_IMPROVEMENT = 2.0  # in the error of a start at rest, by another initial state
+_SLOPE_SAMPLES = 6  # samples for the initial velocity
 
 
 def simulate_commands(scene: CompiledScene, motion: RecordedMotion) -> RecordedMotion:
-    """Simulate the scene's arms under a motion's commands, from the first measured joints on.
+    """Simulate the scene's arms under a motion's commands.
 
     A step uses the mean command during the step, so that a command between steps gives the same impulse. Equal steps
-    make a simulated recording's commands reproduce it. The arms start at the measured joints, because friction lets a
-    joint rest some milliradians beside its command. They start at rest, or with the measured velocity if that fits the
-    first 0.2 s much better. Until the first delayed command acts, drives follow it, or hold the start if that fits much
-    better.
+    make a simulated recording's commands reproduce it. The arms start at the first measured joints, because friction
+    lets a joint rest some milliradians beside its command. They start at rest, or with the measured velocity if that
+    fits the first 0.2 s much better. Before the first delayed command acts, drives already follow it, or hold the start
+    if that fits much better.
 
     Args:
         scene: from `scene.build.build_rig_scene`, simulated with its own timestep.
         motion: with commands. Uncommanded fingers follow the measured openings.
 
     Returns:
-        The same samples as encoder readings without noise and quantization. The same inputs give the same bits.
+        Encoder readings without noise and quantization at the same samples. The same inputs give the same bits.
 
     Raises:
         DatasetError: the motion has no commands, or its arms differ from the scene's.
@@ -116,7 +116,7 @@ def _run(
 
 
 def _controls(scene: CompiledScene, motion: RecordedMotion) -> Array:
-    """Return MuJoCo's controls (n, nu), one row per step."""
+    """Return MuJoCo's controls (n, nu) per step."""
     timestep = float(scene.model.opt.timestep)
     # Rounding may put a sample just after a step.
     steps = int(np.ceil(motion.duration / timestep - 1e-6))
@@ -164,7 +164,6 @@ def _first_known(rows: Array) -> Array:
 
 
 def _commanded_openings(arm: ArmAddresses, logged: ArmMotion) -> Array:
-    """Return commanded, else measured openings (n,), m; closed if neither was recorded."""
     assert arm.fingers is not None, "asked of arms with fingers"
     closed = np.full((len(logged.joints), 1), arm.fingers.opening_limits[0])
     for openings in (logged.commanded_openings, logged.openings):
@@ -176,7 +175,6 @@ def _commanded_openings(arm: ArmAddresses, logged: ArmMotion) -> Array:
 
 
 def _start(scene: CompiledScene, motion: RecordedMotion) -> Array:
-    """Return MuJoCo's positions (nq,) at the first measured joints and openings."""
     qpos: Array = scene.model.qpos0.copy()
     for arm, logged in zip(scene.arms, motion.arms, strict=True):
         qpos[arm.joint_qpos] = _first_known(logged.joints) - arm.encoder_offset
@@ -190,7 +188,6 @@ def _start(scene: CompiledScene, motion: RecordedMotion) -> Array:
 
 
 def _speeds(scene: CompiledScene, motion: RecordedMotion) -> Array:
-    """Return MuJoCo's initial velocities (nv,), measured or estimated."""
     speeds = np.zeros(scene.model.nv)
     for arm, logged in zip(scene.arms, motion.arms, strict=True):
         if logged.velocities is not None and np.isfinite(logged.velocities[0]).all():
@@ -204,7 +201,7 @@ def _speeds(scene: CompiledScene, motion: RecordedMotion) -> Array:
 
 
 def _start_error(scene: CompiledScene, motion: RecordedMotion, run: _SimulatedRun, first: int) -> float:
-    """Return the RMS joint error, rad, over the first `first` samples."""
+    """Return the RMS joint error, rad, of the first `first` samples."""
     times = motion.times[:first]
     off = [
         _delayed_rows(arm, run, run.qpos[:, arm.joint_qpos], times) + arm.encoder_offset - logged.joints[:first]

@@ -25,7 +25,7 @@ from .joint_curves import (
     smooth_curves,
 )
 
-_MIN_SAMPLES = 10  # measured, for a gap
+_MIN_SAMPLES = 10
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ class ErrorStats:
 
 @dataclass(frozen=True)
 class TrackingFigures:
-    """How a joint follows a reference curve; None if the motion does not determine a figure.
+    """How a joint follows a reference curve; None if undetermined.
 
     Attributes:
         delay: after the reference, s.
@@ -104,7 +104,7 @@ class WorstError:
     """The largest error of any joint.
 
     Attributes:
-        frame: the sample's number from 0: an episode's frame, or a file's row.
+        frame: number of an episode's frame, or of a file's row, from 0.
         time: s after the first sample.
         arm: `left`, `right` or empty.
         error: measured minus simulated, rad.
@@ -183,7 +183,7 @@ def measure_gap(scene: CompiledScene, motion: RecordedMotion, begin: float = 0.0
 def _joint_gaps(
     scene: CompiledScene, arm: ArmAddresses, real: ArmMotion, made: ArmMotion, times: Array, counted: NDArray[np.bool_]
 ) -> tuple[list[JointGap], NDArray[np.int8]]:
-    """Return an arm's joint gaps, and phases (n, dof) of compared samples, as indices of `PHASES`."""
+    """Return an arm's gaps, and phases (n, dof) of compared samples, as indices of `PHASES`."""
     assert real.commands is not None, "the simulation followed them"
     at, errors = times[counted], (real.joints - made.joints)[counted]
     # The command curve also uses commands between measured samples.
@@ -225,7 +225,6 @@ def _joint_name(scene: CompiledScene, arm: ArmAddresses, k: int) -> str:
 
 
 def _by_phase(errors: Array, labels: NDArray[np.int8]) -> dict[str, ErrorStats]:
-    """`labels` (n,) has each error's index of `PHASES`."""
     masks = {str(phase): labels == number for number, phase in enumerate(PHASES)}
     return {name: ErrorStats.from_errors(errors[mask]) for name, mask in masks.items() if mask.any()}
 

@@ -23,7 +23,7 @@ from yamsim_cli.core.markup import (
 from yamsim_cli.core.plots import Values, plot_curves
 
 _UNKNOWN = "\N{EM DASH}"  # figures that the recordings do not determine
-_MIN_ERROR_SPAN = 0.2  # mrad, vertical axis of an error plot
+_MIN_ERROR_SPAN = 0.2  # mrad
 
 
 @dataclass(frozen=True)

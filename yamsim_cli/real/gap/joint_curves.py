@@ -11,15 +11,15 @@ from numpy.typing import NDArray
 
 from yamsim_cli.core.geometry.se3 import Array
 
-STEP = 0.002  # s, of the grid
+STEP = 0.002  # s
 _MIN_WINDOW, _MIN_SAMPLES = 0.12, 4  # s and samples of a parabola whose slope is a speed
 
-_MIN_DELAY, _MAX_DELAY = -0.1, 0.5  # s; a delay at either end is rejected
+_MIN_DELAY, _MAX_DELAY = -0.1, 0.5  # s; delays at either end are rejected
 _MIN_CORRELATION = 0.5  # of speeds; below, no delay is determined
 _MIN_SPEED = 0.02  # RMS, rad/s or m/s; below, no delay is determined
 
 _STILL_SPEED = 0.02  # rad/s; slower joints are still
-_CRUISING_RATE = 1.0  # 1/s; a cruising joint's speed changes by a smaller share per s
+_CRUISING_RATE = 1.0  # 1/s; a cruising joint's speed changes by less than this share per s
 _SETTLING = 0.3  # s of stillness before a joint is at rest
 # A command stops if it moves _MIN_MOVE (rad) within _MOVE_SECONDS (s), then stays _MIN_HOLD (s).
 _MIN_MOVE, _MOVE_SECONDS, _MIN_HOLD = 0.02, 0.3, 0.3
@@ -65,7 +65,6 @@ def smooth_curves(times: Array, values: Array, *, steps: bool = False, like: Arr
 
 
 def _derivatives(rows: Array, half: int) -> tuple[Array, Array]:
-    """Return derivatives (n, k) of the best parabolas over `half` rows to either side."""
     offsets = np.arange(-half, half + 1) * STEP
     _, slope, bend = np.linalg.pinv(np.vander(offsets, 3, increasing=True))
     # Beyond an end, the curve is turned by half a turn, which keeps the slope.
@@ -83,10 +82,7 @@ def _derivatives(rows: Array, half: int) -> tuple[Array, Array]:
 def estimate_delay(first: SmoothCurves, second: SmoothCurves, columns: slice | int) -> float | None:
     """Return the delay of the second motion after the first, s, by cross-correlation of speeds.
 
-    Offsets and gains do not matter. None if a motion is too slow or the correlation too low.
-
-    Args:
-        columns: of the values, such as one joint's.
+    `columns` are joints. Offsets and gains do not matter. None if a motion is too slow or the correlation too low.
     """
     one, other = (np.atleast_2d(curves.speeds.T[columns]) for curves in (first, second))
     if min(np.sqrt(np.mean(one**2)), np.sqrt(np.mean(other**2))) < _MIN_SPEED:
@@ -150,11 +146,9 @@ def joints_at_rest(measured: SmoothCurves, commanded: SmoothCurves) -> NDArray[n
 
 @dataclass(frozen=True)
 class CommandStop:
-    """The span after a joint's command has stopped.
+    """The span after a joint's command has stopped: grid indices for the overshoot, `end` exclusive.
 
-    Attributes:
-        begin, end: grid indices for the overshoot, `end` exclusive.
-        direction: 1 if the command came from below, -1 from above.
+    `direction` is 1 if the command came from below, -1 from above.
     """
 
     begin: int
@@ -181,7 +175,7 @@ def find_command_stops(commanded: SmoothCurves, joint: int) -> Iterator[CommandS
 
 
 def overshoot(values: Array, stop: CommandStop) -> float:
-    """Return the largest overshoot, at least 0, of values (n,) beyond their value at rest after a stop."""
+    """Return the largest overshoot, at least 0, of values (n,) beyond their rest after a stop."""
     watched = values[stop.begin : stop.end]
     rest = float(np.mean(watched[-max(1, round(_END / STEP)) :]))
     return max(0.0, float(np.max(stop.direction * (watched - rest))))

@@ -41,8 +41,8 @@ def mean_interval95(values: Sequence[float]) -> tuple[float, float] | None:
 def build_report(gaps: Sequence[MotionGap], rig: str) -> dict[str, Any]:
     """Return the gap as JSON data: means over recordings of the same arms, the worst error, and each recording.
 
-    Of the largest errors, the maximum is given. Figures that no recording has are null. `intervals` has 95 % intervals
-    of means over two or more recordings. Errors are measured minus simulated, rad and mm.
+    Largest errors are maxima, and figures of no recording null. `intervals` has 95 % intervals of means over two or
+    more recordings. Errors are measured minus simulated, rad and mm.
     """
     worst = max(gaps, key=lambda gap: abs(gap.worst.error))
     return {
@@ -165,12 +165,11 @@ def _worst(worst: WorstError) -> dict[str, Any]:
 def write_gap_page(
     report: Mapping[str, Any], gaps: Sequence[MotionGap], pictures: Sequence[CaptionedJpeg], path: Path
 ) -> None:
-    """Write the HTML page on a gap, with curves of the recording with the worst error.
+    """Write the HTML page on a gap to `path`, replacing a file, with curves of the recording with the worst error.
 
     Args:
         report: result of `build_report` from `gaps`.
         pictures: the worst first.
-        path: an existing file is replaced.
 
     Raises:
         ResourceError: the file cannot be written.

@@ -27,25 +27,23 @@ _DELAY = 0.0006  # s, a controller's timestep
 _FRICTION, _DAMPING, _ARMATURE = 0.03, 0.02, 0.05  # of the value: real friction may obey another law
 _FRICTION_AS_INERTIA = 0.05  # of friction torque that another law would show as inertia
 _OFFSET = 0.0004  # rad, an encoder's resolution
-_GRAVITY = 0.003  # of the gravity factor
+_GRAVITY = 0.003
 _DETERMINED_SHARE = 0.7  # of the prior's interval; a determined parameter's is narrower
 # Of the value; an identification with wider intervals is refused.
 _MAX_HALF_WIDTHS = {"friction": 0.5, "damping": 0.6}
 
 # s, block of the logs with correlated errors: friction holds a joint beside its target until it reverses.
 _BLOCK = 2.5
-_MIN_BLOCKS = 6  # of the logs
+_MIN_BLOCKS = 6
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """A parameter's value and its 95 % interval.
+    """A parameter's value, in the unit of its name, and 95 % interval.
 
     Attributes:
         joint: empty for the whole arm.
         name: with unit, such as `friction_nm`; a value of `NAMES`.
-        value: in the unit of its name.
-        low, high: of the 95 % interval.
         model_value: before the identification.
         is_determined: by the logs.
     """
@@ -70,7 +68,7 @@ class Estimate:
 
 
 def estimate_parameters(plant: ParametricArm, fitted: FitResult) -> list[Estimate]:
-    """Return estimates of the fitted parameters in `NAMES`, the delay first, then joint by joint."""
+    """Return estimates of the fitted parameters in `NAMES`, the delay first, then by joint."""
     found = []
     for parameter, half in zip(fitted.parameters, half_widths(fitted), strict=True):
         if parameter.name not in NAMES:
@@ -162,8 +160,7 @@ def require_determined(plant: ParametricArm, found: list[Estimate], name: str) -
 def describe_undetermined(found: list[Estimate], gripper: bool) -> list[str]:
     """Return a sentence per quantity that these logs, or any such logs, do not determine.
 
-    Args:
-        gripper: the logs hold the gripper's opening, or the arm has none.
+    `gripper`: the logs hold its opening, or the arm has none.
     """
     lines = [
         f"{each.joint or 'the arm'}: {each.name} stays near the model's {each.model_value:.3g}: the log holds it to "

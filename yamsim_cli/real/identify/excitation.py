@@ -26,26 +26,26 @@ from ..recordings.csv_file import TIME, csv_columns, encode_csv
 from .plant_model import ParametricArm
 
 _RATE = 100  # commands per s
-_MAX_SPEED, _MAX_TORQUE = 0.5, 0.5  # shares of the motors' maxima in a motion
+_MAX_SPEED, _MAX_TORQUE = 0.5, 0.5  # of the motors' maxima
 _MAX_TRIES = 20  # motions, each in a smaller joint range
 
 # Sum of sines per joint: number, lowest frequency, and range of the highest, Hz.
 _SINES, _MIN_FREQUENCY, _HIGHEST_FREQUENCY = 8, 0.1, (2.0, 5.0)
 _FREQUENCY_PER_TURN = 2.0  # highest frequency, Hz, per turn/s of the motor's maximum speed
-# Amplitude is frequency ** -exponent, for the slowest and the fastest joints. The fastest have small inertias, which
+# Amplitude is frequency ** -exponent, of the slowest and the fastest joints: the fastest have small inertias, which
 # only fast sines excite.
 _AMPLITUDE_EXPONENTS = (0.8, 0.4)
 # s, a cycle of the motion, and its share of sines. Slow sweeps fill the rest, so that each third of the motion has
 # both: identification fits two thirds and tests on the last.
 _CYCLE, _SINE_SHARE = 20.0, 0.6
-_SWEEP_SPEEDS, _SWEEP_REST = (0.05, 0.5), 0.4  # rad/s, of slow sweeps, and s after each
-_RAMP = 2.0  # s, in which the sines' amplitude rises, and falls again
+_SWEEP_SPEEDS, _SWEEP_REST = (0.05, 0.5), 0.4  # rad/s, and s after each sweep
+_RAMP = 2.0  # s, rise and fall of the sines' amplitude
 
 # m, to table and other arms, and between parts of the arm: small, because collision boxes are larger than the parts.
 _DISTANCE, _SELF_DISTANCE = 0.03, 0.003
 _JOINT_MARGIN = 0.15  # rad, to the joint limits
 _MAX_HALF_RANGE, _MIN_HALF_RANGE = 0.9, 0.2  # rad, to either side
-_MIDDLES, _SAMPLES = 60, 60  # postures tried as the middle, and checked around each
+_MIDDLES, _SAMPLES = 60, 60  # postures tried as the middle, and around each
 _SHRINK_FACTOR = 0.85  # of a joint range with a collision
 
 
@@ -116,10 +116,7 @@ def commands_csv(rig: RigConfig, number: int, found: Excitation) -> bytes:
 
 
 def log_csv(rig: RigConfig, number: int, found: Excitation, surroundings: SceneConfig, locations: Locations) -> bytes:
-    """Simulate a motion and return commands and encoder readings of all arms as CSV.
-
-    Other arms stay at home; readings have no noise and quantization.
-    """
+    """Simulate a motion; return commands and encoder readings of all arms as CSV, without noise and quantization."""
     commands, arms = _commands(rig, number, found), []
     for rows, k in zip(commands, rig.recording_order, strict=True):
         arm, dof = rig.arms[k], rig.arms[k].robot.dof
@@ -138,7 +135,7 @@ def log_csv(rig: RigConfig, number: int, found: Excitation, surroundings: SceneC
 
 
 def _commands(rig: RigConfig, number: int, found: Excitation) -> list[Array]:
-    """Return commands (n, drives) per arm in `rig.recording_order`: joints, rad, and opening, m."""
+    """Return commands (n, drives) per arm in `rig.recording_order`, rad and m."""
     count, arms = len(found.times), []
     for k in rig.recording_order:
         robot = rig.arms[k].robot
@@ -150,11 +147,9 @@ def _commands(rig: RigConfig, number: int, found: Excitation) -> list[Array]:
 
 
 def _normalized_trajectory(times: Array, half: float, motor: float, rng: np.random.Generator) -> Array:
-    """Return a joint's position in its range over time (n,), -1..1, from 0 to 0.
+    """Return a joint's position in its range (n,), -1..1, which starts and ends at 0.
 
-    Args:
-        half: half range, rad.
-        motor: largest speed, rad/s.
+    `half` is the half range, rad, and `motor` the largest speed, rad/s.
     """
     fastest = float(np.clip(_FREQUENCY_PER_TURN * motor / (2 * np.pi), *_HIGHEST_FREQUENCY))
     cycles = max(1, round(times[-1] / _CYCLE))
@@ -173,7 +168,6 @@ def _normalized_trajectory(times: Array, half: float, motor: float, rng: np.rand
 
 
 def _sines(times: Array, fastest: float, rng: np.random.Generator) -> Array:
-    """Return a sum of sines (n,), -1..1, with random frequencies and phases."""
     edges = np.geomspace(_MIN_FREQUENCY, fastest, _SINES + 1)
     frequencies = rng.uniform(edges[:-1], edges[1:])
     sizes = frequencies ** -np.interp(fastest, _HIGHEST_FREQUENCY, _AMPLITUDE_EXPONENTS)
@@ -183,10 +177,7 @@ def _sines(times: Array, fastest: float, rng: np.random.Generator) -> Array:
 
 
 def _slow_sweeps(start: float, end: float, half: float, rng: np.random.Generator) -> Callable[[Array], Array]:
-    """Return times (n,), s, -> positions (n,), -1..1, that sweep slowly to both sides in turn.
-
-    The joint rests after each sweep, and is at 0 at `start` and `end`.
-    """
+    """Return times (n,), s, -> positions (n,), -1..1, that sweep slowly to both sides, from 0 to 0."""
     knots, places, now, side = [start], [0.0], start, float(rng.choice([-1, 1]))
     while True:
         place, speed = side * rng.uniform(0.3, 1.0), np.exp(rng.uniform(*np.log(_SWEEP_SPEEDS)))
@@ -218,7 +209,7 @@ def _smooth(share: Array) -> Array:
 
 
 def _torques(plant: ParametricArm, times: Array, joints: Array) -> Array:
-    """Return the drive torques (n, dof), N m, of a motion."""
+    """Return drive torques (n, dof), N m."""
     data, found = mujoco.MjData(plant.model), np.empty(joints.shape)
     speeds = np.gradient(joints, times, axis=0)
     accelerations = np.gradient(speeds, times, axis=0)
@@ -255,7 +246,7 @@ class CollisionSpace:
         self._range, self._name = arm.robot.joint_range, arm.name
 
     def is_colliding(self, joints: Array) -> bool:
-        """Whether joints (dof,), rad, are too near to the table, another arm or the arm itself."""
+        """Whether joints (dof,), rad, are too near."""
         self._data.qpos[self._qpos] = joints
         mujoco.mj_kinematics(self._model, self._data)
         mujoco.mj_collision(self._model, self._data)

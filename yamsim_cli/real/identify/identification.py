@@ -20,7 +20,7 @@ from .parameter_fit import all_parameters, compared_samples, fit_parameters
 from .plant_model import ArmLog, LogSimulation, ParametricArm, PlantParameters
 
 _HELD_OUT = 1 / 3  # of each log, tests the fit if no other motions do
-_RUNS_PER_PARAMETER = 5  # approximate simulations per parameter, for the progress bar
+_RUNS_PER_PARAMETER = 5  # for the progress bar
 # Faults of unusable logs. `check_usable` reports joints that stand still, with advice.
 _GRAVE_FAULTS = (
     MotionFault.TIME_UNIT,
@@ -36,9 +36,9 @@ _MIN_SECONDS = 10.0  # s, all logs
 _MIN_SPAN = 0.1  # rad
 _MIN_REVERSALS = 4
 _MIN_SPEED = 0.15  # rad/s, in the share _FAST_SHARE of the logs
-_FAST_SHARE = 0.05  # of the logs' time
-_REVERSAL_DISTANCE = 0.02  # rad moved back before a reversal counts
-_SPEED_PERIOD = 0.1  # s, over which a speed is computed
+_FAST_SHARE = 0.05
+_REVERSAL_DISTANCE = 0.02  # rad back before a reversal counts
+_SPEED_PERIOD = 0.1  # s
 _REMEDY = "`yamsim excite` writes a motion that shows all of it"
 
 
@@ -48,7 +48,6 @@ class HeldOutError:
 
     Attributes:
         source: names of the motions.
-        seconds: their total length.
         rms_before, rms_after: with the original model and the identified parameters.
         joints: name -> (rms_before, rms_after).
     """
@@ -111,7 +110,7 @@ def identify(
     Args:
         held_out: motions that test the fit; if empty, the last third of each motion does.
         revision: name of this revision of the arm's model.
-        side: `left`, `right`, or None for all arms.
+        side: `left`, `right`, or None.
         step: called with the arm's name, finished simulations, and their approximate total.
 
     Raises:
@@ -239,11 +238,7 @@ def check_usable(logs: Sequence[ArmLog], names: Sequence[str], side: str = "") -
 
 
 def _too_little_motion(paths: Sequence[tuple[Array, Array]]) -> str | None:
-    """Return why a joint's motion does not suffice, with advice.
-
-    Args:
-        paths: times (n,), s, and positions (n,), rad, per log.
-    """
+    """Return why motions (n,), rad, at times (n,), s, do not suffice, with advice."""
     span = max((float(np.ptp(path)) for _, path in paths), default=0.0)
     if span < _MIN_SPAN:
         return (
@@ -267,7 +262,6 @@ def _too_little_motion(paths: Sequence[tuple[Array, Array]]) -> str | None:
 
 
 def _count_reversals(path: Array) -> int:
-    """Count reversals of at least `_REVERSAL_DISTANCE`."""
     turns, direction, furthest = 0, 0, float(path[0])
     for place in path:
         if direction == 0:

@@ -18,8 +18,8 @@ from .plant_model import FINE_TIMESTEP, ArmLog, LogSimulation, ParametricArm, Pl
 
 _SKIPPED_START = 0.5  # s of a log, in which speed and friction are unknown
 _MIN_ERROR = 1e-4  # rad, of a joint's RMS error, whose inverse is its weight
-_ACCELERATION_PERIOD = 0.04  # s between positions that give accelerations
-_MAX_STEPS, _MAX_FINE_STEPS = 6, 4  # fit steps with TIMESTEP, then with FINE_TIMESTEP
+_ACCELERATION_PERIOD = 0.04  # s
+_MAX_STEPS, _MAX_FINE_STEPS = 6, 4  # with TIMESTEP, then with FINE_TIMESTEP
 _DELAYS = tuple(0.01 * k for k in range(11))  # s; the fit starts from the best, since a wrong delay makes it fail
 # A fit ends when a step changes each parameter by less than this share of its scale, or the cost by this share.
 _MIN_STEP, _MIN_GAIN = 0.01, 1e-3
@@ -77,8 +77,6 @@ def replace_value(values: PlantParameters, parameter: FitParameter, number: floa
 
 
 class _LinearizedFit:
-    """Errors, cost and derivatives at given parameters."""
-
     def __init__(self, problem: _Problem, values: PlantParameters) -> None:
         self._problem, self.values = problem, values
         self.errors = problem.errors(values)
@@ -129,7 +127,6 @@ class _Problem(LeastSquares[PlantParameters, _LinearizedFit]):
         )
 
     def normal(self, slopes: Array) -> Array:
-        """Return the matrix (k, k) for slopes (samples, dof, k)."""
         flat = (slopes * self.weights[None, :, None]).reshape(-1, slopes.shape[-1])
         found: Array = flat.T @ flat + np.diag(self._precision)
         return found
@@ -183,7 +180,7 @@ class FitResult:
 def fit_parameters(arm: ArmConfig, logs: Sequence[ArmLog], step: Callable[[], None] = lambda: None) -> FitResult:
     """Fit an arm's parameters to its logs; `step` is called before each simulation.
 
-    First with `TIMESTEP`, the tasks' timestep, which biases inertia and delay; then with `FINE_TIMESTEP`, but the same
+    `TIMESTEP`, the tasks' timestep, biases inertia and delay, so `FINE_TIMESTEP` follows, but with the same
     derivatives.
     """
     plant, fine = ParametricArm(arm), ParametricArm(arm, FINE_TIMESTEP)

@@ -18,7 +18,7 @@ from yamsim_cli.core.scene.arm_model import arm_spec
 TIMESTEP, FINE_TIMESTEP = 0.002, 0.0005  # s: of tasks, and one too short to bias a fit
 
 _MIN_INERTIA = 2e-4  # kg m2, armature plus half the moved links' inertia
-_POSES = 64  # random poses for the least inertia of a joint's links
+_POSES = 64  # random
 _DEFAULT_FRICTION_SPEED = 0.005  # rad/s, prior mean of `PlantParameters.friction_velocity`
 _GRAVITY_PERIOD = 0.01  # s between computations of gravity torques
 _MIN_FRICTION, _MIN_FRICTION_SPEED = 1e-6, 1e-5  # N m and rad/s; keep the solver finite
@@ -50,10 +50,9 @@ class PlantParameters:
 
 @dataclass(frozen=True)
 class ArmLog:
-    """Commands and measurements of one arm.
+    """An arm's commands and measurements.
 
     Attributes:
-        name: of the motion.
         times: (n,), s.
         commands, joints: (n, dof), rad; joints are NaN where not measured.
         openings: commanded, or else measured (n,), m.
@@ -94,7 +93,6 @@ class ParametricArm:
         values: of the unchanged model.
         kp, kv: drive gains (dof,), N m/rad and N m s/rad.
         max_torque: of the drives (dof,), N m.
-        timestep: s.
     """
 
     def __init__(self, arm: ArmConfig, timestep: float = TIMESTEP) -> None:
@@ -175,11 +173,7 @@ class LogSimulation:
         self._data = mujoco.MjData(plant.model)
 
     def simulate(self, values: PlantParameters, *, plain: bool = False) -> Array:
-        """Return simulated encoder readings (n, dof), rad, at the log's times.
-
-        Args:
-            plain: use `ParametricArm.plain_model`, as tasks do, instead of `fitted_model`.
-        """
+        """Return simulated encoder readings (n, dof), rad; `plain` uses `plain_model`, as tasks do."""
         plant, log = self.plant, self.log
         model = plant.plain_model(values) if plain else plant.fitted_model(values)
         controls = np.zeros((1, self._steps, model.nu + model.nv))
@@ -245,7 +239,7 @@ def _values_of(model: mujoco.MjModel, dof: Array, names: tuple[str, ...], dynami
 
 
 def _link_inertias(model: mujoco.MjModel, qpos: Array, dof: Array, ranges: Array) -> Array:
-    """Return the links' least inertia (dof,), kg m2, in random poses, without armature, other joints free."""
+    """Return the links' least inertia (dof,), kg m2, in random poses, other joints free."""
     data, full = mujoco.MjData(model), np.empty((model.nv, model.nv))
     rng = np.random.default_rng(0)
     least = np.full(len(dof), np.inf)

@@ -72,7 +72,7 @@ class ImportRequest:
 
     Attributes:
         sources: files and folders.
-        format: of all sources; None detects it.
+        format: None detects it.
         mapping: config or YAML file of columns; None selects one that fits.
         out: directory of the dataset.
         mode: whether a non-empty directory is an error, is continued, or is replaced.
@@ -95,7 +95,6 @@ class ImportReport:
         path: of the dataset.
         episodes, frames: written.
         kept: episodes that existed before.
-        problems: episode -> its faults.
         moved_aside: path of a moved older dataset.
     """
 
@@ -158,7 +157,6 @@ def import_recordings(request: ImportRequest, locations: Locations, progress: Pr
 
 
 def _recordings(path: Path, request: ImportRequest, locations: Locations) -> Iterator[tuple[str, Recording]]:
-    """Yield the format and each corrected recording."""
     name = request.format or detect_format(path)
     for recording in format_reader(name)(path, request.rig, request.mapping, locations):
         made = _apply_corrections(recording, request.corrections, request.rig)
@@ -267,7 +265,7 @@ def _publish(number: int, name: str, recording: Recording, request: ImportReques
 
 
 def _problems(motion: RecordedMotion, recording: Recording, rig: RigConfig) -> Iterator[MotionProblem]:
-    """Yield a motion's faults and, if it has no gaps, each camera's."""
+    """Yield a motion's faults and, without gaps, each camera's."""
     yield from find_faults(motion, rig)
     if not any(find_gaps(motion.times)):
         for camera, pictures in recording.pictures.items():
@@ -275,7 +273,7 @@ def _problems(motion: RecordedMotion, recording: Recording, rig: RigConfig) -> I
 
 
 def _frame_samples(motion: RecordedMotion, recording: Recording) -> Samples:
-    """Return samples that become frames: those of the camera with the most images, or all without cameras."""
+    """Return samples that become frames: of the camera with the most images, or all without cameras."""
     seen = [pictures.samples for pictures in recording.pictures.values()]
     return max(seen, key=len) if seen else np.arange(len(motion.times), dtype=np.int64)
 

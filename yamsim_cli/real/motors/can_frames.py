@@ -5,7 +5,7 @@ from __future__ import annotations
 import struct
 from typing import NamedTuple
 
-# Linux `struct can_frame`: identifier with flags, length, three bytes of padding, data; also on yamsim's sockets.
+# Linux `struct can_frame`: identifier with flags, length, three bytes of padding, data.
 _CAN_FRAME = struct.Struct("=IB3x8s")
 FRAME_BYTES = _CAN_FRAME.size
 _FLAGS = 0xE0000000  # extended, remote and error frames, which motors ignore
@@ -16,7 +16,7 @@ TO_ALL = 0x7FF  # register and status frames, which all motors receive; the data
 CLEAR_ERROR, ENABLE, DISABLE, SET_ZERO = 0xFB, 0xFC, 0xFD, 0xFE
 # Third byte of a frame to TO_ALL: register access or status request. Source: DAMIAO's DM-J43 manual.
 READ, WRITE, SAVE, REFRESH = 0x33, 0x55, 0xAA, 0xCC
-# In a MIT frame, N m/rad and N m s/rad, of all emulated motors. Source: DAMIAO's DM-J43 manual.
+# N m/rad and N m s/rad, in MIT frames of all emulated motors. Source: DAMIAO's DM-J43 manual.
 KP_MAX, KD_MAX = 500.0, 5.0
 
 
@@ -49,7 +49,7 @@ class MotorRange(NamedTuple):
 
 
 def parse_frame(wire: bytes) -> CanFrame | None:
-    """Decode a frame's 16 bytes; None for a frame that motors ignore."""
+    """Decode 16 bytes; None for a frame that motors ignore."""
     identifier, length, data = _CAN_FRAME.unpack(wire)
     if identifier & _FLAGS or identifier > TO_ALL or length > _MAX_DATA_BYTES:
         return None
@@ -57,7 +57,7 @@ def parse_frame(wire: bytes) -> CanFrame | None:
 
 
 def to_wire(frame: CanFrame) -> bytes:
-    """Encode a frame as the 16 bytes on a socket."""
+    """Encode as 16 bytes."""
     return _CAN_FRAME.pack(frame.id, len(frame.data), frame.data)
 
 

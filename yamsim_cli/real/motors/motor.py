@@ -30,7 +30,7 @@ _INTEGER_REGISTERS = frozenset({7, 8, 9, 10, 13, 14, 15, 16, 35, 36})
 # Source: DAMIAO's manual.
 _WRITABLE = frozenset({*range(11), *range(21, 36)})
 _POSITIVE = frozenset({PMAX, VMAX, TMAX})  # positive and finite: `quantize` divides by them
-_LARGEST_ID = 0x7FE  # CAN identifier that a register accepts
+_LARGEST_ID = 0x7FE
 _VERSION = 0x53494D  # "SIM" in ASCII: identifies a simulated motor
 # Register -> factory value: protections (V, degrees Celsius, A), gains of loops that MIT mode does not use.
 _FACTORY = {
@@ -100,7 +100,7 @@ class Registers:
         return struct.pack("<I", int(value)) if register in _INTEGER_REGISTERS else struct.pack("<f", value)
 
     def write(self, register: int, data: bytes) -> bytes | None:
-        """Write four bytes and return the register's. An invalid value leaves it unchanged."""
+        """Write four bytes and return the register's; invalid values are ignored."""
         if register in _WRITABLE:
             value = float(struct.unpack("<I" if register in _INTEGER_REGISTERS else "<f", data)[0])
             if self._is_valid(register, value):
@@ -146,7 +146,7 @@ class Motor:
         position, velocity, torque: of the shaft, set by the simulation, rad, rad/s and N m.
         celsius: of the rotor.
         is_unplugged: a lost motor ignores frames and gives no torque.
-        control_law_changed: since a caller last set this flag to False.
+        control_law_changed: since a caller last cleared this flag.
     """
 
     def __init__(self, number: int, kind: MotorKind) -> None:
@@ -258,7 +258,6 @@ class Motor:
         elif order == frames.SET_ZERO:
             self._zero = self.position
         elif order == frames.DISABLE:
-            # Errors stay until CLEAR_ERROR.
             self._command = _REST
             if self.status is Status.ENABLED:
                 self.status = Status.DISABLED
@@ -272,7 +271,6 @@ class Motor:
         return CanFrame(int(self.registers[MST_ID]), data)
 
     def _handle_register_frame(self, data: bytes) -> CanFrame | None:
-        """Answer register access or a status request."""
         if len(data) < 4 or int.from_bytes(data[:2], "little") != self.answers_to:
             return None
         access, register = data[2], data[3]

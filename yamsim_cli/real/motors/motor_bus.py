@@ -12,7 +12,7 @@ from yamsim_cli.core.errors import UsageError
 from .can_frames import CanFrame
 from .motor import Motor
 
-_UPDATE_SECONDS = 0.01  # s between updates of temperatures, timeouts and faults
+_UPDATE_SECONDS = 0.01  # s
 
 LOST, HOT, DROP, STUCK = "lost", "hot", "drop", "stuck"
 # Fault -> its own keys in a `--fault` flag, besides _COMMON.
@@ -30,7 +30,6 @@ class BusFault:
     Attributes:
         kind: LOST, HOT, DROP or STUCK.
         channel: empty for all buses.
-        motor: lost or hot.
         at, seconds: start and duration in simulation time.
         celsius: of a hot rotor.
         share: of dropped frames, in each direction.
@@ -84,12 +83,11 @@ class MotorBus:
     """A CAN bus with motors and faults. Times are simulation time, s.
 
     Attributes:
-        channel: such as `can0`.
         stuck: the gripper is stuck.
         frames_received, dropped: frames, dropped in either direction.
 
     Args:
-        seed: of the random choice of dropped frames.
+        seed: of the choice of dropped frames.
     """
 
     def __init__(self, channel: str, motors: Sequence[Motor], faults: Sequence[BusFault] = (), seed: int = 0) -> None:

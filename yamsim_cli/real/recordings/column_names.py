@@ -20,7 +20,7 @@ KIND = "recordings"  # folder of namings in configs/
 
 
 def candidate_namings(mapping: str | None, locations: Locations) -> list[RecordingNames]:
-    """Return the naming `mapping`, or if None, all of `configs/recordings/` by name."""
+    """Return the naming `mapping`, or if None, all of `configs/recordings/`."""
     names = locations.config_names(KIND) if mapping is None else [mapping]
     return [load_config(RecordingNames, KIND, name, locations) for name in names]
 
@@ -36,10 +36,6 @@ def find_naming(
     """Return the naming `mapping`, or if None, the first that fits columns and rig.
 
     `configs/recordings/` comes first, then the rig's names of drives and joints.
-
-    Args:
-        columns: the recording's.
-        source: the recording's name, for errors.
 
     Raises:
         ConfigError: `mapping` does not exist or does not fit.
@@ -86,7 +82,6 @@ def arm_columns(arm: ArmNames) -> tuple[str, ...]:
 
 
 def _missing(names: RecordingNames, columns: Sequence[str], rig: RigConfig) -> str | None:
-    """Return a text on the first missing arm, joint or column, if any."""
     keys = arm_keys(rig)
     if set(keys) != set(names.arms):
         return " and ".join(f"arm {key!r} in it" for key in keys)

@@ -66,12 +66,7 @@ def read_csv(path: Path, rig: RigConfig) -> RecordedMotion:
 
 
 def encode_csv(rig: RigConfig, times: Sequence[float] | Array, columns: Array) -> bytes:
-    """Encode a motion so that `read_csv` restores exactly the same numbers.
-
-    Args:
-        times: (n,), s.
-        columns: (n, m), as `csv_columns` after the first.
-    """
+    """Encode samples (n, m) in the order of `csv_columns`; `read_csv` restores exactly the same numbers."""
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
     writer.writerow(csv_columns(rig))
@@ -119,7 +114,6 @@ def _rows(path: Path, names: Sequence[str], lines: Iterator[list[str]]) -> Itera
 
 
 def _arm_motions(columns: Mapping[str, Array], rig: RigConfig, path: Path) -> tuple[ArmMotion, ...]:
-    """Return each arm's motion, the left first. Raises `DatasetError` if some joints have no position or command."""
     columns = {_usual_name(name, motion_sides(rig)): values for name, values in columns.items()}
     motions = []
     for side, k in zip(motion_sides(rig), rig.recording_order, strict=True):
@@ -157,7 +151,6 @@ def _usual_name(name: str, arms: Sequence[str]) -> str:
 def _joint_columns(
     columns: Mapping[str, Array], kind: str, side: str, joints: Sequence[str], path: Path
 ) -> Array | None:
-    """Return the joints' columns (n, dof), or None without any."""
     names = [_column(kind, side, joint) for joint in joints]
     missing = [name for name in names if name not in columns]
     if len(missing) == len(names):

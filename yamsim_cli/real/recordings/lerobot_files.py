@@ -38,14 +38,14 @@ _STATE, _ACTION, _PICTURE = "observation.state", "action", "observation.images."
 # Added by yamsim's export of real recordings: recorded times, and the grippers' unit.
 _OWN_TIME, _OWN_FILE, _OWN_UNIT = "recorded_time", "meta/yamsim.json", "gripper"
 _JPEG_START = b"\xff\xd8"
-_MAX_JSONL_BYTES = 1 << 26  # of a JSON lines file
+_MAX_JSONL_BYTES = 1 << 26
 
 # Fields of `video_path` in lerobot 0.4.4 and 0.6.1: the first three in version 2, the first and last two in 3.
 _FIELDS = ("video_key", "episode_chunk", "episode_index", "chunk_index", "file_index")
 _FORMAT_SPEC = re.compile(r"(0?[1-9]?d)?")  # padded to at most 9 digits; wider padding could fill the memory
 _MAX_PATTERN_LENGTH = 1000  # characters of `video_path`; file paths have at most 4096 bytes
 _MAX_FPS = 10_000.0  # far above any camera's rate
-_MAX_NUMBER = 1_000_000_000  # in a path, and of episodes in a chunk
+_MAX_NUMBER = 1_000_000_000  # in a path or a chunk
 _CHUNK_SIZE = 1000  # episodes, if a version 2 dataset states no `chunks_size`. Source: lerobot 0.4.4
 
 
@@ -58,31 +58,23 @@ class VideoPaths:
 
     @property
     def fps(self) -> float:
-        """Frames per second.
-
-        Raises:
-            DatasetError: `fps` is missing or not positive.
-        """
+        """Frames per second. Raises `DatasetError` if `fps` is missing or not positive."""
         fps = self.info.get("fps")
         if not _is_number(fps) or not 0 < fps <= _MAX_FPS:
             raise self._invalid("fps", f"a number above 0, at most {_MAX_FPS:g} frames per second")
         return float(fps)
 
     def check(self) -> None:
-        """Check frame rate, path pattern and chunk size.
-
-        Raises:
-            DatasetError: a value is missing or invalid.
-        """
+        """Check frame rate, path pattern and chunk size. Raises `DatasetError` if a value is missing or invalid."""
         _ = self.fps, self._pattern, self._chunk_size
 
     def locate(self, key: str, number: int, row: Mapping[str, Any] | None) -> tuple[Path, float]:
         """Return the file with a camera's video, and the time at which the episode begins in it, s.
 
         Args:
-            key: the camera's feature, such as `observation.images.wrist`.
+            key: such as `observation.images.wrist`.
             number: of the episode.
-            row: of version 3's `meta/episodes/`; None for version 2.
+            row: of version 3's `meta/episodes/`.
 
         Raises:
             DatasetError: `info.json` or the row is invalid, or the file lies outside the dataset.
@@ -193,10 +185,7 @@ class _Dataset:
 
 
 def read_lerobot(path: Path, rig: RigConfig, mapping: str | None, locations: Locations) -> list[Recording]:
-    """Return the episodes of a LeRobot dataset.
-
-    Args:
-        mapping: config in `configs/recordings/` or YAML file of columns; None to find one.
+    """Return a LeRobot dataset's episodes; `mapping` is a config or YAML file of columns, None to find one.
 
     Raises:
         DatasetError: the dataset is damaged or has an unsupported version, or no naming fits.
@@ -307,7 +296,6 @@ def _table(file: Path) -> dict[str, Any]:
 
 
 def _tasks(path: Path) -> dict[int, str]:
-    """Return task number -> text."""
     parquet = path / "meta/tasks.parquet"
     if parquet.is_file():
         table = _table(parquet)
@@ -358,7 +346,6 @@ def _video_jpegs(
 
 
 def _row_jpegs(rows: Sequence[Any], source: str) -> Iterator[bytes]:
-    """Yield the rows' PNG or JPEG images as JPEG."""
     for k, row in enumerate(rows):
         data = row.get("bytes") if isinstance(row, dict) else None
         image = decode_image(data) if isinstance(data, bytes) else None

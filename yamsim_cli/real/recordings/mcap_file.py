@@ -22,7 +22,7 @@ from yamsim_cli.core.recorded_motion import ArmMotion, RecordedMotion
 from .column_names import KIND, arm_keys, candidate_namings
 from .recording import JPEG_QUALITY, CameraImages, Recording, Samples, motion_sides, times_from_nanoseconds
 
-_MAX_MESSAGES = 5_000_000  # of a file
+_MAX_MESSAGES = 5_000_000
 # s, relative to the first arm's state. A later start of a topic is an error, an earlier end a problem.
 _LATEST_START = _EARLIEST_END = 1.0
 
@@ -92,7 +92,6 @@ def _arms(
 
 
 def _early_ends(rows: Mapping[str, Rows], stamps: Samples) -> Iterator[str]:
-    """Yield a text per topic that ends `_EARLIEST_END` s before the last of `stamps`, ns."""
     for topic, messages in sorted(rows.items()):
         if messages and (early := (stamps[-1] - messages[-1][0]) * 1e-9) > _EARLIEST_END:
             yield f"{topic} ends {early:.1f} s before the arm's state, and keeps its last value: was it cut off?"
@@ -156,7 +155,7 @@ def _numbers(message: Any, field: str, topic: str, path: Path) -> Array:
 
 
 def _field(message: Any, name: str) -> Any:
-    """Return a message's field; dots separate nested fields."""
+    """Return a field; dots separate nested fields."""
     for part in name.split("."):
         message = message.get(part) if isinstance(message, dict) else getattr(message, part, None)
     return message

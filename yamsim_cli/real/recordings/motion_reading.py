@@ -62,11 +62,7 @@ def detect_format(path: Path) -> str:
 
 
 def format_reader(name: str) -> Reader:
-    """Return the reader of a format, such as `csv`.
-
-    Raises:
-        UsageError: no format has that name.
-    """
+    """Return the reader of a format, such as `csv`. Raises `UsageError` if no format has that name."""
     if name not in _READERS:
         raise UsageError(f"--format {name!r} is not valid; {suggest(name, _READERS)}")
     return _READERS[name]
@@ -75,10 +71,7 @@ def format_reader(name: str) -> Reader:
 def read_motions(
     recordings: Sequence[Path], rig: RigConfig, locations: Locations, mapping: str | None = None
 ) -> list[RecordedMotion]:
-    """Return recordings' motions in order, one per episode.
-
-    Args:
-        mapping: config or YAML file of columns; None to find one that fits.
+    """Return recordings' motions in order, one per episode; `mapping` is a config or YAML file of columns.
 
     Raises:
         DatasetError: a recording is missing, unreadable or damaged, or does not fit the rig.

@@ -51,7 +51,7 @@ _TIMESTAMPS = "timestamps.npy"
 _JPEG = (".jpg", ".jpeg")
 _PICTURES = (*_JPEG, ".png")
 _MAX_RAW_BYTES = 1 << 30  # a larger file is no recording of one task
-_MAX_FRAME_BYTES = 1 << 20  # of a frame's pickle
+_MAX_FRAME_BYTES = 1 << 20
 _SHARE_FACTOR = 1.5  # of the fingers' range; larger openings are shares, not metres
 
 
@@ -148,7 +148,6 @@ def _lowdim_recording(folder: Path, rig: RigConfig) -> Recording:
 
 
 def _text(value: object) -> str:
-    """Return a text, the first of an array, or ""."""
     texts = np.asarray("" if value is None else value).ravel()
     return str(texts[0]) if len(texts) and texts.dtype.kind == "U" else ""
 
@@ -177,7 +176,6 @@ def _frame(file: Path) -> dict[str, Any]:
 
 
 def _frame_rows(frames: Sequence[dict[str, Any]], key: str, files: Sequence[Path], rig: RigConfig) -> Array:
-    """Return the values of `key` (frames, arms, drives)."""
     arms, drives = len(rig.arms), rig.drives
     rows = []
     for frame, file in zip(frames, files, strict=True):
@@ -205,7 +203,6 @@ def _gripper_unit(folder: Path, joints: Array, rig: RigConfig) -> GripperUnit:
 
 
 def _camera_files(folder: Path, frames: int) -> dict[str, list[Path]]:
-    """Return each camera's images, one per frame."""
     found: dict[str, list[Path]] = {}
     for camera in sorted((folder / "rgb").iterdir()) if (folder / "rgb").is_dir() else []:
         files = _numbered_files(camera, _PICTURES) if camera.is_dir() else []
@@ -254,7 +251,6 @@ def _poses(frames: Sequence[dict[str, Any]], camera: str) -> Array | None:
 
 
 def _jpegs(files: Sequence[Path]) -> Iterator[bytes]:
-    """JPEG files are not encoded again."""
     for file in files:
         try:
             if file.suffix.lower() in _JPEG:
@@ -266,7 +262,6 @@ def _jpegs(files: Sequence[Path]) -> Iterator[bytes]:
 
 
 def _prompt(directory: Path) -> str:
-    """Return the instruction from `metadata.json`, or ""."""
     metadata = _metadata(directory)
     language = metadata.get("language")
     keys = ("task_instruction", "instruction", "task_name")

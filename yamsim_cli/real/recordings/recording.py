@@ -16,9 +16,9 @@ from yamsim_cli.core.files.documents.config_base import NAME_PATTERN
 from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.core.recorded_motion import ArmMotion, RecordedMotion
 
-Samples = NDArray[np.int64]  # or times in ns
+Samples = NDArray[np.int64]  # sample numbers, or times in ns
 
-JPEG_QUALITY = 95  # of re-encoded images: hardly any loss
+JPEG_QUALITY = 95  # hardly any loss
 
 
 @dataclass(frozen=True)
@@ -119,7 +119,7 @@ def times_from_nanoseconds(stamps: ArrayLike, source: str) -> Array:
 
 
 def times_from_seconds(times: Array, source: str) -> Array:
-    """Let times (n,), s, start at 0.
+    """Shift times (n,), s, to start at 0.
 
     Raises:
         DatasetError: there are fewer than two times, or they do not increase.

@@ -13,8 +13,8 @@ from typing import Any
 from .render_process import CameraFrames, RenderProcess
 from .socket_servers import CAMERA_SOCKET, ClientConnection, UnixServer
 
-_MAX_REQUEST_BYTES = 4096  # a client with a longer request is disconnected
-_READ_BYTES = 4096  # per read from a client
+_MAX_REQUEST_BYTES = 4096  # clients with longer requests are disconnected
+_READ_BYTES = 4096
 
 
 class _InvalidRequestError(ValueError):
@@ -22,7 +22,7 @@ class _InvalidRequestError(ValueError):
 
 
 class CameraServer(UnixServer):
-    """Sends camera images to clients. Close the server. No method blocks.
+    """Sends camera images to clients. The caller closes the server; no method blocks.
 
     Raises:
         ResourceError: another program serves cameras in the folder, or the socket cannot be made.
@@ -98,7 +98,7 @@ def _send(client: ClientConnection, answer: dict[str, Any], data: bytes = b"") -
 
 
 def _next_request(client: ClientConnection) -> dict[str, Any] | None:
-    """Remove and return the next complete request, if any. Raises `_InvalidRequestError`."""
+    """Remove and return the next complete request, if any."""
     received = client.received
     if len(received) < 4:
         return None

@@ -26,7 +26,7 @@ _SITE = Path(__file__).resolve().parents[2] / "can_site"
 
 
 class UnixBus(UnixServer):
-    """A CAN bus on the Unix socket `<folder>/<channel>`. Close the bus.
+    """A CAN bus on the Unix socket `<folder>/<channel>`, which the caller closes.
 
     Raises:
         ResourceError: another program serves the channel, or the socket cannot be made.
@@ -59,7 +59,7 @@ class UnixBus(UnixServer):
 
 
 class KernelBus:
-    """A CAN bus on a kernel interface, such as made by `ip link add can0 type vcan`. Close the bus.
+    """A CAN bus on a kernel interface, such as by `ip link add can0 type vcan`. The caller closes the bus.
 
     Raises:
         ResourceError: the system has no CAN, or no interface with the name is up.

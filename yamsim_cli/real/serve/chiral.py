@@ -22,14 +22,14 @@ from yamsim_cli.core.http_origin import refusal_reason
 from .policy_robot import PolicyRobot, RobotObservation
 from .socket_servers import ClientConnection, TcpServer
 
-_READ_BYTES = 65_536  # per read from a client
-_HANDSHAKE_S = 5.0  # s, for the WebSocket handshake
-_MAX_QUEUED = 256  # unanswered messages above which a client is dropped
+_READ_BYTES = 65_536
+_HANDSHAKE_S = 5.0  # s
+_MAX_QUEUED = 256  # unanswered messages; further ones drop the client
 _PER_STEP = 2  # messages answered per client before physics continues
 
 MAX_MESSAGE_BYTES = 65_536  # an action has some hundred bytes
-_MAX_ACTION_NUMBERS = 256  # in an action
-_DTYPES = ("float16", "float32", "float64")  # of an action's values
+_MAX_ACTION_NUMBERS = 256
+_DTYPES = ("float16", "float32", "float64")  # of an action
 
 _METADATA, _RESET, _OBSERVATION, _ACTION = "metadata", "reset", "obs_request", "apply_action"  # requests
 
@@ -47,8 +47,8 @@ class _ChiralConnection:
         began: s of the monotonic clock.
         messages: unanswered, oldest first.
         parts: of an incomplete message.
-        pending: request that waits for images from simulated time `since`, s, or later; "" for none.
-        drives: it has sent an action, so the arms stop when its connection ends.
+        pending: request that waits for images from simulated time `since`, s, or later.
+        drives: has sent an action, so the arms stop when its connection ends.
     """
 
     protocol: Any
@@ -61,9 +61,9 @@ class _ChiralConnection:
 
 
 class ChiralServer(TcpServer):
-    """Serves one robot to raiden's policies. Close the server. No method blocks.
+    """Serves one robot to raiden's policies. The caller closes the server; no method blocks.
 
-    Web pages of other sites are refused: a browser would let any page reach the port.
+    Other sites' web pages are refused: a browser would let any page reach the port.
 
     Raises:
         ResourceError: msgpack or websockets is not installed, or the server cannot listen on the port.
@@ -140,7 +140,6 @@ class ChiralServer(TcpServer):
         self._send(client, connection)
 
     def _answer_next(self, connection: _ChiralConnection) -> bool:
-        """Answer the pending request or handle the next message; return whether anything was done."""
         if connection.pending:
             return self._answer_pending(connection)
         if connection.messages:
@@ -161,7 +160,6 @@ class ChiralServer(TcpServer):
                 self._robot.reset()
 
     def _answer_pending(self, connection: _ChiralConnection) -> bool:
-        """Return whether the pending request had its images and was answered."""
         robot, shot = self._robot, self._robot.camera_frames
         is_reset = connection.pending == _RESET
         if is_reset and robot.is_going_home:
@@ -225,7 +223,6 @@ def _action_numbers(shape: Any, dtype: Any, data: bytes) -> Array:
 
 
 def _observation_message(observation: RobotObservation, *, is_reset: bool) -> bytes:
-    """Encode an observation as the answer to its request, or to a reset."""
     parts: list[bytes] = []
     at = 0
 

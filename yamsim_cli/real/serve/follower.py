@@ -65,7 +65,6 @@ class JointController:
         values = {
             "pos": self.joint_pos(),
             "vel": np.array([motor.velocity for motor in self._motors]) / self._ratio,
-            # With the joints' signs.
             "eff": np.array([motor.torque for motor in self._motors]) * np.sign(self._ratio),
         }
         joints = len(self._wiring.arm.motors)
@@ -105,7 +104,7 @@ class JointController:
         position, velocity, kp, kd = self._command
         angles = np.clip(position, self._low, self._high) * self._ratio + self._offset
         if self._wiring.gripper is not None and kp[-1] > 0:
-            # The limited distance keeps kp's torque below the largest grip torque plus damping.
+            # Limit kp's torque to the largest grip torque plus damping.
             motor = self._motors[-1]
             reach = (self._grip_torque + kd[-1] * abs(motor.velocity)) / kp[-1]
             angles[-1] = min(max(angles[-1], motor.position - reach), motor.position + reach)

@@ -19,7 +19,7 @@ from ..motors.motor_bus import MotorBus
 
 _STUCK_MASS = 1e9  # kg, armature that no motor can move
 _IMPRATIO = 10.0  # MuJoCo's option; above 1, objects held by friction alone slip less
-_CHECK_STEPS = 50  # between checks for a breakdown of physics
+_CHECK_STEPS = 50
 
 
 @dataclass(frozen=True)
@@ -103,11 +103,7 @@ class MotorSimulation:
         return [float(torque) for torque, shaft in zip(torques, self._shafts, strict=True) if shaft.arm == arm]
 
     def step(self) -> None:
-        """Advance physics by one timestep, and update the motors.
-
-        Raises:
-            SimulationError: physics broke down.
-        """
+        """Advance physics and motors by one timestep. Raises `SimulationError` if physics breaks down."""
         self._apply_control_laws()
         # MuJoCo's gravity compensation cancels the links' weight; this force restores it, scaled by each joint's load.
         # `qfrc_gravcomp` is the previous step's.
@@ -175,7 +171,6 @@ def _compensate_attachments(model: mujoco.MjModel, data: mujoco.MjData, arm: Arm
 
 
 def _weight_factors(model: mujoco.MjModel, shafts: Sequence[_Transmission]) -> Array:
-    """Return the factor (nv,) of the links' weight per degree of freedom."""
     factors = np.ones(model.nv)
     for shaft in shafts:
         if shaft.gravity_scale:
@@ -184,7 +179,7 @@ def _weight_factors(model: mujoco.MjModel, shafts: Sequence[_Transmission]) -> A
 
 
 def _set_gripper_motor(model: mujoco.MjModel, fingers: FingerAddresses, can_config: GripperCanConfig) -> None:
-    """Halve the motor's armature and friction between the fingers, and limit them where they meet."""
+    """Halve the motor's armature and friction between the fingers, and add a limit where they meet."""
     model.dof_armature[fingers.dof] = can_config.armature * can_config.ratio**2 / 2
     model.dof_frictionloss[fingers.dof] = can_config.friction * abs(can_config.ratio) / 2
     for dof, sign in zip(fingers.dof, fingers.sign, strict=True):

@@ -24,14 +24,14 @@ from .follower import JointController
 from .motor_simulation import MotorSimulation
 from .render_process import CameraFrames, RenderProcess
 
-_ACTION_S = 0.1  # s, of an action
+_ACTION_S = 0.1  # s
 _HOME_S = 2.0  # s, motion home after a reset
 _COMMAND_S = 0.01  # s between a motion's commands
 _MAX_JOINT_STEP = 0.2  # rad, from a joint to its command
 _MAX_QUEUED = 32  # waiting actions; further ones are discarded
 _SIDE = 384  # px, of the square to which images are stretched
 
-_IK_ITERATIONS = 20  # for one pose, near the previous
+_IK_ITERATIONS = 20  # for a pose near the previous one
 _ROTATION_COSTS = (1.0, 1.0, 1.0)  # the position has priority for unreachable poses
 # Length of each of a rotation's two given rows, and sine of their angle.
 _MIN_ROW_LENGTH = 1e-3
@@ -103,8 +103,6 @@ def pose_from_rotation_rows(position: Array, rows: Array) -> Array:
 
 @dataclass
 class _Interpolation:
-    """Linear interpolation of all joints from `began` for `duration`, s."""
-
     start: Array
     goal: Array
     began: float
@@ -174,7 +172,7 @@ class PolicyRobot:
         return self._plant.now
 
     def reset(self) -> None:
-        """Accept actions again, and move home: joints at 0, grippers open."""
+        """Accept actions again, and move home: joints 0, grippers open."""
         goal = np.concatenate([np.append(np.zeros(width - 1), 1.0) for width in self._widths])
         self._actions.clear()
         self.stopped = ""
@@ -252,7 +250,7 @@ class PolicyRobot:
         return CameraView(picture, K, shot.T_cam_in_base[camera], shot.time_ns)
 
     def _joints_from_hand_poses(self, numbers: Array) -> Array:
-        """Return a row for an action of all positions (3), then all rotations (6), then all grippers (1)."""
+        """Return a row for an action: all positions (3), all rotations (6), all grippers (1)."""
         arms = len(self._widths)
         positions, rows, grips = np.split(numbers, [3 * arms, 9 * arms])
         near = np.split(self._commanded if self._commanded is not None else self._row(), np.cumsum(self._widths)[:-1])
@@ -264,7 +262,6 @@ class PolicyRobot:
         return np.concatenate(found)
 
     def _is_too_far(self, row: Array) -> str:
-        """Return a sentence on the joint that a row moves too far, or ""."""
         off = np.abs(row - self._row())
         ends = np.cumsum(self._widths)
         off[ends - 1] = 0.0  # may move through their whole range
@@ -279,7 +276,6 @@ class PolicyRobot:
         )
 
     def _command(self) -> Array | None:
-        """Return the current command to all arms; None if an arm had none."""
         rows = [follower.commanded for follower in self._followers]
         return None if any(row is None for row in rows) else np.concatenate([row for row in rows if row is not None])
 

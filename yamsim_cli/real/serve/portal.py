@@ -1,8 +1,8 @@
 """Serve calls by the library `portal`, as the arm's maker does in `minimum_gello.py`.
 
-A message has its length (8 bytes), the request's number, a method's name or a status, and a packed tree: number of
-buffers, their sizes, and buffers, of which the first two are msgpack of the tree and of each leaf's type. Reading never
-executes code. Leaves in shared memory are refused.
+A message has its length (8 bytes), the request's number, a method's name or a status, and a packed tree. A packed tree
+has the number of buffers, their sizes, and the buffers. The first two are msgpack: the tree, and each leaf's type.
+Reading never executes code. Leaves in shared memory are refused.
 Source: `portal` 3.8.3, packlib.py, buffers.py, client.py.
 """
 
@@ -20,15 +20,15 @@ from yamsim_cli.core.extras import require_library
 from .follower import JointController
 from .socket_servers import ClientConnection, TcpServer
 
-_READ_BYTES = 65_536  # per read from a client
-_BACKLOG_BYTES = 1_000_000  # unsent, above which a client that reads nothing is dropped
+_READ_BYTES = 65_536
+_BACKLOG_BYTES = 1_000_000  # unsent; a client that reads nothing is dropped
 
 HANDSHAKE = b"portal_handshake"  # first bytes of a client
 _MAX_MESSAGE_BYTES = 65_536  # a command has some hundred bytes
-_MAX_LEAVES = 256  # buffers in a packed tree
-_MAX_DEPTH = 8  # of lists and dictionaries in a call's arguments
+_MAX_LEAVES = 256
+_MAX_DEPTH = 8  # lists and dictionaries in a call's arguments
 _DTYPE_KINDS = "biuf"  # NumPy booleans, integers and floats
-_STATUS_ERROR = 4  # of an answer
+_STATUS_ERROR = 4
 
 
 class PortalError(ValueError):
@@ -36,7 +36,7 @@ class PortalError(ValueError):
 
 
 class PortalServer(TcpServer):
-    """Answers portal calls for one arm. Close the server. No method blocks.
+    """Answers portal calls for one arm. The caller closes the server; no method blocks.
 
     Raises:
         ResourceError: msgpack is not installed, or the server cannot listen on the port.
@@ -65,7 +65,6 @@ class PortalServer(TcpServer):
                 self.write(client)
 
     def _answer(self, message: bytes) -> bytes:
-        """Return the answer, an error for an invalid call."""
         try:
             number, name, arguments = _read_call(message)
         except PortalError as error:
@@ -81,7 +80,7 @@ class PortalServer(TcpServer):
 
 
 def _next_message(client: ClientConnection) -> bytes | None:
-    """Remove and return the next complete message, if any. Raises `PortalError`."""
+    """Remove and return the next complete message, if any."""
     received = client.received
     if not client.handshake_done:
         head = bytes(received[: len(HANDSHAKE)])
@@ -104,7 +103,7 @@ def _next_message(client: ClientConnection) -> bytes | None:
 
 
 def _read_call(message: bytes) -> tuple[bytes, str, list[Any]]:
-    """Return a request's number (8 bytes), method and arguments. Raises `PortalError`."""
+    """Return a request's number (8 bytes), method and arguments."""
     if len(message) < 16:
         raise PortalError("the message is too short")
     length = int.from_bytes(message[8:16], "little")
@@ -218,7 +217,6 @@ def _leaf(spec: Any, data: bytes) -> Any:
 
 
 def _filled(tree: Any, leaves: Iterator[Any], depth: int) -> Any:
-    """Return `tree` with its leaves replaced by `leaves`."""
     if depth > _MAX_DEPTH:
         raise PortalError("the arguments are nested too deeply")
     if isinstance(tree, dict):

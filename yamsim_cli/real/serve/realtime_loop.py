@@ -79,7 +79,6 @@ class RealtimeLoop:
     ) -> None:
         self._plant, self._sockets, self._gap, self._tick = plant, tuple(sockets), gap, tick
         self._ports = tuple(ports)
-        # When each bus may send its next answer.
         self._free = [0.0] * len(self._sockets)
         self._waiting = [0] * len(self._sockets)
         self._lost_frames = 0
@@ -105,11 +104,7 @@ class RealtimeLoop:
         )
 
     def run(self, stop: Callable[[], bool], seconds: float = float("inf")) -> None:
-        """Run until `stop` returns true, or for `seconds`.
-
-        Raises:
-            SimulationError: physics broke down.
-        """
+        """Run until `stop` returns true, or for `seconds`. Raises `SimulationError` if physics broke down."""
         plant, step = self._plant, self._plant.timestep
         due = self._began = time.monotonic()
         end = due + seconds
@@ -128,7 +123,6 @@ class RealtimeLoop:
             self._exchange(due)
 
     def _exchange(self, until: float) -> None:
-        """Receive and answer frames until a time of the monotonic clock, s, but at least once."""
         while True:
             now = time.monotonic()
             while self._answers and self._answers[0][0] <= now:

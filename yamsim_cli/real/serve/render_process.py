@@ -22,7 +22,7 @@ from yamsim_cli.core.workers.process_pool import start_process
 
 _SLOTS = 2  # sets of images in shared memory: the newest, and one being rendered
 _START_SECONDS = 300.0  # s; compiling meshes takes long on a busy machine
-_END_SECONDS = 5.0  # s that `close` waits
+_END_SECONDS = 5.0  # s
 # First byte of an answer.
 _RENDERED, _FAILED = b"d", b"f"
 
@@ -58,7 +58,7 @@ class SceneState:
 
 
 class RenderProcess:
-    """Renders a scene's cameras. Close the process.
+    """Renders a scene's cameras in a process that the caller closes.
 
     Attributes:
         size: width and height, px.
@@ -184,7 +184,6 @@ class RenderProcess:
 def _render_states(
     pipe: Connection, session: Session, cameras: Sequence[str], shape: tuple[int, ...], memory: str
 ) -> None:
-    """Render received states until the pipe closes."""
     shared = SharedMemory(name=memory)
     pictures = np.ndarray(shape, np.uint8, shared.buf)
     attempt = Attempt(AttemptJob(0, 0))

@@ -86,7 +86,6 @@ def serve_arms(
 
     Args:
         channels: as `given` in `channel_names`.
-        faults: to inject into the buses.
         start: one of `STARTS`.
 
     Raises:

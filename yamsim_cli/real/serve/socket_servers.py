@@ -14,7 +14,7 @@ from yamsim_cli.core.errors import ResourceError
 
 CAMERA_SOCKET = "cameras.sock"  # its dot avoids conflicts with bus names
 
-_MAX_CLIENTS = 16  # of one server; further connections are closed
+_MAX_CLIENTS = 16  # further connections are closed
 
 
 def default_folder(environ: Mapping[str, str]) -> Path:
@@ -25,12 +25,7 @@ def default_folder(environ: Mapping[str, str]) -> Path:
 
 @dataclass(eq=False)
 class ClientConnection:
-    """One connection to a server.
-
-    Attributes:
-        received: bytes not handled yet.
-        outgoing: bytes to be sent.
-    """
+    """One connection to a server: `received` bytes are not handled yet, `outgoing` bytes not sent."""
 
     socket: socket.socket
     received: bytearray = field(default_factory=bytearray)
@@ -39,7 +34,7 @@ class ClientConnection:
 
 
 class SocketServer:
-    """Server on a listening socket. Close the server. No method blocks.
+    """Server on a listening socket. The caller closes the server; no method blocks.
 
     Args:
         listener: closed with the server.
@@ -73,7 +68,7 @@ class SocketServer:
         if self._listener in ready:
             self._accept()
         for one in ready & self._clients.keys():
-            # An earlier client's caller may have dropped it.
+            # The caller may have dropped it while handling an earlier client.
             client = self._clients.get(one)
             if client is not None and self._receive(client):
                 yield client
@@ -119,7 +114,6 @@ class SocketServer:
         self._clients[one] = ClientConnection(one)
 
     def _receive(self, client: ClientConnection) -> bool:
-        """Receive bytes; return whether there were any."""
         try:
             data = client.socket.recv(self._read_bytes)
         except BlockingIOError:
@@ -134,10 +128,7 @@ class SocketServer:
 
 
 class TcpServer(SocketServer):
-    """Server on a TCP `port`; 0 selects a free one.
-
-    Args:
-        flag: sets the port, for the error message.
+    """Server on a TCP `port`, 0 for a free one; `flag` sets the port, for the error message.
 
     Raises:
         ResourceError: the server cannot listen on the port.
