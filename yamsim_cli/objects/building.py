@@ -30,7 +30,7 @@ _DEFAULT_FRICTION = 0.8  # sliding
 _TORSIONAL_FRICTION, _ROLLING_FRICTION = 0.005, 0.0005  # m; rolling objects use ROLLING_SHARE instead of the latter
 # m. A top surface holds objects if its height varies by at most _MAX_UNEVENNESS within _MID_RADIUS.
 _MID_RADIUS, _MAX_UNEVENNESS = 0.012, 0.004
-_MIN_THICKNESS = 1e-6  # of a base over its largest extent; a thinner base has no volume
+_MIN_THICKNESS = 1e-6  # thickness of a base over its extent; a thinner base has no volume
 # SI units, for joints whose file states neither: without losses they never come to rest.
 _DEFAULT_JOINT_LOSSES = {"slide": {"damping": 2.0, "friction": 0.3}, "hinge": {"damping": 0.01, "friction": 0.005}}
 
@@ -202,7 +202,7 @@ def _origin(vertices: Array, weight: MassProperties, *, supports_others: bool) -
 
 
 def _base_centre(vertices: Array) -> Array:
-    """Return the middle (x, y) of the lowest tenth, which excludes a handle at the side."""
+    """The lowest tenth excludes a handle at the side."""
     low, high = vertices[:, 2].min(), vertices[:, 2].max()
     foot = vertices[vertices[:, 2] < low + 0.1 * (high - low)][:, :2]
     middle: Array = (foot.min(axis=0) + foot.max(axis=0)) / 2
@@ -216,7 +216,6 @@ def _surface_heights(vertices: Array, faces: Faces) -> Array:
 
 
 def _level_height(vertices: Array, faces: Faces) -> float | None:
-    """Return the top surface's height, m; None if it is not level."""
     heights = _surface_heights(vertices, faces)
     if len(heights) < 20 or np.ptp(heights) > _MAX_UNEVENNESS:
         return None
@@ -224,7 +223,6 @@ def _level_height(vertices: Array, faces: Faces) -> float | None:
 
 
 def _rim_depth(vertices: Array, faces: Faces) -> float:
-    """Return the depth, m, of the top surface's middle under the highest point."""
     heights = _surface_heights(vertices, faces)
     return float(vertices[:, 2].max() - np.median(heights)) if len(heights) else 0.0
 

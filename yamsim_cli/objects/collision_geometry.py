@@ -21,7 +21,7 @@ from .readers.object_parts import Surface
 CollisionMode = Literal["auto", "primitives", "decompose", "sdf", "hull"]
 
 NEAR = 0.0015  # m; "auto" uses fitted primitives if 99 % of the surface is nearer
-_MIN_CONVEXITY = 0.995  # volume over the hull's, from which a body is convex
+_MIN_CONVEXITY = 0.995  # volume over the convex hull's; above, a body counts as convex
 
 
 @dataclass(frozen=True)

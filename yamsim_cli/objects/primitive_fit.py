@@ -32,7 +32,7 @@ _MIN_GAIN = 1e-6  # relative reduction of cost, below which a fit stops
 _MIN_DEPTH_SHARE = 0.3  # depth of a vessel's inside over its height
 _MAX_OUT_OF_ROUND = 0.004  # m, a vessel's radius from the middle of its range
 _MAX_DIP = 0.006  # m, descent of a vessel's inner surface from middle to rim
-_DIRECTIONS = 64  # from the opening's middle, in which the inside is measured
+_DIRECTIONS = 64  # directions from the opening's middle in which the inside is measured
 _TOLERANCES = (0.0008, 0.0012, 0.002, 0.003, 0.005)  # m, of a simplified profile, tried in order
 _MAX_SEGMENTS = 6  # of a vessel's profile
 _RING_BOXES = 24  # boxes per ring in collisions
@@ -189,8 +189,6 @@ def _row(points: Array, count: int) -> Array:
 
 @dataclass(frozen=True)
 class _FitState:
-    """A shape made from `numbers`, and signed distances (n,) of points."""
-
     make: Make
     points: Array
     numbers: Array
@@ -205,7 +203,6 @@ class _FitState:
 
     @cached_property
     def _slope(self) -> Array:
-        """Jacobian (n, k) by finite differences."""
         nudged = (replace(self, numbers=self.numbers + nudge).distance for nudge in _STEP * np.eye(len(self.numbers)))
         return np.column_stack([(distance - self.distance) / _STEP for distance in nudged])
 
@@ -314,7 +311,6 @@ def _profile(points: Array, radius: Array, normals: Array, rim: float) -> Array 
 
 
 def _parts(corners: Array, foot: float, wall: float) -> tuple[Primitive, ...]:
-    """Return a flat floor for the first segment, and rings for the others."""
     top = float(corners[:2, 1].mean())
     edge = float(corners[1, 0])
     half = max((top - foot) / 2, wall / 4)

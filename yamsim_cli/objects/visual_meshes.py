@@ -21,7 +21,7 @@ from .readers.object_parts import Surface, SurfaceMaterial
 
 _MAX_FACES = 20_000  # triangles that render fast; larger surfaces are reduced within LIMIT_MM
 _FACE_COUNTS = (6_000, 12_000, 24_000, 48_000)  # triangles of a reduced surface, tried in order
-_CELL_SIZE = 0.0006  # m, finest cells in which colours are averaged; each level doubles them
+_CELL_SIZE = 0.0006  # m, finest cells in which colours are averaged; each level doubles their side
 _LEVELS = 6
 _MAX_SIDE = 4096  # px, width of a baked texture
 _TILE_RANGE = (2, 16)  # px, side of a triangle's square in a texture
@@ -172,7 +172,6 @@ class _Colours:
         return keys
 
     def at(self, places: Array) -> NDArray[np.uint8]:
-        """Return colours (n, 3) of the finest non-empty cells around points (n, 3), else grey."""
         colours = np.full((len(places), 3), 128.0)
         for level in reversed(range(_LEVELS)):
             found, means = self._levels[level]

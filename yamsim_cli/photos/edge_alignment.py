@@ -16,15 +16,15 @@ Mask = NDArray[np.bool_]
 
 # Unit of length: a grain is one pixel or, in a large photo with larger details, several.
 _GRAINS_ACROSS = 1000  # approximate grains along the longer side of a large photo
-REACH = 12.0  # grains, searched on either side of the outline
+REACH = 12.0  # grains, search distance for edges on either side of the outline
 _SAMPLES_PER_GRAIN = 2  # sample points per grain of the search line
 _SPACING = 3  # grains between outline points
 _MIN_SLOPE = 4.0  # grey levels per grain, gradient of an edge
 _MIN_SLOPE_SHARE = 0.4  # share of the search line's largest gradient, for an edge
 _TUKEY_CUTOFF = 4.685  # standard deviations, beyond which Tukey's biweight is 0 (95 % efficiency)
-_INDEPENDENT_POINTS = 60.0  # outline points that count as independent, at most
+_INDEPENDENT_POINTS = 60.0  # maximum number of outline points that count as independent
 _BORDER = 3  # grains from the picture's border; outlines there are ignored
-_ROUNDS = 6  # of a pose refinement
+_ROUNDS = 6  # rounds of a pose refinement
 _REACH_RATIO = 0.62  # ratio of consecutive rounds' search distances; the last excludes edges of other objects
 
 

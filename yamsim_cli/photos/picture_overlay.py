@@ -20,8 +20,8 @@ Labels = NDArray[np.uint8]
 ARM_COLOURS = ((255, 176, 0), (0, 170, 255))
 _AXIS_COLOURS = ((230, 40, 40), (40, 180, 60), (50, 90, 240))
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
-_MIN_SCALE = 0.2  # smaller text is unreadable
-_FRACTION_BITS = 4  # of pixel coordinates in OpenCV's drawing
+_MIN_SCALE = 0.2  # font scale; smaller text is unreadable
+_FRACTION_BITS = 4  # fractional bits of pixel coordinates in OpenCV's drawing
 
 
 def blend_arms(photo: Image, rendered: Image, labels: Labels, opacity: float) -> Image:
@@ -81,7 +81,7 @@ def write_lines(image: Image, lines: Sequence[str], busy: NDArray[np.bool_]) -> 
 
 
 def _freest_corner(busy: NDArray[np.bool_], size: tuple[int, int]) -> tuple[int, int]:
-    """Return top and left of the corner area of `size` (rows, columns) with the fewest busy pixels."""
+    """Return the top left of the corner area of `size` (rows, columns) with the fewest busy pixels."""
     rows, columns = min(size[0], busy.shape[0]), min(size[1], busy.shape[1])
     corners = [(top, left) for top in (0, busy.shape[0] - rows) for left in (0, busy.shape[1] - columns)]
     return min(corners, key=lambda at: int(busy[at[0] : at[0] + rows, at[1] : at[1] + columns].sum()))

@@ -14,8 +14,8 @@ from yamsim_cli.core.scene.objects.object_geoms import HIDDEN_GROUP, SEEN_GROUP
 
 from .tested_object import TestedObject, compile_or_raise, object_spec, with_camera
 
-_MARKER_RGBA = (0.85, 0.15, 0.10, 1.0)  # sphere or box that shows mass properties
-_OBJECT_OPACITY = 0.35  # object around that shape
+_MARKER_RGBA = (0.85, 0.15, 0.10, 1.0)  # of the sphere or box that shows mass properties
+_OBJECT_OPACITY = 0.35  # the object around that shape
 
 
 @dataclass(frozen=True)

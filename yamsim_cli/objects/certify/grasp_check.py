@@ -33,7 +33,7 @@ from .check_outcome import CheckOutcome, CheckView, round_significant, skipped_c
 from .tested_object import TestedObject, compile_or_raise, object_spec, step_seconds, with_camera
 
 _CLOSE_TIME, _LIFT_TIME, _TURN_TIME, _SHAKE_TIME = 0.8, 0.8, 1.6, 1.0  # s
-_COMMAND_PERIOD = 0.02  # s, between commanded poses
+_COMMAND_PERIOD = 0.02  # s
 _LIFT_HEIGHT, _TURN_ANGLE = 0.05, np.radians(45)  # m; rad, about x and y of the pinch frame
 _SHAKE_AMPLITUDE, _SHAKE_RATE = 0.015, 3.0  # m, Hz, along each axis of `world`
 _MAX_SLIP, _MAX_TURN = 0.012, np.radians(20)  # m, rad; a held object moves less relative to the pads
@@ -145,7 +145,7 @@ def _full_opening(locations: Locations) -> float:
 class _GripperRig:
     """A free object, and a gripper `linear_4310` on a base that six drives move.
 
-    The base's frame is the pinch frame, at `T_start` (4, 4) in `world` with joints at 0.
+    The base's frame is the pinch frame; `T_start` is its pose (4, 4) in `world` with joints at 0.
     """
 
     subject: TestedObject
@@ -193,7 +193,6 @@ class _GripperRig:
         return cls(tested_object, robot, model, mujoco.MjData(model), np.eye(4))
 
     def reset(self, T_pinch: Array, opening: float) -> None:
-        """Set pinch pose (4, 4) and opening (m), with the object at the origin."""
         body = self.model.body(_BASE)
         body.pos, body.quat = T_pinch[:3, 3], quat_from_rotation(T_pinch[:3, :3])
         self.T_start = T_pinch
@@ -204,7 +203,6 @@ class _GripperRig:
         mujoco.mj_forward(self.model, self.data)
 
     def aim(self, T_pinch: Array) -> None:
-        """Command the pinch pose (4, 4) in `world`."""
         T = inverse(self.T_start) @ T_pinch
         for number, value in enumerate((*T[:3, 3], *_angles(T[:3, :3]))):
             self.data.ctrl[self.model.actuator(f"{_BASE}_{number}").id] = value

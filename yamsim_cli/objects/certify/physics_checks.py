@@ -18,28 +18,28 @@ from .static_checks import NO_MESHES
 from .tested_object import TestedObject, compile_or_raise, object_on_ground_spec, object_spec, step_seconds, with_camera
 
 _MAX_SETTLE_TIME, _SETTLE_INTERVAL = 6.0, 0.2  # s, longest wait for rest, and time between tests
-_STILL_TIME, _DROP_TIME = 2.0, 1.5  # s, at rest afterwards; s, of a drop
+_STILL_TIME, _DROP_TIME = 2.0, 1.5  # s, of rest that follows; duration of a drop
 _TILT, _DRIFT, _SINK = np.radians(3.0), 0.003, 0.0015  # rad, m, m, allowed at rest
 _DROP_HEIGHT, _DROPS = 0.10, 8  # m; number of falls
 _MAX_PENETRATION = 0.05  # m at impact, half the slab; deeper objects come out on its underside
 _MAX_ENERGY_GAIN, _MIN_FALL_ENERGY = 0.02, 1e-4  # share of the fall's energy; J, least energy of a fall
-_REST_SPEED = 0.0002  # m/s; for turns, ten times this number in rad/s
+_REST_SPEED = 0.0002  # m/s; the limit for turns is ten times this number, rad/s
 _FIXED = "its base is fixed: it lies nowhere else"
 
 _CELLS = 56  # columns of the height map along the longer side
-_MIN_DEPTH, _MIN_ROOM = 0.010, 0.0045  # m
-_MIN_HOLLOW_SHARE = 0.02  # of a hollow over the bounding box; smaller hollows are dents
+_MIN_DEPTH, _MIN_ROOM = 0.010, 0.0045  # m, of a hollow: depth, and distance to its walls
+_MIN_HOLLOW_SHARE = 0.02  # volume over the bounding box's; smaller hollows are dents
 _BALL_SOLREF = (0.004, 1.0)  # MuJoCo's; stiff, so that the ball does not sink through a thin floor
 _MAX_BALL_RADIUS = 0.015  # m; smaller in a narrow hollow
-_BALL_CLEARANCE = 0.03  # m, start over the object's top
+_BALL_CLEARANCE = 0.03  # m, height over the object's top at the start
 _BALL_TIME = 2.0  # s
-_MAX_BALL_HEIGHT = 0.5  # share of the hollow's depth, of the resting ball over the floor
+_MAX_BALL_HEIGHT = 0.5  # gap between resting ball and floor, as a share of the hollow's depth
 _BALL_DENSITY = 1000.0  # kg/m3
 
 _PUSH_TIME, _REST_TIME = 4.0, 3.0  # s, of a push to a limit, and to come to rest
 _END_TOLERANCE = 0.03  # share of the range that a push may miss
 _JOINT_REST_SPEED = 0.02  # joint ranges per s
-_EFFORT_FACTOR = 3.0  # of a push over the sum of friction, detent and weight
+_EFFORT_FACTOR = 3.0  # effort of a push over the sum of friction, detent and weight
 _MIN_EFFORT = {True: 0.02, False: 1.0}  # N m on a rotary joint (True), N on a slide
 _FREQUENCY = 6.0  # Hz, of the controller that pushes a joint
 
@@ -68,7 +68,7 @@ class _TestScene:
         mujoco.mj_forward(self.model, self.data)
 
     def run(self, seconds: float) -> tuple[float, float]:
-        """Return deepest contact (m) and greatest energy (J). `ArithmeticError` if unstable."""
+        """Return deepest contact (m) and greatest energy (J); `ArithmeticError` if unstable."""
         deep, energy = 0.0, -np.inf
         for _ in range(round(seconds / self.model.opt.timestep)):
             mujoco.mj_step(self.model, self.data)
@@ -85,7 +85,6 @@ class _TestScene:
         return pose(body.xpos, body.xmat.reshape(3, 3))
 
     def settle(self) -> None:
-        """Step until the object rests, at most `_MAX_SETTLE_TIME`. `ArithmeticError` if unstable."""
         for _ in range(round(_MAX_SETTLE_TIME / _SETTLE_INTERVAL)):
             self.run(_SETTLE_INTERVAL)
             if np.abs(self.data.qvel[:3]).max() < _REST_SPEED and np.abs(self.data.qvel[3:6]).max() < 10 * _REST_SPEED:

@@ -14,7 +14,7 @@ from .certificate_page import certificate_page
 from .certify import CHECKS, CertificationResult
 from .check_outcome import CheckView
 
-_SIZE, _RENDERED_SIZE = (320, 240), (640, 480)  # px, of a picture, and before its reduction
+_SIZE, _RENDERED_SIZE = (320, 240), (640, 480)  # px, of a picture, and of its rendering
 _QUALITY = 85  # JPEG
 
 

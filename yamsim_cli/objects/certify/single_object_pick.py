@@ -94,7 +94,6 @@ def reachable_grasp_points(item: ObjectConfig, locations: Locations) -> tuple[Gr
 
 
 def _min_tilt(context: PlanningContext, item: ObjectConfig) -> float:
-    """Return the least tilt at usable grasp points, whole degrees, or infinity."""
     pick, hand = Pick(thing=_ROLE), context.hands[0]
     for candidate in friction_candidates(item):
         if isinstance(pick.find_reachable_grasp(context, hand, _ROLE, candidate), ReachableGrasp):

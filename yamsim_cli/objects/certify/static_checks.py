@@ -23,20 +23,20 @@ _PLAUSIBLE_SIZES = (0.002, 1.5)  # m, length of an object on a table
 _MAX_OPEN_SHARE = 1e-3  # of all edges; scans have some where patches meet
 _PLAUSIBLE_DENSITIES = (15.0, 12_000.0)  # kg/m3, from foam and folded cloth to lead
 _ROUNDING = 5e-4  # m, centre of mass outside the convex hull, for rounding
-_SLACK = 0.01  # relative, of the triangle inequality of moments of inertia
+_SLACK = 0.01  # relative error of the triangle inequality of moments of inertia
 # Least ratio of a principal moment to a solid bounding box's. A banana has the lowest of YCB and kitchen objects, 0.37;
 # a ball has 0.6, a shell more than 1.
 _MIN_BOX_SHARE = 0.1
 _VOLUME_SAMPLES, _SURFACE_SAMPLES = 30_000, 2000
 _MAX_HULL_SHARE = 1.25  # collision volume over the hull's; hollows may be filled
 _MIN_MESH_SHARE = 0.25  # collision volume over the visual mesh's; a few wires may represent a plate
-# m, and share of the size; 95 % of the visual surface must be nearer to the collision geoms than the larger.
+# m, and share of the size: 95 % of the visual surface must be nearer to the collision geoms than the larger limit.
 _MAX_DISTANCE, _MAX_DISTANCE_SHARE = 0.006, 0.05
 _MAX_DEPTH = 0.006  # m, in the convex hull; deeper points are not compared
 
 
 def check_size(tested_object: TestedObject) -> CheckOutcome:
-    """Check that the length is plausible: 60 m, for example, is a length in mm."""
+    """Check that the length is plausible: 60 m, for example, indicates a file in mm."""
     extent = np.ptp(tested_object.outline, axis=0)
     longest = float(extent.max())
     figures = {f"{axis}_m": round_significant(value) for axis, value in zip("xyz", extent, strict=True)}

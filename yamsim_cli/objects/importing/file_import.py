@@ -122,7 +122,7 @@ def _build_and_publish(
 
 
 def _with_reachable_grasps(config: ObjectConfig, locations: Locations) -> ObjectConfig:
-    """Keep only grasp points that `pick` can use; if there are none, all stay for the certificate to report."""
+    """Keep only grasp points that `pick` can use; without any, all stay, and the certificate reports it."""
     with suppress(SkillFailedError):
         if places := reachable_grasp_points(config, locations):
             return config.with_grasp_points(places)

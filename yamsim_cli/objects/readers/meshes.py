@@ -223,7 +223,6 @@ def _rgba(values: Any) -> Rgba:
 
 
 def _check_textures(data: bytes, suffix: str, meshes: list[tuple[Any, Array]]) -> None:
-    """Refuse textures that trimesh could not read."""
     text = data if suffix == ".gltf" else data[20 : 20 + int.from_bytes(data[12:16], "little")]
     tree = json.loads(text)
     named = {
@@ -262,7 +261,6 @@ def mesh_surfaces(
 
 
 def _with_material(surface: Surface, material: SurfaceMaterial) -> Surface:
-    """Set `material`, unless only the mesh file gives a texture."""
     if material.texture is None and surface.material.texture is not None:
         return surface
     return replace(surface, material=material)

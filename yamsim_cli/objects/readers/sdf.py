@@ -33,7 +33,7 @@ _JOINTS = {"revolute": "hinge", "continuous": "hinge", "prismatic": "slide", "sc
 
 
 def read_sdf(data: bytes, folder: ConfinedFolder, base: Path) -> ObjectDescription:
-    """Read an SDFormat file. Raises `RefusedError` for damage, several models, or content beyond configs."""
+    """Read an SDFormat file. Raises `RefusedError` if it is damaged or no config can express it."""
     model, where = _model(data, folder, base, ())
     reader = _Reader(folder, where)
     links, joints = reader.model(model)
@@ -61,7 +61,6 @@ def _model(data: bytes, folder: ConfinedFolder, base: Path, seen_files: tuple[Pa
 def _included(
     include: Element, folder: ConfinedFolder, base: Path, seen_files: tuple[Path, ...]
 ) -> tuple[Element, Path]:
-    """Return the model of an <include>, and its folder."""
     uri = (include.findtext("uri") or "").strip()
     try:
         path = folder.find(uri, base)
@@ -162,7 +161,6 @@ class _Reader:
     def _handle(
         self, element: Element, frames: _Frames, by_name: dict[str, LinkDescription], links: list[LinkDescription]
     ) -> None:
-        """Add a handle to the link of a <frame> named `handle...`."""
         name = _name_of(element)
         owner = frames.link_of(element.get("attached_to", "") or frames.relative(name))
         if not name.lower().startswith("handle") or (owner or links[0].name) not in by_name:
@@ -258,11 +256,10 @@ class _Frames:
         self._frames[name] = _pose_of(element), default
 
     def relative(self, name: str) -> str:
-        """Return the frame to which a frame's pose is relative."""
         return self._frames[name][1]
 
     def T(self, name: str, path: tuple[str, ...] = ()) -> Array:
-        """Return a pose (4, 4) in the model's frame. Raises `RefusedError` if missing or circular."""
+        """Return a pose (4, 4) in the model's frame."""
         if name in ("", "__model__"):
             return np.eye(4)
         if name not in self._frames:
@@ -275,7 +272,7 @@ class _Frames:
         return self._known[name]
 
     def link_of(self, name: str) -> str | None:
-        """Return a frame's link; None for the world. Raises `RefusedError` if missing or circular."""
+        """Return a frame's link; None for the world."""
         steps = 0
         while name not in self._links:
             if name in ("world", "__model__", ""):

@@ -63,7 +63,7 @@ def numbers(text: str | None, count: int, default: tuple[float, ...] | None = No
 
 
 def number(text: str | None, default: float | None = None) -> float:
-    """As `numbers`, for one number."""
+    """Return one finite number, as `numbers`."""
     return numbers(text, 1, None if default is None else (default,))[0]
 
 

@@ -29,13 +29,13 @@ Grey = NDArray[np.uint8]
 # A marker that the fit excludes, but that is whole and displaced, lies beyond a crease. A covered marker has a low
 # correlation or no shift. Source: 14 half-covered prints and 3 creased ones.
 _MIN_DISPLACED = 2  # displaced markers that indicate a crease
-_MIN_DISPLACED_CORRELATION = 0.5  # of print and photo, above which a marker is whole
-_DISPLACED_PX = 0.7  # px, above which a marker is displaced
-_CREASED_SHARE_IF_DISPLACED = 0.9  # prior probability
+_MIN_DISPLACED_CORRELATION = 0.5  # correlation of print and photo; above, a marker is whole
+_DISPLACED_PX = 0.7  # px, shift; above, a marker is displaced
+_CREASED_SHARE_IF_DISPLACED = 0.9  # prior probability of a crease with displaced markers
 _SHARED_ERROR_FACTOR = 4 / 3  # factor on `PoseLimits.turn` for a sigma with errors of lens and print scale
-_MIN_FLAT_PROBABILITY = 0.5  # up to which a message blames the print's shape
+_MIN_FLAT_PROBABILITY = 0.5  # below, messages name the print's shape as the cause
 
-PRINT_SIGMA = 0.0025  # relative, of an unmeasured print: printers stretch by tenths of a percent
+PRINT_SIGMA = 0.0025  # relative error of an unmeasured print's size: printers stretch by tenths of a percent
 
 # Limits within which nearly all boards are found. Source: `make bench-fiducials`.
 _MAX_MOTION_PX = 3.0  # px, motion blur
@@ -45,7 +45,7 @@ _MIN_CELL_PX = 0.8  # px, shorter side of a marker cell
 _MIN_GREY_RANGE = 60.0  # grey levels; below, a photo is dark or has low contrast
 _MAX_EDGE_SIGMA = 2.5  # px, sigma of the sharpest edge; above, a photo is blurred
 _SMOOTHING_SIGMA = 1.5  # px, against noise before edges are measured
-_RANGE_PERCENTILES = (0.5, 99.5)  # that define a photo's range of grey levels
+_RANGE_PERCENTILES = (0.5, 99.5)  # percentiles that define a photo's range of grey levels
 
 
 class BoardStatus(StrEnum):
@@ -271,7 +271,6 @@ def suggest_photo_improvements(grey: Grey) -> tuple[str, ...]:
 
 
 def _min_blur(grey: Grey, contrast: float) -> float:
-    """Return the sharpest edges' approximate sigma (px)."""
     smooth = cv2.GaussianBlur(grey.astype(np.float32), (0, 0), _SMOOTHING_SIGMA)
     across, down = cv2.Scharr(smooth, cv2.CV_32F, 1, 0) / 32, cv2.Scharr(smooth, cv2.CV_32F, 0, 1) / 32
     steepest = float(np.percentile(np.hypot(across, down)[::2, ::2], 99.9))

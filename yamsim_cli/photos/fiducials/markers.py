@@ -24,8 +24,8 @@ _MAX_ENLARGEMENT = 3
 # (`minMarkerPerimeterRate`), here 30 px.
 _REDUCED_SIDE = 4096
 # The detector suits photos that use all grey levels.
-_STRETCHED_PERCENTILES = (0.1, 99.9)  # stretched to the whole range
-_MIN_UNSTRETCHED_RANGE = 128.0  # grey levels, from which a photo is not stretched
+_STRETCHED_PERCENTILES = (0.1, 99.9)  # percentiles that are stretched to the whole range
+_MIN_UNSTRETCHED_RANGE = 128.0  # grey levels; photos with a larger range are not stretched
 _MAX_CENTRE_DISTANCE = 0.8  # marker edges, between the board centres that two markers predict
 
 
@@ -69,7 +69,6 @@ def find_markers(grey: Grey, dictionaries: Sequence[str]) -> dict[str, list[Dete
 
 
 def _resize_for_detector(grey: Grey) -> tuple[Grey, Array]:
-    """Return the resized photo, and scale factors (2,) of width and height."""
     longer = max(grey.shape)
     if longer > _REDUCED_SIDE:
         size = tuple(round(side * _REDUCED_SIDE / longer) for side in grey.shape[::-1])

@@ -16,7 +16,7 @@ from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.core.robots.joint_limits import describe_limit_violation
 
 _LIMIT_TOLERANCE = math.radians(3.0)  # rad beyond a limit, for errors of encoders and calibrations
-_MAX_OPENING_SHARE = 1.1  # over a gripper's full opening
+_MAX_OPENING_SHARE = 1.1  # ratio of an opening to the full opening
 
 _SUFFIXES = (".npy", ".yaml", ".yml", ".pkl")
 

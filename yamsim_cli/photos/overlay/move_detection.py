@@ -146,7 +146,6 @@ class _BoardTrack:
         return [step for step in _find_steps(self.motions, self._least) if _is_significant(step)]
 
     def step_before(self, photo: int) -> _PoseStep | None:
-        """Return the median pose's change at a photo; None with too few photos around."""
         cut = int(np.searchsorted(self.photos, photo))
         edges = [0, *(step.at for step in self.steps if abs(step.at - cut) > _MAX_EVENT_SPAN), len(self.photos)]
         low = max(edge for edge in edges if edge <= cut)
@@ -157,18 +156,15 @@ class _BoardTrack:
 
     @property
     def camera_never_rests(self) -> bool:
-        """Whether the camera moves almost always, as in a hand."""
         shaken = float(np.median(_noise_of(self.motions, self._least) / self._least))
         steps = len(self.steps)
         return shaken > _HANDHELD_NOISE_RATIO or (steps > 1 and steps * _MIN_PHOTOS_PER_STEP > len(self.photos))
 
     def base(self, motion: Array) -> Array:
-        """Return the base's pose (4, 4) in the camera frame after a board motion (6,)."""
         turn = rotation_from_vector(motion[:3]) @ self._board[:3, :3]
         return pose(self._board[:3, 3] + motion[3:], turn) @ self._T_base_in_board
 
     def sigma(self, step: _PoseStep) -> tuple[float, float]:
-        """Return sigmas of the base's shift (m) and rotation (rad)."""
         turn = float(np.linalg.norm(step.sigma[:3]))
         lever = float(np.linalg.norm(self._T_base_in_board[:3, 3]))
         return math.hypot(float(np.linalg.norm(step.sigma[3:])), lever * turn), turn
@@ -280,7 +276,6 @@ def _move(
 
 
 def _noise_of(series: Array, minimum: Array) -> Array:
-    """Return the noise (d,), robust to a few steps."""
     jumps = np.abs(np.diff(series, axis=0))
     sigma: Array = np.maximum(_SIGMA_PER_MAD * np.median(jumps, axis=0) / np.sqrt(2), minimum)
     return sigma

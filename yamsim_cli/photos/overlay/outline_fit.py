@@ -27,7 +27,7 @@ from .joint_files import ArmPostures
 from .photo_arm_poses import ArmPose, RigInPhoto
 from .rendered_arms import ArmRenderer, PinholeArms
 
-_MIN_POINTS = 20  # of an outline; fewer do not move a pose
+_MIN_POINTS = 20  # points of an outline; with fewer, it does not move a pose
 
 
 def score_outlines(result: RigInPhoto, renderer: ArmRenderer, grey: NDArray[np.uint8]) -> RigInPhoto:

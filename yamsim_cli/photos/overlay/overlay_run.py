@@ -118,7 +118,6 @@ def photo_jobs(
 
 
 def _result_names(photos: Sequence[Photo]) -> list[str]:
-    """Return distinct names: the stem or, for duplicates, with suffix or list position."""
     stems = [photo.path.stem for photo in photos]
     if len(set(stems)) < len(stems):
         stems = [photo.path.name.replace(".", "_") for photo in photos]

@@ -28,11 +28,11 @@ _MAX_REPROJECTION_PX = 0.5  # px, above which the result has a note
 _MARGIN_TOLERANCE = 0.002  # m, error of the rig's distance between arms, above which the result has a note
 
 # Chi-squared test of whether two prints have the rig's sizes.
-_MARGIN_SIGMA = 0.005  # m, real margin of the arms from the rig's
-_POSITION_SIGMA = 0.002  # m, real arm positions from the rig's, along each axis
-_MIN_EXPLAINED = 25.0  # of chi squared by another print size
-_MAX_UNEXPLAINED = 14.0  # of chi squared with another print size
-_MIN_SIZE_DIFFERENCE = 0.01  # reported, relative to the rig
+_MARGIN_SIGMA = 0.005  # m, of the real distance between the arms from the rig's
+_POSITION_SIGMA = 0.002  # m, of the real arm positions from the rig's, along each axis
+_MIN_EXPLAINED = 25.0  # decrease of chi squared by another print size
+_MAX_UNEXPLAINED = 14.0  # chi squared that remains with another print size
+_MIN_SIZE_DIFFERENCE = 0.01  # smallest reported difference, relative to the rig
 
 
 @dataclass(frozen=True)

@@ -31,7 +31,7 @@ from ..lens_distortion import LensWarp
 _CAMERA = "photo"
 _HIDDEN_GROUP = 5
 _MAX_SUPERSAMPLED_SIDE = 1400  # px, up to which double resolution smooths edges in any OpenGL
-_MAX_SIDE = 8192  # px, of a rendered picture
+_MAX_SIDE = 8192  # px, longer side of a rendered picture
 
 
 @dataclass(frozen=True)

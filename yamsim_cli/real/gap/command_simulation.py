@@ -14,8 +14,8 @@ from yamsim_cli.core.scene.compilation import physics_failure
 from yamsim_cli.core.scene.compiled import ArmAddresses, CompiledScene
 
 _CHECK_STEPS = 200  # physics steps between checks for a breakdown
-_START_SECONDS = 0.2  # s of the errors that select the initial state
-_MIN_IMPROVEMENT = 2.0  # in the error of a start at rest, by another initial state
+_START_SECONDS = 0.2  # s; errors in this time select the initial state
+_MIN_IMPROVEMENT = 2.0  # factor by which another initial state must reduce the error of a start at rest
 _SLOPE_SAMPLES = 6  # samples for the initial velocity
 
 
@@ -116,7 +116,6 @@ def _run(
 
 
 def _controls(scene: CompiledScene, motion: RecordedMotion) -> Array:
-    """Return MuJoCo's controls (n, nu) per step."""
     timestep = float(scene.model.opt.timestep)
     # Rounding may put a sample just after a step.
     steps = int(np.ceil(motion.duration / timestep - 1e-6))
@@ -138,7 +137,7 @@ def _means(times: Array, values: Array, edges: Array) -> Array:
     at = np.clip(np.searchsorted(times, edges, side="right") - 1, 0, None)
     integral = sums[at] + values[at] * (edges - times[at])[:, None]
     means: Array = np.diff(integral, axis=0) / np.diff(edges)[:, None]
-    # A value that holds for a whole interval must not be rounded.
+    # A value that holds for a whole interval is used without rounding.
     alone = at[:-1] == np.clip(np.searchsorted(times, edges[1:], side="left") - 1, 0, None)
     means[alone] = values[at[:-1]][alone]
     return means
@@ -201,7 +200,6 @@ def _speeds(scene: CompiledScene, motion: RecordedMotion) -> Array:
 
 
 def _start_error(scene: CompiledScene, motion: RecordedMotion, run: _SimulatedRun, first: int) -> float:
-    """Return the RMS joint error, rad, of the first `first` samples."""
     times = motion.times[:first]
     off = [
         _delayed_rows(arm, run, run.qpos[:, arm.joint_qpos], times) + arm.encoder_offset - logged.joints[:first]

@@ -23,7 +23,7 @@ from yamsim_cli.core.markup import (
 from yamsim_cli.core.plots import Values, plot_curves
 
 _UNKNOWN = "\N{EM DASH}"  # figures that the recordings do not determine
-_MIN_ERROR_SPAN = 0.2  # mrad
+_MIN_ERROR_SPAN = 0.2  # mrad, vertical range of an error plot
 
 
 @dataclass(frozen=True)
@@ -206,7 +206,6 @@ def _row_name(row: Mapping[str, Any], name: str) -> str:
 
 
 def _errors(row: Mapping[str, Any]) -> list[str]:
-    """Return the cells of RMS, 95th percentile and largest error, mrad."""
     return [_mrad(row, key) for key in ("rms_rad", "p95_rad", "max_rad")]
 
 

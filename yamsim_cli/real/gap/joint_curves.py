@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 
 from yamsim_cli.core.geometry.se3 import Array
 
-STEP = 0.002  # s
+STEP = 0.002  # s, spacing of the grid
 _MIN_WINDOW, _MIN_SAMPLES = 0.12, 4  # s and samples of a parabola whose slope is a speed
 
 _MIN_DELAY, _MAX_DELAY = -0.1, 0.5  # s; delays at either end are rejected
-_MIN_CORRELATION = 0.5  # of speeds; below, no delay is determined
+_MIN_CORRELATION = 0.5  # correlation of speeds; below, no delay is determined
 _MIN_SPEED = 0.02  # RMS, rad/s or m/s; below, no delay is determined
 
 _STILL_SPEED = 0.02  # rad/s; slower joints are still
@@ -23,7 +23,7 @@ _CRUISING_RATE = 1.0  # 1/s; a cruising joint's speed changes by less than this 
 _SETTLING = 0.3  # s of stillness before a joint is at rest
 # A command stops if it moves _MIN_MOVE (rad) within _MOVE_SECONDS (s), then stays _MIN_HOLD (s).
 _MIN_MOVE, _MOVE_SECONDS, _MIN_HOLD = 0.02, 0.3, 0.3
-_WATCHED, _END = 1.0, 0.1  # s after a stop for the overshoot, and s at its end for the value at rest
+_WATCHED, _END = 1.0, 0.1  # s after a stop to measure overshoot, and s at their end for the value at rest
 
 
 @dataclass(frozen=True)

@@ -41,8 +41,8 @@ def mean_interval95(values: Sequence[float]) -> tuple[float, float] | None:
 def build_report(gaps: Sequence[MotionGap], rig: str) -> dict[str, Any]:
     """Return the gap as JSON data: means over recordings of the same arms, the worst error, and each recording.
 
-    Largest errors are maxima, and figures of no recording null. `intervals` has 95 % intervals of means over two or
-    more recordings. Errors are measured minus simulated, rad and mm.
+    For largest errors, the maximum replaces the mean; figures that no recording has are null. `intervals`
+    has 95 % intervals of means over two or more recordings. Errors are measured minus simulated, rad and mm.
     """
     worst = max(gaps, key=lambda gap: abs(gap.worst.error))
     return {

@@ -24,12 +24,12 @@ NAMES = {
 }
 # Added half widths of intervals, because real physics differs from the model.
 _DELAY = 0.0006  # s, a controller's timestep
-_FRICTION, _DAMPING, _ARMATURE = 0.03, 0.02, 0.05  # of the value: real friction may obey another law
-_FRICTION_AS_INERTIA = 0.05  # of friction torque that another law would show as inertia
+_FRICTION, _DAMPING, _ARMATURE = 0.03, 0.02, 0.05  # shares of the value: real friction may obey another law
+_FRICTION_AS_INERTIA = 0.05  # share of the friction torque that appears as inertia under another friction law
 _OFFSET = 0.0004  # rad, an encoder's resolution
 _GRAVITY = 0.003
-_DETERMINED_SHARE = 0.7  # of the prior's interval; a determined parameter's is narrower
-# Of the value; an identification with wider intervals is refused.
+_DETERMINED_SHARE = 0.7  # share of the prior's interval; a determined parameter's interval is narrower
+# Shares of the value; wider intervals refuse an identification.
 _MAX_HALF_WIDTHS = {"friction": 0.5, "damping": 0.6}
 
 # s, block of the logs with correlated errors: friction holds a joint beside its target until it reverses.

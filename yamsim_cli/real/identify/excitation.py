@@ -26,7 +26,7 @@ from ..recordings.csv_file import TIME, csv_columns, encode_csv
 from .plant_model import ParametricArm
 
 _RATE = 100  # commands per s
-_MAX_SPEED, _MAX_TORQUE = 0.5, 0.5  # of the motors' maxima
+_MAX_SPEED, _MAX_TORQUE = 0.5, 0.5  # shares of the motors' maxima
 _MAX_TRIES = 20  # motions, each in a smaller joint range
 
 # Sum of sines per joint: number, lowest frequency, and range of the highest, Hz.
@@ -45,8 +45,8 @@ _RAMP = 2.0  # s, rise and fall of the sines' amplitude
 _DISTANCE, _SELF_DISTANCE = 0.03, 0.003
 _JOINT_MARGIN = 0.15  # rad, to the joint limits
 _MAX_HALF_RANGE, _MIN_HALF_RANGE = 0.9, 0.2  # rad, to either side
-_MIDDLES, _SAMPLES = 60, 60  # postures tried as the middle, and around each
-_SHRINK_FACTOR = 0.85  # of a joint range with a collision
+_MIDDLES, _SAMPLES = 60, 60  # postures tried as the range's middle, and postures checked around each
+_SHRINK_FACTOR = 0.85  # factor on a joint range with a collision
 
 
 @dataclass(frozen=True)
@@ -209,7 +209,6 @@ def _smooth(share: Array) -> Array:
 
 
 def _torques(plant: ParametricArm, times: Array, joints: Array) -> Array:
-    """Return drive torques (n, dof), N m."""
     data, found = mujoco.MjData(plant.model), np.empty(joints.shape)
     speeds = np.gradient(joints, times, axis=0)
     accelerations = np.gradient(speeds, times, axis=0)

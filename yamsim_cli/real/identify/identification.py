@@ -19,8 +19,8 @@ from .estimates import Estimate, describe_undetermined, estimate_parameters, req
 from .parameter_fit import all_parameters, compared_samples, fit_parameters
 from .plant_model import ArmLog, LogSimulation, ParametricArm, PlantParameters
 
-_HELD_OUT = 1 / 3  # of each log, tests the fit if no other motions do
-_RUNS_PER_PARAMETER = 5  # for the progress bar
+_HELD_OUT = 1 / 3  # share of each log that tests the fit if no other motions do
+_RUNS_PER_PARAMETER = 5  # approximate, for the progress bar
 # Faults of unusable logs. `check_usable` reports joints that stand still, with advice.
 _GRAVE_FAULTS = (
     MotionFault.TIME_UNIT,
@@ -35,7 +35,7 @@ _GRAVE_FAULTS = (
 _MIN_SECONDS = 10.0  # s, all logs
 _MIN_SPAN = 0.1  # rad
 _MIN_REVERSALS = 4
-_MIN_SPEED = 0.15  # rad/s, in the share _FAST_SHARE of the logs
+_MIN_SPEED = 0.15  # rad/s, to be reached in the share _FAST_SHARE of the time
 _FAST_SHARE = 0.05
 _REVERSAL_DISTANCE = 0.02  # rad back before a reversal counts
 _SPEED_PERIOD = 0.1  # s

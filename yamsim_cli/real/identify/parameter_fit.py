@@ -18,8 +18,8 @@ from .plant_model import FINE_TIMESTEP, ArmLog, LogSimulation, ParametricArm, Pl
 
 _SKIPPED_START = 0.5  # s of a log, in which speed and friction are unknown
 _MIN_ERROR = 1e-4  # rad, of a joint's RMS error, whose inverse is its weight
-_ACCELERATION_PERIOD = 0.04  # s
-_MAX_STEPS, _MAX_FINE_STEPS = 6, 4  # with TIMESTEP, then with FINE_TIMESTEP
+_ACCELERATION_PERIOD = 0.04  # s, between positions that give an acceleration
+_MAX_STEPS, _MAX_FINE_STEPS = 6, 4  # fit steps with TIMESTEP, then with FINE_TIMESTEP
 _DELAYS = tuple(0.01 * k for k in range(11))  # s; the fit starts from the best, since a wrong delay makes it fail
 # A fit ends when a step changes each parameter by less than this share of its scale, or the cost by this share.
 _MIN_STEP, _MIN_GAIN = 0.01, 1e-3
@@ -121,7 +121,6 @@ class _Problem(LeastSquares[PlantParameters, _LinearizedFit]):
         return np.concatenate([(run.simulate(values) - run.log.joints)[compared_samples(run)] for run in self._runs])
 
     def prior(self, values: PlantParameters) -> Array:
-        """Return distances from the prior's means, in standard deviations (k,)."""
         return np.array(
             [(parameter_value(values, p) - parameter_value(self._centre, p)) / p.prior_sigma for p in self.parameters]
         )
@@ -180,7 +179,7 @@ class FitResult:
 def fit_parameters(arm: ArmConfig, logs: Sequence[ArmLog], step: Callable[[], None] = lambda: None) -> FitResult:
     """Fit an arm's parameters to its logs; `step` is called before each simulation.
 
-    `TIMESTEP`, the tasks' timestep, biases inertia and delay, so `FINE_TIMESTEP` follows, but with the same
+    `TIMESTEP`, the tasks' timestep, biases inertia and delay, so a fit with `FINE_TIMESTEP` follows, with the same
     derivatives.
     """
     plant, fine = ParametricArm(arm), ParametricArm(arm, FINE_TIMESTEP)
@@ -208,7 +207,6 @@ def fit_parameters(arm: ArmConfig, logs: Sequence[ArmLog], step: Callable[[], No
 
 
 def _accelerations(logs: Sequence[ArmLog]) -> Array:
-    """Return RMS accelerations (dof,), rad/s2, from quantized encoder positions."""
     squares = []
     for log in logs:
         known = np.isfinite(log.joints).all(axis=1)

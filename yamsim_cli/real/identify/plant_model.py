@@ -18,7 +18,7 @@ from yamsim_cli.core.scene.arm_model import arm_spec
 TIMESTEP, FINE_TIMESTEP = 0.002, 0.0005  # s: of tasks, and one too short to bias a fit
 
 _MIN_INERTIA = 2e-4  # kg m2, armature plus half the moved links' inertia
-_POSES = 64  # random
+_POSES = 64  # random poses
 _DEFAULT_FRICTION_SPEED = 0.005  # rad/s, prior mean of `PlantParameters.friction_velocity`
 _GRAVITY_PERIOD = 0.01  # s between computations of gravity torques
 _MIN_FRICTION, _MIN_FRICTION_SPEED = 1e-6, 1e-5  # N m and rad/s; keep the solver finite

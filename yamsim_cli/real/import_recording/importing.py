@@ -198,7 +198,6 @@ def _full_opening(rig: RigConfig, arm: int, unit: GripperUnit) -> float:
 
 
 def _mirror_openings(arm: ArmMotion, full: float, which: str) -> ArmMotion:
-    """Subtract the openings that `which` selects from `full`, the fully open value."""
     measured, commanded = arm.openings, arm.commanded_openings
     if measured is not None and which != "commanded":
         measured = full - measured
@@ -279,7 +278,6 @@ def _frame_samples(motion: RecordedMotion, recording: Recording) -> Samples:
 
 
 def _jpegs(recording: Recording, camera: str, samples: Samples) -> Iterator[bytes]:
-    """Yield a camera's latest image at each sample."""
     pictures = recording.pictures[camera]
     images, number, data = pictures.read(), -1, b""
     for wanted in np.clip(np.searchsorted(pictures.samples, samples, side="right") - 1, 0, None):

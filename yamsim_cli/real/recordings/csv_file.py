@@ -66,7 +66,7 @@ def read_csv(path: Path, rig: RigConfig) -> RecordedMotion:
 
 
 def encode_csv(rig: RigConfig, times: Sequence[float] | Array, columns: Array) -> bytes:
-    """Encode samples (n, m) in the order of `csv_columns`; `read_csv` restores exactly the same numbers."""
+    """Encode times (n,), s, and columns (n, m), in the order of `csv_columns`, without loss for `read_csv`."""
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
     writer.writerow(csv_columns(rig))

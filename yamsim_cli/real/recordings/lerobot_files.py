@@ -45,7 +45,7 @@ _FIELDS = ("video_key", "episode_chunk", "episode_index", "chunk_index", "file_i
 _FORMAT_SPEC = re.compile(r"(0?[1-9]?d)?")  # padded to at most 9 digits; wider padding could fill the memory
 _MAX_PATTERN_LENGTH = 1000  # characters of `video_path`; file paths have at most 4096 bytes
 _MAX_FPS = 10_000.0  # far above any camera's rate
-_MAX_NUMBER = 1_000_000_000  # in a path or a chunk
+_MAX_NUMBER = 1_000_000_000  # largest number in a path, and of episodes in a chunk
 _CHUNK_SIZE = 1000  # episodes, if a version 2 dataset states no `chunks_size`. Source: lerobot 0.4.4
 
 
@@ -142,8 +142,6 @@ def _short(value: object) -> str:
 
 @dataclass(frozen=True)
 class _Dataset:
-    """A dataset with the user's rig and naming of columns (`mapping`)."""
-
     path: Path
     info: Mapping[str, Any]
     rig: RigConfig
@@ -167,7 +165,6 @@ class _Dataset:
 
     @property
     def gripper(self) -> GripperUnit | None:
-        """The grippers' unit if yamsim wrote the dataset."""
         try:
             content = json.loads((self.path / _OWN_FILE).read_bytes())
         except (OSError, ValueError):

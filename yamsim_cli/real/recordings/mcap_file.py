@@ -131,7 +131,6 @@ def _last_values(rows: Rows, stamps: Samples, width: int, source: str) -> Array:
 
 
 def _images(path: Path, topic: str, stamps: Samples) -> CameraImages:
-    """Return a camera's images, each assigned to the last sample before it."""
     when = [time for _, time, _ in _messages(path, {topic}, decoded=False)]
     after = np.searchsorted(stamps, np.array(when, dtype=np.int64), side="right")
     kept, first = np.unique(np.clip(after - 1, 0, None).astype(np.int64), return_index=True)
@@ -155,7 +154,6 @@ def _numbers(message: Any, field: str, topic: str, path: Path) -> Array:
 
 
 def _field(message: Any, name: str) -> Any:
-    """Return a field; dots separate nested fields."""
     for part in name.split("."):
         message = message.get(part) if isinstance(message, dict) else getattr(message, part, None)
     return message

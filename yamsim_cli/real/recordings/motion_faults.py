@@ -23,15 +23,15 @@ _LIMIT_TOLERANCE = 0.1  # rad; arms are calibrated to a degree or two
 _MAX_ANGLE = 2 * math.pi  # rad; no joint turns farther, so larger values are degrees
 _PERIOD = QuantityBounds("s", 1e-5, 0.5)  # median step, 100 kHz to 2 Hz; times in ms exceed it
 _MIN_MOTION = 0.05  # rad; smaller changes are noise
-_SWAPPED_FACTOR = 3.0  # of the fit to the other arm's joints over the fit to the arm's own
-_OPENING_FACTOR = 1.1  # of the fingers' range; larger openings are not in metres
-# s of a constant measurement, and rad of the command's motion: the joint is frozen.
+_SWAPPED_FACTOR = 3.0  # commands that fit the other arm's joints by this factor better are swapped
+_OPENING_FACTOR = 1.1  # multiple of the fingers' range; larger openings are not in metres
+# A joint is frozen if its measurement rests this long, s, while its command moves this far, rad.
 _FROZEN_SECONDS, _FROZEN_COMMAND = 1.0, 0.1
 _MIRRORED = -0.5  # correlation of openings with commands, below which one is mirrored
 _MIN_OPENING = 0.2  # share of the fingers' range; smaller motions have no correlation
-# s at rest, at this distance from the command (shares of the range): fingers stall.
+# Fingers stall if they rest this long, s, this far from their command, shares of their range.
 _STALL_SECONDS, _STALL_DISTANCE = 0.5, 0.2
-_STILL_SPEED = 0.2  # shares of the range per s; encoder noise is half of it
+_STILL_SPEED = 0.2  # shares of the range per s; slower fingers rest; encoder noise is half of it
 
 
 class MotionFault(StrEnum):
@@ -97,7 +97,7 @@ def _time_unit(times: Array) -> Iterator[MotionProblem]:
 
 
 def find_gaps(times: Array, what: str = "nothing was recorded") -> Iterator[MotionProblem]:
-    """Yield gaps between times (n,), s; each text is `what` and the gap's length."""
+    """Yield gaps between times (n,), s; each text has `what` and the gap's length."""
     if len(times) < 2:
         return
     pauses = np.diff(times)

@@ -126,7 +126,6 @@ def read_episode(episode: RecordedEpisode, rig: RigConfig) -> RecordedMotion:
 def _per_tick_samples(
     times: Array, joints: Array, frames: list[dict[str, Any]], rig: RigConfig
 ) -> tuple[Array, Array, Array]:
-    """Return times (n,), joints and commands (n, arms, drives) per control tick."""
     order = np.concatenate([np.arange(rig.drives) + arm * rig.drives for arm in rig.recording_order])
     starts, commands, measured = [], [], []
     for k, frame in enumerate(frames):

@@ -52,7 +52,7 @@ _JPEG = (".jpg", ".jpeg")
 _PICTURES = (*_JPEG, ".png")
 _MAX_RAW_BYTES = 1 << 30  # a larger file is no recording of one task
 _MAX_FRAME_BYTES = 1 << 20
-_SHARE_FACTOR = 1.5  # of the fingers' range; larger openings are shares, not metres
+_SHARE_FACTOR = 1.5  # multiple of the fingers' range; larger openings are shares, not metres
 
 
 def read_raiden_raw(path: Path, rig: RigConfig) -> list[Recording]:
@@ -270,7 +270,6 @@ def _prompt(directory: Path) -> str:
 
 
 def _problems(directory: Path, frames: int | None = None) -> tuple[str, ...]:
-    """Return faults that `metadata.json` reports; `frames` is the number found, if given."""
     metadata, file = _metadata(directory), directory / _METADATA
     problems = []
     if metadata.get("complete") is False:

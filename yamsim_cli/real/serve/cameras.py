@@ -98,7 +98,6 @@ def _send(client: ClientConnection, answer: dict[str, Any], data: bytes = b"") -
 
 
 def _next_request(client: ClientConnection) -> dict[str, Any] | None:
-    """Remove and return the next complete request, if any."""
     received = client.received
     if len(received) < 4:
         return None

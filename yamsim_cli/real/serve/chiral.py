@@ -29,7 +29,7 @@ _PER_STEP = 2  # messages answered per client before physics continues
 
 MAX_MESSAGE_BYTES = 65_536  # an action has some hundred bytes
 _MAX_ACTION_NUMBERS = 256
-_DTYPES = ("float16", "float32", "float64")  # of an action
+_DTYPES = ("float16", "float32", "float64")  # types of an action's values
 
 _METADATA, _RESET, _OBSERVATION, _ACTION = "metadata", "reset", "obs_request", "apply_action"  # requests
 
@@ -171,7 +171,7 @@ class ChiralServer(TcpServer):
         return False
 
     def _send(self, client: ClientConnection, connection: _ChiralConnection) -> bool:
-        """Send the protocol's bytes. Return whether the connection stays open."""
+        """Return whether the connection stays open."""
         over = False
         for data in connection.protocol.data_to_send():
             over = over or not data  # an empty item ends the connection

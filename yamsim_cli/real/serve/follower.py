@@ -35,7 +35,7 @@ class JointController:
         self._low, self._high = arm.joint_range[:, 0] - _LIMIT_TOLERANCE, arm.joint_range[:, 1] + _LIMIT_TOLERANCE
         self._grip_torque = 0.0
         if hand is not None and arm.fingers is not None:
-            # 1 is the fingers' joint limit, which the maker's SDK detects on the real arm.
+            # A gripper value of 1 is the fingers' joint limit, which the maker's SDK detects on the real arm.
             self._ratio = np.append(self._ratio, hand.ratio * max(arm.fingers.opening_limits))
             self._offset = np.append(self._offset, hand.closed)
             self._kp, self._kd = np.append(self._kp, hand.kp), np.append(self._kd, hand.kd)

@@ -31,7 +31,7 @@ _MAX_JOINT_STEP = 0.2  # rad, from a joint to its command
 _MAX_QUEUED = 32  # waiting actions; further ones are discarded
 _SIDE = 384  # px, of the square to which images are stretched
 
-_IK_ITERATIONS = 20  # for a pose near the previous one
+_IK_ITERATIONS = 20  # for one pose, which is near the previous one
 _ROTATION_COSTS = (1.0, 1.0, 1.0)  # the position has priority for unreachable poses
 # Length of each of a rotation's two given rows, and sine of their angle.
 _MIN_ROW_LENGTH = 1e-3

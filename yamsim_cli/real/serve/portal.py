@@ -21,7 +21,7 @@ from .follower import JointController
 from .socket_servers import ClientConnection, TcpServer
 
 _READ_BYTES = 65_536
-_BACKLOG_BYTES = 1_000_000  # unsent; a client that reads nothing is dropped
+_BACKLOG_BYTES = 1_000_000  # unsent bytes; above, a client is dropped
 
 HANDSHAKE = b"portal_handshake"  # first bytes of a client
 _MAX_MESSAGE_BYTES = 65_536  # a command has some hundred bytes
@@ -80,7 +80,6 @@ class PortalServer(TcpServer):
 
 
 def _next_message(client: ClientConnection) -> bytes | None:
-    """Remove and return the next complete message, if any."""
     received = client.received
     if not client.handshake_done:
         head = bytes(received[: len(HANDSHAKE)])
@@ -103,7 +102,6 @@ def _next_message(client: ClientConnection) -> bytes | None:
 
 
 def _read_call(message: bytes) -> tuple[bytes, str, list[Any]]:
-    """Return a request's number (8 bytes), method and arguments."""
     if len(message) < 16:
         raise PortalError("the message is too short")
     length = int.from_bytes(message[8:16], "little")

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 Grey = NDArray[np.float32]
 
 _POINTS_PER_PX, _MIN_POINTS = 4, 9  # sample points per px of a motion, and their minimum
-_BLUR_STEP = 0.03  # share of the blur, step of the numeric derivative
+_BLUR_STEP = 0.03  # step of the numeric derivative, as a share of the blur
 # Two pixels on each side: with one, derivatives of a sharp picture would be a third too small.
 _DERIVATIVE_KERNEL = np.array([1, -8, 0, 8, -1], np.float32) / 12
 _IDENTITY = np.ones(1, np.float32)

@@ -18,7 +18,7 @@ from .blur_kernel import BlurKernel, picture_gradients
 from .print_view import PhotoRegion, RenderedPrint, draw_print
 
 _MIN_TILE_PIXELS = 12  # below, a tile (a marker and half its gap) is not compared
-_MIN_SURROUNDINGS_POWER = 1e-4  # of squared pixel shares outside the print; tiles with less ignore the surroundings
+_MIN_SURROUNDINGS_POWER = 1e-4  # sum of a tile's squared pixel shares outside the print; smaller sums are ignored
 _MIN_CONTRAST = 1.0  # grey levels; below, a tile shows no print
 
 _HUBER_THRESHOLD = 1.345  # standard deviations, beyond which residuals have less weight (95 % efficiency)
@@ -112,7 +112,6 @@ def _picture_derivatives(
 def _surroundings_brightness(
     photo: NDArray[np.float32], drawn: NDArray[np.float32], outside_shares: NDArray[np.float32], tile: NDArray[np.int_]
 ) -> Array:
-    """Return the surroundings' brightness (n, sides), in print contrasts."""
     order = np.argsort(tile, kind="stable")
     _, starts, which = np.unique(tile[order], return_index=True, return_inverse=True)
     every = np.column_stack([drawn, outside_shares, photo])[order].astype(np.float64)

@@ -290,7 +290,6 @@ class _PoseProblem(PrintProblem[_PoseState]):
         return _PoseState(pose(at - R @ self._centre, R), kernel, state.log_scale + float(every[_LOG_SCALE]))
 
     def _every(self, step: Array) -> Array:
-        """Return all parameters' step without the lens, 0 if not fitted."""
         every = np.zeros(_LENS.start)
         every[list(self._free)] = step
         return every

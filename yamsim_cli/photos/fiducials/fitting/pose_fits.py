@@ -24,14 +24,14 @@ SAME_PRINT = 0.75  # correlation of print and photo; below, a marker is hidden o
 EXPLAINED = 0.96  # median correlation; above, a fit needs no other blur or start
 # An outlier is a marker of low correlation, with a residual variance far above the median: at most 2.5 times in photos
 # of whole boards, 4 with creases, 40 or more with half-covered markers.
-_OUTLIER_RATIO = 5.0  # residual variance over the median, of a possible outlier
-_OUTLIER_CORRELATION = 0.9  # above, a marker is no outlier
+_OUTLIER_RATIO = 5.0  # residual variance over the median; above, a marker may be an outlier
+_OUTLIER_CORRELATION = 0.9  # correlation; above, a marker is no outlier
 _MAX_ROUNDS = 3  # several, because one outlier displaces the pose and hides others
 _MIN_EVIDENCE = 12.0  # difference of log-likelihoods that excludes a competing pose
 _PIXELS_PER_SAMPLE = 4.0  # neighbouring pixels that count as one sample
 _SAME_POSE = math.radians(4.0)  # rad; at smaller angles, poses are the same
-_DECIDING_SHARE = 0.25  # of the angle between two poses; a prediction nearer to one selects it
-_MAX_COMPETING_RATIO = 4.0  # of mean squared residuals before the fit; above, a competing fit cannot win
+_DECIDING_SHARE = 0.25  # share of the angle between two poses; a prediction nearer to one selects it
+_MAX_COMPETING_RATIO = 4.0  # ratio of mean squared residuals before the fit; above, a competing fit cannot win
 
 
 @dataclass(frozen=True)

@@ -24,13 +24,13 @@ _FOLD_SIGMA = math.radians(4.0)  # rad, sigma of a crease's fold angle; users no
 _BENT_PROBABILITY = 0.02  # prior of a bent print
 CREASED_SHARE = 0.08  # prior of a creased print
 # With this value, poses from 180 photos of creased prints are within their 95 % intervals.
-_NONLINEAR_FOLD_SHARE = 0.15  # of the fold angle: sigma of the linear crease modes' error
-_CREASE_DIRECTIONS = 8  # of the folded side over 360 degrees; either side of a crease may lie on the plate
-_CREASE_OFFSETS = (-0.5, -0.25, 0.0, 0.25, 0.5)  # from the centre, half widths of the print
+_NONLINEAR_FOLD_SHARE = 0.15  # sigma of the linear crease modes' error, as a share of the fold angle
+_CREASE_DIRECTIONS = 8  # directions of the folded side over 360 degrees; either side of a crease may lie on the plate
+_CREASE_OFFSETS = (-0.5, -0.25, 0.0, 0.25, 0.5)  # positions from the centre, half widths of the print
 _HEIGHT_MODES = _BOW_MODES + _CREASE_DIRECTIONS * len(_CREASE_OFFSETS)
 # Rounding to a pixel has a uniform error: a sigma of 0.042 mm / sqrt(12) = 0.012 mm at 600 dpi, and of 0.030 mm for a
 # 94 mm board drawn 900 px wide (244 dpi).
-_PLACEMENT_SIGMA = 3e-5  # m, in the print's plane, of a marker column or row, and of half the marker edge
+_PLACEMENT_SIGMA = 3e-5  # m, in-plane position of a marker column or row, and half the marker edge
 
 
 @dataclass(frozen=True)

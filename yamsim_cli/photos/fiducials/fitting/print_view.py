@@ -24,7 +24,7 @@ _SUBSAMPLES = 3  # sample points per pixel along each axis
 _TARGET_PX_PER_CELL = 2.7  # minimum in a reduced photo; finer pictures only cost time
 _MIN_SURROUNDINGS_RADIUS = 0.9  # px, blur radius from which a print's surroundings affect compared pixels
 _MARGIN_PX = 3  # px around the board, by which a fit can move the print
-_MIN_VIEW_PX = 8  # px, side
+_MIN_VIEW_PX = 8  # px, side of a `PhotoRegion`
 
 
 @dataclass(frozen=True)

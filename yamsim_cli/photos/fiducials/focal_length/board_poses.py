@@ -19,10 +19,10 @@ if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
 _MAX_STEPS = 30
-_MIN_GAIN = 1e-3  # of chi squared, relative to 1 + chi squared; with less, a fit ends
+_MIN_GAIN = 1e-3  # gain of chi squared, relative to 1 + chi squared; below, a fit ends
 _GRID_POINTS = 5  # along each edge of a board, at which distortion is evaluated
-_MIN_AREA = 1e-6  # of a board's picture (longer side squared); smaller is edge-on
-_MAX_BEND = 3.0  # longer sides, shift by k1 = 1, above which rounding dominates
+_MIN_AREA = 1e-6  # area of a board's picture (longer side squared); below, the view is edge-on
+_MAX_BEND = 3.0  # longer sides, shift by k1 = 1; above, rounding errors dominate
 _MAX_ROTATION = 0.5  # rad, per step
 
 
@@ -139,7 +139,6 @@ class BoardPoses:
         return np.where(possible[:, None, None], moved_points, 0.0)
 
     def _by_board(self, poses: FocalPoses, at: Array, w: Array) -> Array:
-        """Return the derivative (n, k, 2, 2) of picture by board positions."""
         axes = poses.rotations[:, None, :, :2] * poses.sizes[:, None, None, None]
         by_depth = at[..., :, None] * (self._spread[:, None, None] * axes[:, :, 2])[:, :, None, :]
         by: Array = (axes[:, :, :2] - by_depth) / w[..., None, None]

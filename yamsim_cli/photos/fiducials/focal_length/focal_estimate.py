@@ -28,7 +28,7 @@ Grey = NDArray[np.uint8]
 
 # Longer sides of the image: from 100 degrees field of view to lenses too long to film robots.
 _FOCAL_RANGE = (0.42, 16.0)
-_NODES, _REFINED_NODES = 57, 33  # over the range, and over one valley
+_NODES, _REFINED_NODES = 57, 33  # focal lengths over the range, and over one valley
 _MAX_VALLEYS = 3  # local minima of chi squared to refine
 _MIN_VALLEY_NODES = 14  # focal lengths within a valley, up to which it is refined
 _MAX_REFINEMENTS = 6  # finer grids in a valley
@@ -42,11 +42,11 @@ _MIN_SIGMAS = np.array([0.003, 0.0005, 0.0005, 0.002])
 # outlines of 200 single photos and 70 sets of four, lenses from the prior: 62 and 84 % of squared errors are within the
 # 95 % bounds without this share, 95 and 96 % with it.
 _CURVATURE_SHARE = 0.5
-_MAX_INTERVAL_RATIO = 1.5  # of a 95 % interval's ends, above which errors are far from normal
-_MAX_MISFIT_SIGMAS = 3.72  # of chi squared, which 1 in 10,000 consistent sets exceeds
+_MAX_INTERVAL_RATIO = 1.5  # ratio of a 95 % interval's ends; above, errors are far from normal
+_MAX_MISFIT_SIGMAS = 3.72  # sigmas of chi squared that 1 in 10,000 consistent sets exceeds
 
 _TYPICAL_FOCAL = 0.5 / math.tan(math.radians(30.0))  # longer sides of the image, 60 degrees field of view
-_TYPICAL_LOG_SIGMA = 0.35  # of the typical focal length's logarithm
+_TYPICAL_LOG_SIGMA = 0.35  # sigma of the typical focal length's logarithm
 
 _NO_BOARD = "no board tells the focal length"
 _ADVICE = "photograph the board from a slant, or give --camera"
@@ -58,7 +58,7 @@ _LENS_SIGMAS = np.array([0.02, 0.02, 0.1])
 _MAX_LENS_ROUNDS = 25  # steps of the lens, each with refitted poses
 _MAX_IDLE_ROUNDS = 2  # without gain, after which the search ends
 _CHI_RELEVANT = 150.0  # chi squared above the minimum, from which its value is irrelevant
-_MIN_GAIN = 0.03  # of chi squared, up to which a round is idle
+_MIN_GAIN = 0.03  # gain of chi squared; a round with less is idle
 _CHI_IMPOSSIBLE = 1e12  # stands for infinite or undefined chi squared
 
 
@@ -158,7 +158,6 @@ class _LensProblem(LeastSquares[_LensState, _LensEquations]):
         self._idle = 0
 
     def start(self, lens: Array) -> _LensState:
-        """Fit the boards' poses for a lens (n, 3)."""
         return self._through(lens, [[board.first for board in pair] for pair in self._boards])
 
     def _through(self, lens: Array, poses: Sequence[Sequence[FocalPoses]]) -> _LensState:
@@ -279,7 +278,6 @@ def _refine_profile(
 
 
 def _interval(found: FocalProfile, size: tuple[int, int]) -> tuple[float | None, float | None]:
-    """Return ends (px) of the 95 % interval; None beyond the searched range."""
     best = math.log(found.spread[np.argmin(found.misfit)])
     over = found.misfit - found.misfit.min() - _CHI_95
     inside = np.flatnonzero(over <= 0)

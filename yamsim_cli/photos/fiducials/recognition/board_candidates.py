@@ -32,21 +32,21 @@ _WHOLE_PRINT_SCALES = ((1, 3), (2, 3), (2, 7))  # reduction, and width of light 
 _MARKER_SCALES = ((1, 0),)  # the same for single markers: no change
 _MAX_PHOTO_SIDE = 960  # px, longer side of the searched photo
 _THRESHOLDS = np.linspace(0.12, 0.84, 9)  # share of the grey range, below which a pixel is dark
-_RANGE_PERCENTILES = (0.5, 99.5)  # of grey levels, that define a photo's range
+_RANGE_PERCENTILES = (0.5, 99.5)  # percentiles that define a photo's range of grey levels
 # Difference within 3 px at an edge, share of the grey range; width of gaps between edges to close, px.
 _EDGE_THRESHOLDS = ((0.14, 3), (0.18, 3), (0.22, 3), (0.27, 3), (0.34, 3), (0.42, 5))
 _MIN_THICKNESS = 5  # px, of a patch full of edges; a single edge is thinner
 _MIN_AREA = 30  # px^2
 _MIN_CONTOUR = 20  # px
-_MAX_PATCH_SHARE = 0.8  # of a patch's sides over the photo's
-_MIN_HULL_SHARE = 0.78  # of a patch's area over its convex hull's
-_MAX_QUAD_RATIO = 1.3  # of the quadrilateral's area over the hull's
-_DUPLICATE_DISTANCE = 0.04  # patch sizes, between all corners of duplicates
+_MAX_PATCH_SHARE = 0.8  # ratio of a patch's sides to the photo's
+_MIN_HULL_SHARE = 0.78  # ratio of a patch's area to its convex hull's
+_MAX_QUAD_RATIO = 1.3  # ratio of the quadrilateral's area to the hull's
+_DUPLICATE_DISTANCE = 0.04  # patch sizes, distance of all corners of duplicates
 
 _MAX_NEIGHBOUR_OFFSET = 0.3  # grid steps, from a neighbour's predicted centre
 _MAX_AREA_RATIO = 1.6  # of neighbouring markers
 _MIN_MARKERS = 3  # fewer do not determine a grid's perspective
-_MAX_CORNER_RMS = 0.12  # marker edges, from the grid
+_MAX_CORNER_RMS = 0.12  # marker edges, of corners from the grid
 
 _POINTS_PER_CELL = 2  # sample points of a marker cell along each axis
 _MIN_AGREEMENT = 2.5  # standard deviations of random bits
@@ -125,7 +125,6 @@ def _enclosed_quads(dark: NDArray[np.bool_]) -> Iterator[Array]:
 
 
 def _distinct_quads(quads: list[Array]) -> list[Array]:
-    """Return distinct quads, clockwise from the corner nearest the top left."""
     kept: list[Array] = []
     for quad in quads:
         signed = cv2.contourArea(quad.astype(np.float32), oriented=True)
@@ -186,7 +185,6 @@ def _grow_grid(seed: int, quads: Array, areas: Array, step: float) -> Grid:
 
 
 def _board_corners(grid: Grid, quads: Array, board: Board) -> Iterator[Array]:
-    """Yield outer corners for each part of the board that the grid may show."""
     places = np.array(list(grid))
     low, high = places.min(axis=0), places.max(axis=0)
     size = high - low + 1

@@ -42,15 +42,15 @@ FALSE_ALARMS = 1e-4  # accepted rate of photos without the board
 # Tried positions and orientations. Source: `make bench-fiducials`: 20 to 60 patches in four orientations, about 250
 # moves of each refined patch.
 _TRIALS_PER_BOARD = 1200
-_TRIALS_PER_FIT = 30  # independent poses of one fit
+_TRIALS_PER_FIT = 30  # poses of one fit that count as independent trials
 _MAX_BOARD_LOG_CHANCE = -8.0  # log probability of the bits by chance; below, advice assumes the board
 _MAX_RETRIED_LOG_CHANCE = -3.0  # the same; below, a fit with low correlation is repeated
 _SAME_MOTION = 3.0  # px, difference in length of equal motion blurs
 _MAX_FITS = 2  # fitted candidates per search method
-_MIN_RELATIVE_AGREEMENT = 0.6  # over the best candidate's agreement; below, a candidate is not fitted
+_MIN_RELATIVE_AGREEMENT = 0.6  # ratio to the best candidate's agreement; below, a candidate is not fitted
 _SEARCH_RADIUS = 0.5  # board sizes in the picture, around a predicted position
 _SUFFICIENT_CORRELATION = 0.85  # median, of print and photo; above, no other pose is fitted
-_MIN_SEPARATION = 0.5  # patch sizes, between different prints
+_MIN_SEPARATION = 0.5  # patch sizes, distance between different prints
 
 # Start kernels of a fit.
 _BLUR_SIGMAS = (0.9, 2.0, 3.5)  # px

@@ -20,7 +20,7 @@ from yamsim_cli.core.images.board_image import marker_cells
 from ..fitting.blur_kernel import BlurKernel
 from ..fitting.print_view import PhotoRegion, RenderedPrint, draw_print, fine_board_points
 
-_MIN_PIXELS = 12  # of a marker; with fewer, bits are not estimated
+_MIN_PIXELS = 12  # pixels of a marker; below, its bits are not estimated
 
 
 @dataclass(frozen=True)
