@@ -25,27 +25,26 @@ from .readers.object_parts import MassProperties, ObjectDescription, RigidPart
 from .visual_meshes import VisualMeshes, make_visual_meshes
 from .ycb_config import IN_DEPTH, ROLLING_SHARE
 
-_DEFAULT_DENSITY = 1000.0  # kg/m3, for objects without a mass; close to most plastics, ripe fruit and water
-_DEFAULT_FRICTION = 0.8  # sliding friction of objects whose file states none
-_TORSIONAL_FRICTION, _ROLLING_FRICTION = 0.005, 0.0005  # m; objects that roll have ROLLING_SHARE instead of the latter
-# m. Other objects can be placed on a top surface whose height varies by at most _MAX_UNEVENNESS within _MID_RADIUS.
+_DEFAULT_DENSITY = 1000.0  # kg/m3, if nothing states a mass; close to most plastics, ripe fruit and water
+_DEFAULT_FRICTION = 0.8  # sliding
+_TORSIONAL_FRICTION, _ROLLING_FRICTION = 0.005, 0.0005  # m; rolling objects use ROLLING_SHARE instead of the latter
+# m. A top surface holds objects if its height varies by at most _MAX_UNEVENNESS within _MID_RADIUS.
 _MID_RADIUS, _MAX_UNEVENNESS = 0.012, 0.004
-_MIN_THICKNESS = 1e-6  # least thickness of a base over its largest extent; a thinner one has no volume
-# Damping and dry friction (SI units) of joints for which the file states neither: otherwise they never come to rest.
+_MIN_THICKNESS = 1e-6  # thickness of a base over its extent; a thinner base has no volume
+# SI units, for joints whose file states neither: without losses they never come to rest.
 _DEFAULT_JOINT_LOSSES = {"slide": {"damping": 2.0, "friction": 0.3}, "hinge": {"damping": 0.01, "friction": 0.005}}
 
 
 @dataclass(frozen=True)
 class ImportOptions:
-    """Options of an import, which override the values in the object file.
+    """Import options, which override the object file.
 
     Attributes:
-        name: name of the object.
-        mass: mass of the whole object, kg; by default from the density or from the file, else from 1,000 kg/m3.
-        density: density of the evenly filled object, kg/m3.
-        collision: kind of collision geometry; "auto": that of the file, else primitives if they fit, else convex parts.
-        base: whether the base part can move or is fixed to the world; by default as in the file.
-        friction: sliding friction; by default as in the file, or 0.8 if the file states none.
+        mass: of the whole object, kg; by default from the density or the file, else from 1,000 kg/m3.
+        density: kg/m3, of the evenly filled object.
+        collision: "auto" takes the file's geometry, else primitives if they fit, else convex parts.
+        base: whether the base can move or is fixed to the world; by default as in the file.
+        friction: sliding; by default as in the file, or 0.8.
     """
 
     name: str
@@ -61,13 +60,13 @@ class BuiltObject:
     """The config data and mesh files of an imported object.
 
     Attributes:
-        data: the object's config; its meshes lack the name of their set, which `with_set` adds.
-        files: content of each mesh file, by name.
-        collision: collision geometry of each part, the base first.
-        mass: mass of the whole object, kg.
-        mass_is_guessed: whether a part's mass follows from the default density.
-        is_closed: whether every part's surface is closed.
-        notes: messages for users about content of the object file that was left out.
+        data: config whose meshes lack the name of their set, which `with_set` adds.
+        files: file name -> content.
+        collision: of each part, the base first.
+        mass: of the whole object, kg.
+        mass_is_guessed: a part's mass follows from the default density.
+        is_closed: every part's surface is closed.
+        notes: for users, on content that was left out.
     """
 
     data: Mapping[str, Any]
@@ -79,7 +78,7 @@ class BuiltObject:
     notes: tuple[str, ...]
 
     def with_set(self, name: str) -> dict[str, Any]:
-        """Return the config data with `name` as the mesh set of every mesh."""
+        """Return the config data with `name` as mesh set."""
 
         def named(meshes: list[Mapping[str, Any]]) -> list[dict[str, Any]]:
             return [{"set": name, **mesh} for mesh in meshes]
@@ -96,15 +95,10 @@ class BuiltObject:
 def build_object(
     thing: ObjectDescription, options: ImportOptions, cache: Path, share: Share = lambda done: None
 ) -> BuiltObject:
-    """Build the config and the files of an object.
-
-    Args:
-        thing: the object as read from its file, in metres, z up.
-        cache: folder of cached convex decompositions.
-        share: called with the completed share of the work, 0 to 1.
+    """Build an object's config and files from a description in metres, z up.
 
     Raises:
-        ResourceError: the description does not contain enough for a config.
+        ResourceError: the description does not suffice for a config.
     """
     if not thing.parts[0].looks:
         raise ResourceError(f"{options.name}: its base {thing.parts[0].name!r} has nothing that can be seen")
@@ -163,7 +157,6 @@ def _report_part(share: Share, number: int, parts: int, done: float) -> None:
 
 
 def _require_volume(vertices: Array, name: str) -> None:
-    """Refuse an object whose base lies in one plane or on one line, in any direction."""
     spread = np.linalg.svd(vertices - vertices.mean(axis=0), compute_uv=False)
     if len(vertices) < 4 or spread[-1] <= _MIN_THICKNESS * spread[0]:
         raise ResourceError(
@@ -172,7 +165,6 @@ def _require_volume(vertices: Array, name: str) -> None:
 
 
 def _labels(thing: ObjectDescription) -> list[str]:
-    """Return a name of letters, digits and underscores for each part; "base" for the base."""
     labels = ["base"]
     for part in thing.parts[1:]:
         label = re.sub(r"\W+", "_", part.name, flags=re.ASCII).strip("_") or "part"
@@ -202,11 +194,7 @@ def _mass_properties(
 
 
 def _origin(vertices: Array, weight: MassProperties, *, supports_others: bool) -> Array:
-    """Return the object's origin (3,), m: the middle of its underside if `supports_others`, else the centre of mass.
-
-    Args:
-        supports_others: whether other objects can be placed on the object.
-    """
+    """Return the origin (3,), m: the underside's middle if `supports_others`, else the centre of mass."""
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     middle = np.array([*_base_centre(vertices), low[2]]) if supports_others else weight.centre
     origin: Array = np.round(np.clip(middle, low, high), 5)
@@ -214,7 +202,7 @@ def _origin(vertices: Array, weight: MassProperties, *, supports_others: bool) -
 
 
 def _base_centre(vertices: Array) -> Array:
-    """Return the middle (x, y) of the lowest tenth of the height, which excludes a handle at the side."""
+    """The lowest tenth excludes a handle at the side."""
     low, high = vertices[:, 2].min(), vertices[:, 2].max()
     foot = vertices[vertices[:, 2] < low + 0.1 * (high - low)][:, :2]
     middle: Array = (foot.min(axis=0) + foot.max(axis=0)) / 2
@@ -222,14 +210,12 @@ def _base_centre(vertices: Array) -> Array:
 
 
 def _surface_heights(vertices: Array, faces: Faces) -> Array:
-    """Return the heights (n,) of the top surface at those of 25 points around the middle that lie on it."""
     ring = [(r * np.cos(a), r * np.sin(a)) for r in (0.25, 0.6, 1.0) for a in np.arange(8) * np.pi / 4 + 0.1]
     found = crossings_along_z(vertices, faces, _base_centre(vertices) + _MID_RADIUS * np.array([(0.013, 0.017), *ring]))
     return np.array([heights[-1] for heights in found if len(heights)])
 
 
 def _level_height(vertices: Array, faces: Faces) -> float | None:
-    """Return the height of the top surface in the middle, m; None if that surface is not level."""
     heights = _surface_heights(vertices, faces)
     if len(heights) < 20 or np.ptp(heights) > _MAX_UNEVENNESS:
         return None
@@ -237,7 +223,6 @@ def _level_height(vertices: Array, faces: Faces) -> float | None:
 
 
 def _rim_depth(vertices: Array, faces: Faces) -> float:
-    """Return the depth of the top surface's middle under the object's highest point, m."""
     heights = _surface_heights(vertices, faces)
     return float(vertices[:, 2].max() - np.median(heights)) if len(heights) else 0.0
 
@@ -267,7 +252,7 @@ def _link(
     geometry: CollisionGeometry,
     origin: Array,
 ) -> dict[str, Any]:
-    assert part.parent is not None and part.joint is not None  # only the base has no parent
+    assert part.parent is not None and part.joint is not None
     shift = origin if part.parent == 0 else np.zeros(3)
     joint = dict(part.joint)
     if not joint.get("damping") and not joint.get("friction"):
@@ -301,7 +286,7 @@ def _shift_handle(handle: Mapping[str, Any], origin: Array) -> dict[str, Any]:
 
 
 def _files(looks: list[VisualMeshes], collision: list[CollisionGeometry], origin: Array) -> dict[str, bytes]:
-    """Return name -> content of all mesh files. Collision meshes of the base are shifted by -`origin`."""
+    """Return name -> content, with the base's collision meshes shifted by -`origin`."""
     files: dict[str, bytes] = {}
     for look in looks:
         files |= look.files
@@ -313,7 +298,6 @@ def _files(looks: list[VisualMeshes], collision: list[CollisionGeometry], origin
 
 
 def _grasp(base: tuple[Array, Faces], mass: float, origin: Array) -> dict[str, Any] | None:
-    """Return a grasp around the base; None if no part of the base fits between two fingers."""
     body = PointBody.inside(base[0] - origin, base[1])
     if not len(body.points):
         return None

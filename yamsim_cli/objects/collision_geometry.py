@@ -1,4 +1,4 @@
-"""Make the collision geometry of a part: primitives, convex parts, a signed distance field, or a convex hull."""
+"""Make a part's collision geometry: primitives, convex parts, signed distance field, or convex hull."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ from .readers.object_parts import Surface
 
 CollisionMode = Literal["auto", "primitives", "decompose", "sdf", "hull"]
 
-NEAR = 0.0015  # m; "auto" uses fitted primitives if 99 % of the surface lies within this distance of them
-_MIN_CONVEXITY = 0.995  # a body counts as convex if its volume over that of its convex hull is larger
+NEAR = 0.0015  # m; "auto" uses fitted primitives if 99 % of the surface is nearer
+_MIN_CONVEXITY = 0.995  # volume over the convex hull's; above, a body counts as convex
 
 
 @dataclass(frozen=True)
@@ -29,10 +29,10 @@ class CollisionGeometry:
     """The collision geometry of a part.
 
     Attributes:
-        kind: "primitives", "decompose" (convex parts), "sdf" or "hull"; "file" if the object file has the geometry.
-        parts: collision parts as config data.
-        files: STL files of the parts, by name.
-        fit: fit of the primitives; None if no primitives were fitted.
+        kind: "primitives", "decompose" (convex parts), "sdf", "hull", or "file" (from the object file).
+        parts: config data.
+        files: STL files by name.
+        fit: None if no primitives were fitted.
     """
 
     kind: str
@@ -49,15 +49,13 @@ def collision_geometry(
     cache: Path,
     share: Share,
 ) -> CollisionGeometry:
-    """Return the collision geometry of a part.
+    """Return a part's collision geometry.
 
     Args:
-        name: prefix of the part's file names.
-        looks: visual surfaces of the part.
-        shapes: collision geometry in the object file; None if it has none.
-        collision: requested kind; "auto" uses `shapes`, else primitives that fit, else a hull or convex parts.
-        cache: folder of convex decompositions.
-        share: called with the completed share of the work, 0 to 1.
+        name: prefix of file names.
+        looks: visual surfaces.
+        shapes: the object file's collision geometry, if any.
+        collision: "auto" uses `shapes`, else primitives that fit, else a hull or convex parts.
 
     Raises:
         ResourceError: a body cannot be decomposed.
@@ -102,20 +100,20 @@ def _of_meshes(name: str, kind: str, bodies: list[Body]) -> CollisionGeometry:
 
 
 def fit_primitives(body: Body) -> SolidFit:
-    """Fit solid and hollow primitives to a surface, and return those with the smaller rms distance from all of it."""
+    """Fit solid and hollow primitives, and return those with the smaller rms distance."""
     scan = Scan.from_mesh(*body)
     solid = fit_solid(scan.points)
     found = [evaluate_fit(solid.parts, scan.points)]
     if hollow := fit_hollow(scan):
         fit, (x, y) = hollow
-        # A ring has no position in a config: its axis must be the part's z axis.
+        # A config's ring must lie on the part's z axis.
         if abs(x) < 1e-4 and abs(y) < 1e-4:
             found.append(evaluate_fit(fit.parts, scan.points))
     return min(found, key=lambda fit: fit.rms)
 
 
 def shift_part(part: Mapping[str, Any], by: Array) -> dict[str, Any]:
-    """Return the config data of a collision part shifted by a vector (3,), m. A ring shifts only along z."""
+    """Shift a part's config data by a vector (3,), m. A ring shifts only along z."""
     at = {
         key: [round(float(x), 6) for x in np.add(part[key], by)]
         for key in ("centre", "start", "end", "low", "high")
@@ -127,6 +125,6 @@ def shift_part(part: Mapping[str, Any], by: Array) -> dict[str, Any]:
 
 
 def rolling_radius(parts: tuple[Mapping[str, Any], ...]) -> float | None:
-    """Return the least radius if all parts are spheres or capsules, which roll; None for other parts."""
+    """Return the least radius if all parts are spheres or capsules, which roll; else None."""
     kinds = {part["type"] for part in parts}
     return min(float(part["radius"]) for part in parts) if kinds <= {"sphere", "capsule"} else None

@@ -1,4 +1,4 @@
-"""Decompose bodies into convex parts by CoACD in a child process, with a cache of results.
+"""Decompose bodies into convex parts by CoACD in a child process, with a cache.
 
 Source: X. Wei, M. Liu, Z. Ling, H. Su, "Approximate Convex Decomposition for 3D Meshes with Collision-Aware Concavity
 and Tree Search", SIGGRAPH 2022; the package `coacd`.
@@ -26,34 +26,27 @@ from ..core.scene.assets.child_process import python_call, run_child
 from ..core.scene.assets.sources import SourceError
 from .part_surfaces import simplified_mesh
 
-DECOMPOSITION_FOLDER = (
-    "decomposed"  # name of the folder of cached results, in the folder that also contains the mesh sets
-)
+DECOMPOSITION_FOLDER = "decomposed"  # folder of cached results, beside the mesh sets
 
-# Triangle counts to which a body is reduced first, and the largest deviation, mm. The parts deviate by 1 to 2 mm.
+# Triangle counts of the reduced body, tried in order, and its largest deviation; the parts deviate by 1 to 2 mm.
 _FACES, _LIMIT_MM = (1_000, 2_000, 4_000, 8_000), 0.3
 
-# Parameters of CoACD, found by experiment (docs/figures.md). `threshold`: largest remaining concavity over half the
-# body's length. `parts`: largest number of parts. The others limit the tree search for each cut.
+# Found by experiment (docs/figures.md). `threshold`: remaining concavity over half the body's length. `parts`: maximum
+# number. The others limit the tree search of each cut.
 _SEARCH = {"threshold": 0.05, "parts": 32, "iterations": 40, "nodes": 10, "depth": 2, "resolution": 1000}
-_LIMIT_S = 300.0  # s, time limit; several times the duration for a body of some thousand triangles
-_MEMORY = 8_000_000_000  # bytes, address space of the child process
-_CORE_SECONDS = 1200  # s, CPU time of the child process on all cores
+_LIMIT_S = 300.0  # s; several times the duration for some thousand triangles
+_MEMORY = 8_000_000_000  # bytes, address space of the child
+_CORE_SECONDS = 1200  # s, CPU time of the child on all cores
 
-Share = Callable[[float], None]  # called with the completed share of the work, 0 to 1
-Body = tuple[Array, Faces]  # vertices (n, 3), m, and triangles (m, 3)
+Share = Callable[[float], None]  # called with the completed share, 0 to 1
+Body = tuple[Array, Faces]  # vertices (n, 3), m; triangles (m, 3)
 
 
 def decompose(body: Body, cache: Path, share: Share = lambda done: None, limit_s: float = _LIMIT_S) -> list[Body]:
-    """Return convex parts whose union approximates a body.
-
-    Args:
-        cache: folder of earlier results; each file is named by the hash of the body and of all parameters.
-        share: called with the completed share of the work, 0 to 1.
-        limit_s: time limit, s.
+    """Return convex parts whose union approximates a body; `cache` is the folder of earlier results.
 
     Raises:
-        ResourceError: the package `coacd` is missing, the decomposition fails, or a limit of time or memory is reached.
+        ResourceError: `coacd` is missing, the decomposition fails, or a limit of time or memory is reached.
     """
     if find_spec("coacd") is None:
         raise ResourceError("taking a body apart needs coacd: pip install 'yamsim[import]', or --collision hull or sdf")
@@ -89,7 +82,7 @@ def _decompose_in_child(scratch: Path, share: Share, limit_s: float) -> bytes:
     def report_progress() -> int:
         nonlocal furthest
         log = (scratch / "stdout.txt").read_text(errors="replace")
-        # CoACD passes over all parts several times; the number of passes is not known in advance.
+        # CoACD passes over all parts an unknown number of times.
         rounds = len(re.findall(r"iter \d+", log))
         if re.search(r"Processing \[([\d.]+)%\]", log):
             furthest = max(furthest, rounds / (rounds + 3))
@@ -111,7 +104,7 @@ def _decompose_in_child(scratch: Path, share: Share, limit_s: float) -> bytes:
 
 
 def run_decomposition(folder: str) -> None:
-    """Read `body.npz` in a folder, and write its convex parts to `parts.npz`: entry point of the child process."""
+    """Child process: read `body.npz` in a folder, write its convex parts to `parts.npz`."""
     import resource
 
     import coacd
@@ -127,7 +120,7 @@ def run_decomposition(folder: str) -> None:
         mesh,
         threshold=how["threshold"],
         max_convex_hull=how["parts"],
-        # Remeshing would give a closed body many more faces.
+        # Remeshing a closed body would give many more faces.
         preprocess_mode="off" if how["closed"] else "on",
         preprocess_resolution=40,
         resolution=how["resolution"],
@@ -155,7 +148,7 @@ def _read(file: Path) -> list[Body] | None:
 
 
 def convex_hull(body: Body) -> Body:
-    """Return the convex hull of a body as vertices and triangles."""
+    """Return the convex hull."""
     import manifold3d
 
     found = manifold3d.Manifold.hull_points(np.asarray(body[0], np.float64)).to_mesh()
@@ -163,6 +156,6 @@ def convex_hull(body: Body) -> Body:
 
 
 def convexity(body: Body) -> float:
-    """Return the volume of a closed body over the volume of its convex hull: 1 if the body is convex."""
+    """Return a closed body's volume over its convex hull's: 1 if convex."""
     around = uniform_mass_properties(*convex_hull(body)).volume
     return abs(uniform_mass_properties(*body).volume) / around if around > 0 else 1.0

@@ -1,4 +1,4 @@
-"""Compute grasps from above: two fingers close across the narrowest side of an object, near its middle."""
+"""Compute grasps from above, across an object's narrowest side near its middle."""
 
 from __future__ import annotations
 
@@ -9,26 +9,26 @@ import numpy as np
 
 from .primitives import PointBody
 
-_MIN_TABLE_DISTANCE = 0.0235  # m, least height of the pads' middle over the table; lower, a tilted hand would touch it
-_MIN_TOP_DEPTH = 0.010  # m, least depth of the pads' middle under the object's top; higher, only their edges would hold
-_MAX_TOP_DEPTH = 0.045  # m, largest depth of the pads' middle under the object's top; deeper, the palm would touch it
-_MIDDLE_OFFSET = 0.004  # m, height of the pads over half the object's height, so that the object hangs stably
-_HALF_PAD = 0.008  # m, half the width and half the height of a finger pad
-_AXES_DEG = range(180)  # degrees, headings at which the fingers are tried
-_ROUND_RANGE = 60  # an outline with more headings (1 degree apart) of nearly the least width counts as round
-_WIDTH_TOLERANCE = 0.002  # m, excess over the least width up to which a further grasp point is kept
-_DISPLACEMENTS = (0.015, -0.015)  # m, shifts of further grasp points along an object with one narrow heading
-_MIN_FORCE = 15.0  # N, least grip force of each pad, as in the banana's config
-_WEIGHT_FACTOR = 8.0  # least grip force of each pad over half the object's weight
+_MIN_TABLE_DISTANCE = 0.0235  # m, pads' middle over the table; lower, a tilted hand would touch it
+_MIN_TOP_DEPTH = 0.010  # m, pads' middle under the top; higher, only their edges would hold
+_MAX_TOP_DEPTH = 0.045  # m, pads' middle under the top; deeper, the palm would touch it
+_MIDDLE_OFFSET = 0.004  # m, pads over half the object's height, so that it hangs stably
+_HALF_PAD = 0.008  # m, half width and height
+_AXES_DEG = range(180)  # degrees
+_ROUND_RANGE = 60  # headings (1 degree apart) of nearly the least width, above which an outline is round
+_WIDTH_TOLERANCE = 0.002  # m over the least width, of further grasp points
+_DISPLACEMENTS = (0.015, -0.015)  # m, of further grasp points along an object with one narrow heading
+_MIN_FORCE = 15.0  # N, of each pad, as in the banana's config
+_WEIGHT_FACTOR = 8.0  # each pad's force over half the weight
 
 
 def overhead_grasp(body: PointBody, mass: float, foot: float, top: float) -> dict[str, Any]:
-    """Return the `grasp` entry of an object's config. The object may be wider than a gripper opens.
+    """Return a config's `grasp` of an object, which may be wider than a gripper opens.
 
     Args:
-        body: points inside the object, in the object's frame.
+        body: in the object's frame.
         mass: kg.
-        foot, top: heights of the object's lowest and highest point over its origin, m.
+        foot, top: lowest and highest point over the origin, m.
 
     Raises:
         ValueError: the pads would touch no part of the body.
@@ -36,7 +36,6 @@ def overhead_grasp(body: PointBody, mass: float, foot: float, top: float) -> dic
     height = max((foot + top) / 2 + _MIDDLE_OFFSET, foot + _MIN_TABLE_DISTANCE)
     height = max(min(height, top - _MIN_TOP_DEPTH), top - _MAX_TOP_DEPTH)
     centre = (float(body.centre[0]), float(body.centre[1]))
-    # Keep only the points at the height of the pads.
     body = PointBody(body.points[np.abs(body.points[:, 2] - height) <= _HALF_PAD], body.step)
     widths = {axis: found for axis in _AXES_DEG if (found := body.width(height, axis, centre, _HALF_PAD))}
     least = min(width for width, _ in widths.values())
@@ -70,7 +69,7 @@ def _middle(axes: list[int]) -> int:
 
 def _point(body: PointBody, height: float, axis: int, at: tuple[float, float]) -> dict[str, Any]:
     found = body.width(height, axis, at, _HALF_PAD)
-    assert found is not None  # checked by the caller
+    assert found is not None
     width, middle = found
     angle = math.radians(axis)
     position = [at[0] + middle * math.cos(angle), at[1] + middle * math.sin(angle), height]

@@ -1,4 +1,4 @@
-"""Merge the surfaces of a part, reduce them to fewer triangles, and compute their mass properties."""
+"""Merge a part's surfaces, reduce their triangles, and compute mass properties."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from ..core.scene.assets.asset_lock import Reduction
 from ..core.scene.assets.mesh_reduction import collapse_edges
 from .readers.object_parts import MassProperties, Surface
 
-_SHEET_THICKNESS = 0.002  # m, assumed thickness of a surface that encloses no volume
-_MIN_MOMENT_SHARE = 1e-4  # least principal moment of inertia over the largest; smaller moments are raised
+_SHEET_THICKNESS = 0.002  # m, of a surface that encloses no volume
+_MIN_MOMENT_SHARE = 1e-4  # principal moment over the largest; smaller ones are raised
 _MM_PER_M = 1000.0
-_SAMPLES = 2000  # points at which the deviation of a reduced surface is measured
-# mm, largest displacements by the removal of slivers (thin triangles, which can stall the reduction), tried in order.
+_SAMPLES = 2000  # points at which a reduced surface's deviation is measured
+# mm, displacements, in order, to remove slivers (thin triangles), which can stall the reduction.
 _SLIVERS_MM = (0.0, 0.1)
 
 
 def merged_surface(surfaces: tuple[Surface, ...]) -> tuple[Array, Faces]:
-    """Return all surfaces of a part as one surface, in which vertices at the same position are merged."""
+    """Merge a part's surfaces, and vertices at the same position."""
     vertices = np.concatenate([surface.vertices for surface in surfaces])
     starts = np.cumsum([0, *(len(surface.vertices) for surface in surfaces[:-1])])
     faces = np.concatenate([surface.faces + start for surface, start in zip(surfaces, starts, strict=True)])
@@ -34,13 +34,7 @@ def merged_surface(surfaces: tuple[Surface, ...]) -> tuple[Array, Faces]:
 def simplified_mesh(
     body: tuple[Array, Faces], counts: Iterable[int], limit_mm: float, *, closed: bool = False
 ) -> tuple[Array, Faces] | None:
-    """Return a surface (m) reduced to the first of `counts` that keeps within `limit_mm`; None if none does.
-
-    Args:
-        counts: triangle counts to try, the smallest first.
-        limit_mm: largest deviation from the given surface, mm.
-        closed: whether the result must be closed.
-    """
+    """Reduce a surface (m) to the first of `counts` triangles that keeps within `limit_mm`; None if none does."""
     source = body[0] * _MM_PER_M, body[1]
     for count in counts:
         if count >= len(body[1]):
@@ -56,7 +50,7 @@ def simplified_mesh(
 
 
 def solid_or_sheet(vertices: Array, faces: Faces) -> tuple[UniformMassProperties, bool]:
-    """Return the mass properties at 1 kg/m3, and whether a surface encloses a volume; if not, it counts as a sheet."""
+    """Return mass properties at 1 kg/m3, and whether the surface encloses a volume; else it is a sheet."""
     if is_closed(faces):
         inside = _solid_mass_properties(vertices, faces)
         if inside.volume < 0:
@@ -75,10 +69,10 @@ def solid_or_sheet(vertices: Array, faces: Faces) -> tuple[UniformMassProperties
 
 
 def _solid_mass_properties(vertices: Array, faces: Faces) -> UniformMassProperties:
-    """Return the mass properties of a closed surface at 1 kg/m3.
+    """Return a closed surface's mass properties at 1 kg/m3.
 
-    The sums have another order than in `closed_surface.uniform_mass_properties`. Rounding decides the signs of a
-    symmetric body's principal axes: that order would change existing configs.
+    `closed_surface.uniform_mass_properties` sums in another order. Rounding decides the signs of a symmetric body's
+    principal axes, so that order would change existing configs.
     """
     middle = vertices.mean(axis=0)
     a, b, c = np.moveaxis((vertices - middle)[faces], 1, 0)
@@ -95,14 +89,14 @@ def _solid_mass_properties(vertices: Array, faces: Faces) -> UniformMassProperti
 
 
 def scale_mass(weight: MassProperties, factor: float) -> MassProperties:
-    """Return mass properties with the mass and the inertia multiplied by a factor."""
+    """Multiply mass and inertia by a factor."""
     return MassProperties(weight.mass * factor, weight.centre, weight.tensor * factor)
 
 
 def plain_inertia(weight: MassProperties, what: str) -> dict[str, object]:
-    """Return mass properties as the `inertia` entry of a config. Raises `ResourceError` if no moment is positive."""
+    """Return a config's `inertia`. Raises `ResourceError` if no moment is positive."""
     moments, axes = np.linalg.eigh((weight.tensor + weight.tensor.T) / 2)
-    # Files may leave the inertia out, or round small moments to 0.
+    # Files may omit inertia, or round small moments to 0.
     if moments.max() <= 0:
         raise ResourceError(
             f"{what}: its inertia is {moments.tolist()} kg m2; correct the file, or leave the inertia out"

@@ -1,4 +1,4 @@
-"""Fit collision primitives to scans: solid primitives by least squares, or floor and rings to the inside of vessels."""
+"""Fit collision primitives to scans: solids by least squares, floor and rings to the inside of vessels."""
 
 from __future__ import annotations
 
@@ -19,27 +19,27 @@ from ..core.geometry.stl import Faces, read_stl
 from ..core.geometry.surface_distance import sample_surface
 from .primitives import signed_distance
 
-_SAMPLES = 6000  # points sampled from a surface; another random sample changes no fit by more than 0.1 mm
+_SAMPLES = 6000  # points of a surface; another random sample changes no fit by more than 0.1 mm
 
-_PARAMETER_COST = 3e-4  # m, cost of each parameter of a shape: a shape with more must fit that much better
-_DIMPLE_DEPTH = 0.0015  # m; points deeper under all tangent planes lie in a dimple, and are left out of a fit
-_PLANES = 600  # number of tangent planes around the points, in directions spread over the sphere
-_GROUND_REACH = 0.004  # m; a capsule's end with less clearance from the ground is moved to the ground
-_MAX_STEPS = 30  # iterations of a fit
-_STEP = 1e-5  # step of the finite differences in each parameter, m or rad
-_MIN_GAIN = 1e-6  # relative reduction of the cost below which a fit stops
+_PARAMETER_COST = 3e-4  # m, by which a shape must fit better per additional parameter
+_DIMPLE_DEPTH = 0.0015  # m; deeper points under all tangent planes are a dimple, which a fit ignores
+_PLANES = 600  # tangent planes over the sphere of directions
+_GROUND_REACH = 0.004  # m to the ground; a nearer capsule end is moved to it
+_MAX_STEPS = 30
+_STEP = 1e-5  # m or rad, of finite differences
+_MIN_GAIN = 1e-6  # relative reduction of cost, below which a fit stops
 
-_MIN_DEPTH_SHARE = 0.3  # least depth of a vessel's inside over the vessel's height
-_MAX_OUT_OF_ROUND = 0.004  # m, largest deviation of a vessel's radius from the middle of its range
-_MAX_DIP = 0.006  # m, largest descent of a vessel's inner surface on the way from its middle to its rim
-_DIRECTIONS = 64  # number of directions from the middle of the opening in which the inside is measured
-_TOLERANCES = (0.0008, 0.0012, 0.002, 0.003, 0.005)  # m, of a simplified profile, tried until it has few segments
-_MAX_SEGMENTS = 6  # segments of a vessel's profile
-_RING_BOXES = 24  # boxes that form a ring for collisions
-_MIN_WALL = 0.002  # m, thickness of a ring; objects could pass through thinner walls
+_MIN_DEPTH_SHARE = 0.3  # depth of a vessel's inside over its height
+_MAX_OUT_OF_ROUND = 0.004  # m, a vessel's radius from the middle of its range
+_MAX_DIP = 0.006  # m, descent of a vessel's inner surface from middle to rim
+_DIRECTIONS = 64  # directions from the opening's middle in which the inside is measured
+_TOLERANCES = (0.0008, 0.0012, 0.002, 0.003, 0.005)  # m, of a simplified profile, tried in order
+_MAX_SEGMENTS = 6  # of a vessel's profile
+_RING_BOXES = 24  # boxes per ring in collisions
+_MIN_WALL = 0.002  # m, of a ring; objects could pass through thinner walls
 
 Parts = tuple[Primitive, ...]
-Make = Callable[[Array], Parts]  # makes the primitives of a shape from its parameters
+Make = Callable[[Array], Parts]  # parameters of a shape -> primitives
 
 
 @dataclass(frozen=True)
@@ -48,8 +48,8 @@ class Scan:
 
     Attributes:
         points: (n, 3), m.
-        normals: outward normals (n, 3) at the points.
-        wall: wall thickness of a thin shell, m: twice the volume over the area.
+        normals: outward, (n, 3).
+        wall: thickness of a thin shell, m: twice the volume over the area.
     """
 
     points: Array
@@ -58,35 +58,30 @@ class Scan:
 
     @classmethod
     def read(cls, stl: bytes) -> Scan:
-        """Return the scan in a binary STL in metres. Raises `ResourceError` if the data is no binary STL."""
+        """Read a binary STL in metres. Raises `ResourceError`."""
         return cls.from_mesh(*read_stl(stl))
 
     @classmethod
     def from_mesh(cls, vertices: Array, faces: Faces) -> Scan:
-        """Return the scan of vertices (n, 3), m, and triangles (m, 3)."""
+        """Scan triangles (m, 3) over vertices (n, 3), m."""
         a, b, c = np.moveaxis(vertices[faces], 1, 0)
         normals = np.cross(b - a, c - a)
         twice = np.linalg.norm(normals, axis=1)
         normals /= np.where(twice > 0, twice, 1)[:, None]
         points, chosen = sample_surface((vertices, faces), _SAMPLES, np.random.default_rng(0))
         volume = float(np.einsum("ij,ij->i", a, np.cross(b, c)).sum()) / 6
-        # The sign of the volume corrects triangles of the opposite orientation.
+        # The volume's sign corrects opposite triangles.
         return cls(points, normals[chosen] * np.sign(volume), 4 * abs(volume) / float(twice.sum()))
 
     @property
     def foot(self) -> float:
-        """The height of the lowest point, m."""
+        """Height of the lowest point, m."""
         return float(self.points[:, 2].min())
 
 
 @dataclass(frozen=True)
 class SolidFit:
-    """Primitives, and their distances from a scan to which they are fitted.
-
-    Attributes:
-        rms: root mean square of the scan's distances from the primitives, m.
-        p99: 99th percentile of these distances, m.
-    """
+    """Primitives fitted to a scan, with rms and 99th percentile of its distances, m."""
 
     parts: Parts
     rms: float
@@ -94,27 +89,27 @@ class SolidFit:
 
 
 def evaluate_fit(parts: Parts, points: Array) -> SolidFit:
-    """Measure the distances of surface points (n, 3), m, from given primitives, and return both as a fit."""
+    """Measure how given primitives fit surface points (n, 3), m."""
     distance = np.abs(signed_distance(parts, points))
     return SolidFit(parts, float(np.sqrt(np.mean(distance**2))), float(np.percentile(distance, 99)))
 
 
 def fit_solid(points: Array) -> SolidFit:
-    """Return the best fit to surface points (n, 3), m: a sphere, cylinder, box, or row of up to three capsules.
+    """Fit points (n, 3), m, by a sphere, cylinder, box, or row of up to three capsules.
 
-    The fit ignores dimples and holes, such as those of an apple.
+    Dimples and holes, such as an apple's, are ignored.
     """
     points = _without_dimples(points)
     best: tuple[float, SolidFit] | None = None
     for make, start in _candidates(points):
         fitted = solve_least_squares(_ShapeProblem(make, points), start, _MAX_STEPS)
-        assert fitted is not None  # the distances are defined everywhere
+        assert fitted is not None
         parts = _extend_to_ground(make(fitted[0]), float(points[:, 2].min()))
         fit = evaluate_fit(parts, points)
         cost = fit.rms + fit.p99 / 4 + _PARAMETER_COST * len(start)
         if best is None or cost < best[0]:
             best = cost, fit
-    assert best is not None  # there are always candidates
+    assert best is not None
     return best[1]
 
 
@@ -138,7 +133,7 @@ def _candidates(points: Array) -> Iterator[tuple[Make, Array]]:
 
 
 def _sphere(p: Array, maximum: float) -> Parts:
-    """Return a sphere of a radius up to `maximum`: fingers that fit around the scan also fit around the sphere."""
+    """Limit the radius to `maximum`: fingers that fit around the scan then fit around the sphere."""
     return (Sphere(type="sphere", centre=_vector(p[:3]), radius=min(_size(p[3]), maximum)),)
 
 
@@ -152,7 +147,7 @@ def _box(p: Array) -> Parts:
 
 
 def _capsules(p: Array) -> Parts:
-    """Return a row of capsules, from the positions (x, y, z) of their shared ends followed by a radius for each."""
+    """Return capsules from positions (x, y, z) of their shared ends, then a radius each."""
     count = (len(p) - 3) // 4
     joints, radii = p[: 3 * count + 3].reshape(-1, 3), p[3 * count + 3 :]
     return tuple(
@@ -162,14 +157,14 @@ def _capsules(p: Array) -> Parts:
 
 
 def _extent(points: Array, yaw: float) -> tuple[Array, Array]:
-    """Return centre (x, y) and half size (2,), m, of the bounding rectangle seen from above, rotated by `yaw`, rad."""
+    """Return centre (x, y) and half size (2,), m, of the bounding rectangle seen from above, turned by `yaw`, rad."""
     turn = np.array([[math.cos(yaw), math.sin(yaw)], [-math.sin(yaw), math.cos(yaw)]])
     low, high = np.percentile(points[:, :2] @ turn.T, (0.5, 99.5), axis=0)
     return (low + high) / 2 @ turn, (high - low) / 2
 
 
 def _row(points: Array, count: int) -> Array:
-    """Return initial parameters of a row of capsules: equally long slices along the longest horizontal axis."""
+    """Return initial capsules: equal slices along the longest horizontal axis."""
     centre = points.mean(axis=0)
     along = np.linalg.svd(points[:, :2] - centre[:2], full_matrices=False)[2][0]
     across = np.array([-along[1], along[0]])
@@ -194,8 +189,6 @@ def _row(points: Array, count: int) -> Array:
 
 @dataclass(frozen=True)
 class _FitState:
-    """A shape made from the parameters `numbers`, and signed distances (n,) of points from it, for the solver."""
-
     make: Make
     points: Array
     numbers: Array
@@ -210,7 +203,6 @@ class _FitState:
 
     @cached_property
     def _slope(self) -> Array:
-        """The Jacobian (n, k) of the distances with respect to the parameters, by finite differences."""
         nudged = (replace(self, numbers=self.numbers + nudge).distance for nudge in _STEP * np.eye(len(self.numbers)))
         return np.column_stack([(distance - self.distance) / _STEP for distance in nudged])
 
@@ -224,8 +216,6 @@ class _FitState:
 
 
 class _ShapeProblem(LeastSquares[Array, _FitState]):
-    """Least squares of points' distances from a shape, over the shape's parameters."""
-
     def __init__(self, make: Make, points: Array) -> None:
         self._make, self._points = make, points
 
@@ -240,7 +230,7 @@ class _ShapeProblem(LeastSquares[Array, _FitState]):
 
 
 def _extend_to_ground(parts: Parts, ground: float) -> Parts:
-    """Return the parts moved or extended to the ground; a capsule's end only if near or below the ground."""
+    """Move or extend parts to the ground; a capsule's end only if near or below it."""
     laid: list[Primitive] = []
     for part in parts:
         match part:
@@ -274,9 +264,10 @@ def _size(value: float) -> float:
 
 
 def fit_hollow(scan: Scan) -> tuple[SolidFit, tuple[float, float]] | None:
-    """Fit a floor and rings to a round, upright vessel. Return the fit, and the position (x, y) of its axis, m.
+    """Fit a floor and rings to a round, upright vessel; None if the scan is none.
 
-    The fit's frame has its origin on the axis, at height 0 of the scan. The result is None if the scan is no vessel.
+    Returns:
+        The fit, with origin on the axis at height 0 of the scan, and the axis (x, y), m.
     """
     low, high = np.percentile(scan.points, (0.2, 99.8), axis=0)
     axis = (low[:2] + high[:2]) / 2
@@ -295,33 +286,31 @@ def fit_hollow(scan: Scan) -> tuple[SolidFit, tuple[float, float]] | None:
 
 
 def _is_round(points: Array, radius: Array) -> bool:
-    """Return whether the outermost points in all directions are equally far from the axis."""
     sector = ((np.arctan2(points[:, 1], points[:, 0]) + np.pi) / (2 * np.pi) * 36).astype(int) % 36
     reach = np.array([radius[sector == k].max(initial=0) for k in range(36)])
     return bool(np.ptp(reach) < 2 * _MAX_OUT_OF_ROUND)
 
 
 def _profile(points: Array, radius: Array, normals: Array, rim: float) -> Array | None:
-    """Return radius and height (n, 2) of a vessel's inner surface from its middle outwards, m.
+    """Return radius and height (n, 2), m, of a vessel's inner surface from its middle outwards.
 
-    The result is None if the scan has no inner surface that rises towards the rim.
+    None if no inner surface rises towards the rim.
     """
     outwards = np.einsum("ij,ij->i", normals[:, :2], points[:, :2]) / np.maximum(radius, 1e-9)
     inside = (normals[:, 2] > -0.1) & (outwards < 0.2)
     if not inside.any():
         return None
-    # The angle seen from just above the opening orders the inside's points from the middle outwards.
+    # The angle seen from just above the opening orders the inside's points outwards.
     angle = np.arctan2(radius[inside], rim + 0.002 - points[inside, 2])
     bins = (angle / angle.max() * (_DIRECTIONS - 1)).astype(int)
     found = [(radius[inside][bins == k], points[inside, 2][bins == k]) for k in range(_DIRECTIONS)]
     profile = np.array([(np.median(r), np.median(z)) for r, z in found if len(r) >= 3])
-    # Reject a lid that lies upside down, whose middle is above its edge.
+    # Reject an upside-down lid, whose middle is above its edge.
     rises = len(profile) >= 8 and (np.maximum.accumulate(profile[:, 1]) - profile[:, 1]).max() < _MAX_DIP
     return profile if rises else None
 
 
 def _parts(corners: Array, foot: float, wall: float) -> tuple[Primitive, ...]:
-    """Return the primitives of a profile: a flat floor for its first segment, and rings for the others."""
     top = float(corners[:2, 1].mean())
     edge = float(corners[1, 0])
     half = max((top - foot) / 2, wall / 4)
@@ -329,7 +318,7 @@ def _parts(corners: Array, foot: float, wall: float) -> tuple[Primitive, ...]:
     rings = [
         Ring(
             type="ring",
-            # The first ring overlaps the floor, so that no gap remains.
+            # The first ring overlaps the floor, without a gap.
             inner=(float(r0 if k else edge - wall / 2), float(z0 if k else top)),
             outer=(float(r1), float(z1)),
             thickness=wall,

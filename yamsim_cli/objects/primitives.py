@@ -1,4 +1,4 @@
-"""Distances of points from collision primitives; mass properties of bodies, and their width between two fingers."""
+"""Distances from collision primitives; mass properties of bodies, and widths between two fingers."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from ..core.geometry.height_map import crossings_along_z
 from ..core.geometry.se3 import Array, quat_from_rotation
 from ..core.geometry.stl import Faces
 
-_CELLS = 90  # grid points along the longest side of the box in which a body is filled with points
-_MIN_STEP = 5e-4  # m, least spacing of these grid points
+_CELLS = 90  # grid points along the longest side of a filled box
+_MIN_STEP = 5e-4  # m, between grid points
 
 
 def signed_distance(parts: Sequence[Primitive], points: Array) -> Array:
     """Return signed distances (n,) of points (n, 3) from a union of primitives, m; negative inside.
 
-    Where primitives overlap, the depth is that in the primitive in which the point is deepest.
+    In overlaps, the depth is the deepest of any primitive.
     """
     nearest: Array = np.min([_distance_from_primitive(part, points) for part in parts], axis=0)
     return nearest
@@ -41,7 +41,7 @@ def _distance_from_primitive(part: Primitive, points: Array) -> Array:
         case Box():
             distance = _box_distance(*(np.abs(_to_box_frame(part, points)) - part.half_size).T)
         case Ring():
-            # A ring's cross-section is a rectangle below the line from its inner to its outer edge.
+            # A ring's section is a rectangle below the line from inner to outer edge.
             along = np.subtract(part.outer, part.inner)
             length = float(np.linalg.norm(along))
             rest = np.column_stack([np.hypot(points[:, 0], points[:, 1]), points[:, 2]]) - part.inner
@@ -59,7 +59,7 @@ def _to_box_frame(part: Box, points: Array) -> Array:
 
 
 def _box_distance(*along: Array) -> Array:
-    """Return the signed distance from a box, given the distances past its faces along each axis."""
+    """Return the signed distance, given distances past the faces along each axis."""
     past = np.array(along)
     distance: Array = np.linalg.norm(np.maximum(past, 0), axis=0) + np.minimum(past.max(axis=0), 0)
     return distance
@@ -67,27 +67,27 @@ def _box_distance(*along: Array) -> Array:
 
 @dataclass(frozen=True)
 class PointBody:
-    """A solid body as the grid points (n, 3) inside it, with the spacing `step` along each axis, m."""
+    """A solid body as grid points (n, 3) inside it, `step` apart, m."""
 
     points: Array
     step: float
 
     @classmethod
     def fill(cls, parts: Sequence[Primitive], low: Array, high: Array) -> PointBody:
-        """Return the grid points inside a union of primitives, within a box with corners `low` and `high` (3,), m."""
+        """Fill primitives within the box from `low` to `high` (3,), m."""
         step = max(float((high - low).max()) / _CELLS, _MIN_STEP)
         counts = np.ceil((high - low) / step).astype(int)
-        # The grid is centred in the box, so that symmetric primitives give symmetric points.
+        # A centred grid gives symmetric points for symmetric primitives.
         axes = [m + step * (np.arange(n) - (n - 1) / 2) for m, n in zip((low + high) / 2, counts, strict=True)]
         points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
         return cls(points[signed_distance(parts, points) <= 0], step)
 
     @classmethod
     def inside(cls, vertices: Array, faces: Faces) -> PointBody:
-        """Return the grid points inside a closed surface of vertices (n, 3), m, and triangles (m, 3)."""
+        """Fill a closed surface of triangles (m, 3) over vertices (n, 3), m."""
         low, high = vertices.min(axis=0), vertices.max(axis=0)
         step = max(float((high - low).max()) / _CELLS, _MIN_STEP)
-        # A vertical line through an edge would cross two triangles. The irregular shift avoids such lines.
+        # Vertical lines through an edge would cross two triangles; the irregular shift avoids them.
         axes = [(a + b) / 2 + step * (np.arange(-60, 61) + 0.0137) for a, b in zip(low, high, strict=True)]
         x, y = (
             np.array([v for v in axis if a <= v <= b]) for axis, a, b in zip(axes[:2], low[:2], high[:2], strict=True)
@@ -103,12 +103,12 @@ class PointBody:
 
     @property
     def centre(self) -> Array:
-        """The centre of mass (3,), m."""
+        """Centre of mass (3,), m."""
         centre: Array = self.points.mean(axis=0)
         return centre
 
     def inertia(self, mass: float) -> tuple[Array, Array]:
-        """Return principal moments (3,) about the centre of mass, kg m2, and the quaternion (wxyz) of their axes."""
+        """Return principal moments (3,), kg m2, and their axes' quaternion (wxyz)."""
         rest = self.points - self.centre
         spread = mass * (rest.T @ rest) / len(rest)
         moments, axes = np.linalg.eigh(np.trace(spread) * np.eye(3) - spread)
@@ -116,16 +116,13 @@ class PointBody:
         return moments, quat_from_rotation(axes)
 
     def width(self, height: float, axis_deg: float, at: tuple[float, float], half: float) -> tuple[float, float] | None:
-        """Return the width of the body between two finger pads, and the position of its middle along their axis, m.
+        """Return the width between two finger pads, and its middle along their axis, m; None if nothing is there.
 
         Args:
-            height: height of the pads' middle, m.
-            axis_deg: heading of the horizontal axis along which the pads close, degrees.
-            at: point (x, y) of the axis from which the middle is measured, m.
+            height: of the pads' middle, m.
+            axis_deg: heading of the pads' horizontal axis, degrees.
+            at: point (x, y) from which the middle is measured, m.
             half: half the pads' width and height, m.
-
-        Returns:
-            Width and middle; None if no part of the body is between the pads.
         """
         angle = math.radians(axis_deg)
         along = (self.points[:, :2] - at) @ [math.cos(angle), math.sin(angle)]
@@ -137,7 +134,7 @@ class PointBody:
 
 
 def primitive_data(part: Primitive) -> dict[str, Any]:
-    """Return a primitive as config data, rounded to 0.01 mm."""
+    """Return config data, rounded to 0.01 mm."""
     data: dict[str, Any] = part.model_dump(exclude_none=True)
     return {key: _rounded(value) for key, value in data.items()}
 

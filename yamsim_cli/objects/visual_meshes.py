@@ -1,4 +1,4 @@
-"""Make visual mesh files of a part. Large surfaces are reduced, and their colours are baked into a new texture."""
+"""Make a part's visual mesh files. Large surfaces are reduced, and their colours baked into a new texture."""
 
 from __future__ import annotations
 
@@ -19,24 +19,24 @@ from ..core.scene.assets.mesh_reduction import MAX_DEVIATION_MM
 from .part_surfaces import merged_surface, simplified_mesh
 from .readers.object_parts import Surface, SurfaceMaterial
 
-_MAX_FACES = 20_000  # triangles that render fast; a surface with more is reduced, with a deviation up to LIMIT_MM
-_FACE_COUNTS = (6_000, 12_000, 24_000, 48_000)  # triangle counts of a reduced surface, tried in order
-_CELL_SIZE = 0.0006  # m, side of the finest cells in which colours are averaged; each level doubles the side
-_LEVELS = 6  # number of cell sizes in which colours are averaged
-_MAX_SIDE = 4096  # px, largest width of a baked texture
-_TILE_RANGE = (2, 16)  # px, smallest and largest side of the square of a texture that holds one triangle
+_MAX_FACES = 20_000  # triangles that render fast; larger surfaces are reduced within LIMIT_MM
+_FACE_COUNTS = (6_000, 12_000, 24_000, 48_000)  # triangles of a reduced surface, tried in order
+_CELL_SIZE = 0.0006  # m, finest cells in which colours are averaged; each level doubles their side
+_LEVELS = 6
+_MAX_SIDE = 4096  # px, width of a baked texture
+_TILE_RANGE = (2, 16)  # px, side of a triangle's square in a texture
 
 
 @dataclass(frozen=True)
 class VisualMeshes:
-    """The visual meshes of a part: config entries without the key `set`, and file name -> content."""
+    """A part's visual meshes: config entries without `set`, and file name -> content."""
 
     meshes: tuple[Mapping[str, Any], ...]
     files: Mapping[str, bytes]
 
 
 def make_visual_meshes(name: str, surfaces: tuple[Surface, ...]) -> VisualMeshes:
-    """Make one mesh per material: OBJ and PNG if it has a texture, else STL. File names begin with `name`."""
+    """Make one mesh per material, OBJ and PNG if textured, else STL; `name` begins file names."""
     groups: dict[tuple[Any, ...], list[Surface]] = {}
     for surface in surfaces:
         material = surface.material
@@ -67,11 +67,7 @@ def _mesh(name: str, group: tuple[Surface, ...]) -> tuple[dict[str, Any], dict[s
 
 
 def _mesh_arrays(group: tuple[Surface, ...], material: SurfaceMaterial) -> tuple[Any, Any, Any, bytes | None]:
-    """Merge surfaces of one material, and reduce them if they have more than `_MAX_FACES` triangles.
-
-    Returns:
-        Vertices (n, 3), m, triangles (m, 3), texture coordinates (m, 3, 2) and PNG; both None without a texture.
-    """
+    """Merge surfaces of one material, reduced above `_MAX_FACES`; uv (m, 3, 2) and PNG are None without a texture."""
     vertices, faces = merged_surface(group)
     textured = material.texture is not None and all(surface.uv is not None for surface in group)
     if (
@@ -90,10 +86,9 @@ def _mesh_arrays(group: tuple[Surface, ...], material: SurfaceMaterial) -> tuple
 
 
 def obj_bytes(vertices: ArrayLike, faces: Faces, uv: ArrayLike) -> bytes:
-    """Return a Wavefront OBJ of triangles (m, 3) over vertices (n, 3); equal meshes give equal bytes.
+    """Return a deterministic Wavefront OBJ of triangles (m, 3) over vertices (n, 3).
 
-    Args:
-        uv: texture coordinates (m, 3, 2) of each triangle's corners, from the image's lower left corner.
+    `uv` (m, 3, 2) are texture coordinates of triangle corners, from the image's lower left.
     """
     coordinates, index = np.unique(np.asarray(uv, np.float64).reshape(-1, 2).round(6), axis=0, return_inverse=True)
     text = io.StringIO()
@@ -105,11 +100,10 @@ def obj_bytes(vertices: ArrayLike, faces: Faces, uv: ArrayLike) -> bytes:
 
 
 def baked_colours(source: Sequence[Surface], target: tuple[Array, Faces]) -> tuple[Array, bytes]:
-    """Return texture coordinates (m, 3, 2) and a PNG that give a mesh the colours of nearby textured surfaces.
+    """Return uv (m, 3, 2) and a PNG that give a mesh the colours of nearby textured surfaces.
 
     Args:
-        source: textured surfaces.
-        target: vertices (n, 3), m, and triangles (m, 3) of the mesh.
+        target: vertices (n, 3), m, and triangles (m, 3).
     """
     vertices, faces = target
     colours = _Colours(*_samples(source))
@@ -123,7 +117,7 @@ def baked_colours(source: Sequence[Surface], target: tuple[Array, Faces]) -> tup
     texels = np.zeros((rows * tile, columns * tile, 3), np.uint8)
     for v in range(tile):
         for u in range(tile):
-            # The triangle fills half of its tile. The other half repeats the colours of the long side.
+            # The triangle fills half of its tile; the other half repeats the long side's colours.
             s, t = u / (tile - 1), v / (tile - 1)
             texels[y + v, x + u] = colours.at(a + s * (b - a) + t * (c - a) if s + t <= 1 else b + (1 - s) * (c - b))
     ends = np.array([[0, 0], [tile - 1, 0], [0, tile - 1]])
@@ -143,7 +137,7 @@ def _samples(source: Sequence[Surface]) -> tuple[Array, NDArray[np.uint8]]:
         root, v = np.sqrt(rng.random((len(drawn), 1))), rng.random((len(drawn), 1))
         shares = np.concatenate([1 - root, root * (1 - v), root * v], axis=1)
         places.append(np.einsum("ik,ikj->ij", shares, surface.vertices[surface.faces[drawn]]))
-        assert surface.uv is not None and surface.material.texture is not None  # checked by the caller
+        assert surface.uv is not None and surface.material.texture is not None
         uv = np.einsum("ik,ikj->ij", shares, surface.uv[drawn])
         found.append(_texels(surface.material.texture, uv))
     return np.concatenate(places), np.concatenate(found)
@@ -161,7 +155,7 @@ def _texels(texture: bytes, uv: Array) -> NDArray[np.uint8]:
 
 
 class _Colours:
-    """Lookup of colours by position: means of sampled colours in cubic cells of several sizes."""
+    """Mean colours in cubic cells of several sizes, by position."""
 
     def __init__(self, places: Array, colours: NDArray[np.uint8]) -> None:
         self._low = places.min(axis=0) - 1e-3
@@ -178,7 +172,6 @@ class _Colours:
         return keys
 
     def at(self, places: Array) -> NDArray[np.uint8]:
-        """Return the colours (n, 3) of the finest non-empty cells around points (n, 3); grey if all cells are empty."""
         colours = np.full((len(places), 3), 128.0)
         for level in reversed(range(_LEVELS)):
             found, means = self._levels[level]

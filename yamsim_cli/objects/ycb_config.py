@@ -1,4 +1,4 @@
-"""Make the config of a YCB object from its scan."""
+"""Make a YCB object's config from its scan."""
 
 from __future__ import annotations
 
@@ -14,21 +14,16 @@ from .overhead_grasps import overhead_grasp
 from .primitive_fit import Scan, SolidFit, fit_hollow, fit_solid
 from .primitives import PointBody, primitive_data
 
-IN_DEPTH = 0.03  # m; objects are placed "in" a vessel of at least this depth, and "on" a shallower one
-# Rolling friction (m) of spheres and capsules over their radius. This value keeps them still on a slope of 3 degrees,
-# as real fruit and felt balls are.
+IN_DEPTH = 0.03  # m; objects go "in" a vessel at least this deep, else "on" it
+# Rolling friction (m) of spheres and capsules over their radius: they stay still on a slope of 3 degrees, as real fruit
+# and felt balls do.
 ROLLING_SHARE = 0.05
-_FRICTION = (0.8, 0.005)  # friction coefficients of MuJoCo: sliding; torsional, m
+_FRICTION = (0.8, 0.005)  # MuJoCo's: sliding; torsional, m
 
 
 @dataclass(frozen=True)
 class ScannedObject:
-    """Data of a scanned object that the scan itself does not contain.
-
-    Attributes:
-        set, file: name of the mesh set with the scan, and name of the scan's file in that set.
-        source: source of name and mass, for the comment on top of the config.
-    """
+    """Data that a scan lacks: `set` and `file` of the scan, and the `source` of name and mass."""
 
     name: str
     mass_g: float
@@ -40,7 +35,7 @@ class ScannedObject:
 
 @dataclass(frozen=True)
 class YcbConfig:
-    """An object's config as YAML with a comment on top, its data, and the fit of its primitives to the scan."""
+    """A config as YAML, its data, and the fit to the scan."""
 
     yaml: str
     data: dict[str, Any]
@@ -48,10 +43,9 @@ class YcbConfig:
 
 
 def build_ycb_config(thing: ScannedObject, scan: Scan) -> YcbConfig:
-    """Fit collision primitives to an upright scan, and return the object's config.
+    """Fit primitives to an upright scan, and return the config.
 
-    The origin of a vessel is on its axis, at the height of its lowest point. The origin of any other object is its
-    centre of mass.
+    A vessel's origin is on its axis at its lowest point, any other object's is its centre of mass.
     """
     solid, hollow = fit_solid(scan.points), fit_hollow(scan)
     if hollow and hollow[0].rms < solid.rms:
@@ -106,7 +100,7 @@ def _contact(parts: tuple[Primitive, ...]) -> dict[str, Any]:
 
 
 def _middle(part: Primitive) -> Array | None:
-    """Return the centre of mass (3,) of a solid primitive, m; None for a ring."""
+    """Return a solid's centre of mass (3,), m; None for a ring."""
     match part:
         case Capsule():
             return np.add(part.start, part.end) / 2

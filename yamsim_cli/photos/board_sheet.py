@@ -1,7 +1,4 @@
-"""Lay out a board's printed page, and write the page as a PDF of vector shapes or as a PNG with its resolution.
-
-Lengths are in mm on the page, with x right and y down from the top left corner, except those of `Board`.
-"""
+"""Lay out a board's printed page as a PDF or PNG. Page lengths are in mm, x right and y down from the top left."""
 
 from __future__ import annotations
 
@@ -24,7 +21,7 @@ from ..core.images.png import encode_png
 
 @dataclass(frozen=True)
 class Paper:
-    """A paper format: width and height in portrait orientation, mm."""
+    """A paper format in portrait orientation, mm."""
 
     name: str
     width: float
@@ -39,7 +36,7 @@ PAPERS: Mapping[str, Paper] = {
 
 @dataclass(frozen=True)
 class PrintedMarker:
-    """A marker with its top left corner at (x, y), square cells of width `cell`, and printed cells `black` (k, k)."""
+    """A marker: top left corner (x, y), width `cell` of a square cell, and printed cells `black` (k, k)."""
 
     x: float
     y: float
@@ -49,7 +46,7 @@ class PrintedMarker:
 
 @dataclass(frozen=True)
 class PageBar:
-    """A filled rectangle with its top left corner at (x, y)."""
+    """A filled rectangle with top left corner (x, y)."""
 
     x: float
     y: float
@@ -59,7 +56,7 @@ class PageBar:
 
 @dataclass(frozen=True)
 class PageLine:
-    """A line of width `LINE_WIDTH` from (x0, y0) to (x1, y1)."""
+    """A line of width `LINE_WIDTH`."""
 
     x0: float
     y0: float
@@ -69,7 +66,7 @@ class PageLine:
 
 @dataclass(frozen=True)
 class PageText:
-    """A line of ASCII text. (x, y) is the point of its baseline that `align` names."""
+    """ASCII text. `align` names the point of its baseline at (x, y)."""
 
     x: float
     y: float
@@ -93,26 +90,22 @@ class PrintedPage:
     marks: tuple[Mark, ...]
 
 
-_PAGE_MARGIN = 12.0  # mm, width at the page's edges, where most printers cannot print
-_TITLE_SIZE = 6.0  # mm, font size
-_LINE_STEP = 5.2  # mm, from one line of text to the next
-_HEADER_HEIGHT = 12.0 + 4 * _LINE_STEP  # mm, height above the board for the title and four lines
+_PAGE_MARGIN = 12.0  # mm, edge where most printers cannot print
+_TITLE_SIZE = 6.0  # mm
+_LINE_STEP = 5.2  # mm, between lines of text
+_HEADER_HEIGHT = 12.0 + 4 * _LINE_STEP  # mm, title and four lines above the board
 _RULER_LENGTH = 100.0  # mm
-_RULER_COLUMN = 14.0  # mm, width of the column with the upright ruler
-_FOOTER_HEIGHT = 40.0  # mm, height below the board for the level ruler, the axes and text
-_MIN_QUIET_ZONE = 5.0  # mm, minimum width of the white zone around the board
-_CROP_MARK = 6.0  # mm, length of the marks that show where to cut
+_RULER_COLUMN = 14.0  # mm, width for the upright ruler
+_FOOTER_HEIGHT = 40.0  # mm, level ruler, axes and text below the board
+_MIN_QUIET_ZONE = 5.0  # mm, white zone around the board
+_CROP_MARK = 6.0  # mm
 
 
 def board_sheet(board: Board, owner: str, paper: Paper) -> PrintedPage:
-    """Return a page with the board at true size, its description, and two rulers to check the printer's scale.
+    """Return a page with the arm's board at true size, its description, and two rulers to check the printer's scale.
 
-    A zone of 5 mm, or of a marker cell if that is wider, around the board is white. Marks outside this zone show where
-    to cut. The cut leaves part of the white zone, which detectors need.
-
-    Args:
-        owner: name of the arm to which the board belongs.
-        paper: one of `PAPERS`.
+    A white zone of 5 mm, or of a marker cell if wider, surrounds the board. Crop marks lie outside. The cut leaves part
+    of the zone, which detectors need.
 
     Raises:
         ConfigError: the board does not fit the page; or as `marker_cells`.
@@ -164,7 +157,7 @@ def _header(board: Board, owner: str, paper: Paper) -> Iterator[Mark]:
 
 
 def _markers(board: Board, cells: NDArray[np.bool_], left: float, top: float) -> Iterator[Mark]:
-    # From the `board` frame (origin at the centre, y up) to the page (y down).
+    # From the `board` frame (origin at the centre, y up) to the page.
     corners = 1000 * (board.corners()[:, 0, :2] * (1, -1) + (board.width / 2, board.height / 2))
     for (x, y), black in zip(corners, cells, strict=True):
         yield PrintedMarker(left + float(x), top + float(y), board.marker_length * 1000 / len(black), black)
@@ -223,11 +216,11 @@ def _axes(x: float, y: float) -> Iterator[Mark]:
 
 
 _POINTS_PER_MM = 72 / 25.4
-_PX_PER_MM = 600 / 25.4  # 600 dpi
+_PX_PER_MM = 600 / 25.4
 
 
 def pdf_bytes(sheets: Sequence[PrintedPage]) -> bytes:
-    """Return a PDF with a page for each sheet and the preference for unscaled printing. The bytes are deterministic.
+    """Return a deterministic PDF with a page per sheet and the preference for unscaled printing.
 
     Raises:
         ResourceError: the package reportlab is not installed.
@@ -240,7 +233,7 @@ def pdf_bytes(sheets: Sequence[PrintedPage]) -> bytes:
         ) from error
 
     buffer = io.BytesIO()
-    # `invariant` omits the date. Pages are not compressed, so that the bytes do not depend on the zlib version.
+    # `invariant` omits the date. Compressed pages would depend on the zlib version.
     canvas = Canvas(buffer, invariant=1, pageCompression=0, pdfVersion=(1, 6))
     canvas.setTitle(", ".join(sheet.title for sheet in sheets))
     canvas.setCreator("yamsim")
@@ -248,12 +241,12 @@ def pdf_bytes(sheets: Sequence[PrintedPage]) -> bytes:
     for sheet in sheets:
         height = sheet.paper.height
         canvas.setPageSize((sheet.paper.width * _POINTS_PER_MM, height * _POINTS_PER_MM))
-        canvas.scale(_POINTS_PER_MM, _POINTS_PER_MM)  # all coordinates below are in mm, with y up
+        canvas.scale(_POINTS_PER_MM, _POINTS_PER_MM)  # mm, y up
         canvas.setLineWidth(LINE_WIDTH)
         for mark in sheet.marks:
             match mark:
                 case PrintedMarker():
-                    # Viewers antialias each path separately, so separate cells would show seams.
+                    # Viewers antialias each path separately: separate cells would show seams.
                     path = canvas.beginPath()
                     for x, y, width in _runs(mark):
                         path.rect(x, height - y - mark.cell, width, mark.cell)
@@ -276,18 +269,17 @@ def pdf_bytes(sheets: Sequence[PrintedPage]) -> bytes:
 
 
 def png_bytes(sheet: PrintedPage) -> bytes:
-    """Return a grey PNG of the whole page, at a resolution near 600 dpi with whole pixels for marker cells.
+    """Return a grey PNG of the page, near 600 dpi with whole pixels for marker cells.
 
-    The file holds the resolution as a whole number of pixels per metre, so the scale error is at most 0.003 %.
+    The file's integer pixels per metre cause a scale error of at most 0.003 %.
     """
     image, px_per_mm = _raster(sheet)
     return encode_png(image, px_per_mm * 1000)
 
 
 def _runs(marker: PrintedMarker) -> Iterator[tuple[float, float, float]]:
-    """Yield runs of adjacent black cells as (left, top, width)."""
+    """Yield runs of black cells as (left, top, width)."""
     for row, cells in enumerate(marker.black):
-        # +1 at the start of a run, -1 after its end.
         steps = np.diff(cells.astype(np.int8), prepend=0, append=0)
         for start, end in zip(np.flatnonzero(steps == 1), np.flatnonzero(steps == -1), strict=True):
             yield marker.x + float(start) * marker.cell, marker.y + row * marker.cell, float(end - start) * marker.cell
@@ -310,7 +302,6 @@ def _raster(sheet: PrintedPage) -> tuple[Image, float]:
                 bottom, right = round((mark.y + mark.height) * scale), round((mark.x + mark.width) * scale)
                 image[top:bottom, left:right] = 0
             case PageLine():
-                # Pixel k covers k..k+1.
                 start = math.floor(mark.x0 * scale), math.floor(mark.y0 * scale)
                 end = math.floor(mark.x1 * scale), math.floor(mark.y1 * scale)
                 cv2.line(image, start, end, (0,), thickness)
@@ -320,7 +311,7 @@ def _raster(sheet: PrintedPage) -> tuple[Image, float]:
 
 
 def _cell_px(sheet: PrintedPage) -> int:
-    """Return the pixels per marker cell near 600 dpi that put markers as near to whole pixels as possible."""
+    """Return the pixels per cell near 600 dpi that put markers nearest to whole pixels."""
     markers = [mark for mark in sheet.marks if isinstance(mark, PrintedMarker)]
     cell = markers[0].cell
     offsets = np.array([(mark.x - markers[0].x, mark.y - markers[0].y) for mark in markers]) / cell
@@ -334,9 +325,8 @@ def _cell_px(sheet: PrintedPage) -> int:
     return min(choices, key=miss)
 
 
-# Height of capital letters in the two fonts, from the fonts themselves.
-_HERSHEY_UNITS = 21  # units of OpenCV's Hershey fonts
-_CAPITAL_HEIGHT = 0.718  # share of the font size in Helvetica
+_HERSHEY_UNITS = 21  # height of capitals, units of OpenCV's Hershey fonts
+_CAPITAL_HEIGHT = 0.718  # height of capitals over the font size, Helvetica
 
 
 def _write(image: Image, text: PageText, scale: float) -> None:

@@ -1,4 +1,4 @@
-"""Compare the outline of a rendered arm with the edges in a photo, to score a pose and to refine it."""
+"""Compare a rendered arm's outline with the photo's edges, to score and to refine a pose."""
 
 from __future__ import annotations
 
@@ -14,23 +14,23 @@ from ..core.geometry.se3 import Array, pose, rotation_from_vector
 Grey = NDArray[np.uint8]
 Mask = NDArray[np.bool_]
 
-# The unit of length is the grain: one pixel or, in a large photo with its larger details, several pixels.
+# Unit of length: a grain is one pixel or, in a large photo with larger details, several.
 _GRAINS_ACROSS = 1000  # approximate grains along the longer side of a large photo
-REACH = 12.0  # grains, distance from the outline within which an edge of the photo is searched
-_SAMPLES_PER_GRAIN = 2  # sample points per grain on the line along which an edge is searched
+REACH = 12.0  # grains, search distance for edges on either side of the outline
+_SAMPLES_PER_GRAIN = 2  # sample points per grain of the search line
 _SPACING = 3  # grains between outline points
-_MIN_SLOPE = 4.0  # grey levels per grain, minimum gradient at an edge
-_MIN_SLOPE_SHARE = 0.4  # minimum gradient at an edge, as a share of the largest gradient on the same line
-_TUKEY_CUTOFF = 4.685  # standard deviations, above which a residual has no weight (Tukey's biweight, 95 % efficiency)
+_MIN_SLOPE = 4.0  # grey levels per grain, gradient of an edge
+_MIN_SLOPE_SHARE = 0.4  # share of the search line's largest gradient, for an edge
+_TUKEY_CUTOFF = 4.685  # standard deviations, beyond which Tukey's biweight is 0 (95 % efficiency)
 _INDEPENDENT_POINTS = 60.0  # maximum number of outline points that count as independent
-_BORDER = 3  # grains from the picture's border, within which outlines are ignored
+_BORDER = 3  # grains from the picture's border; outlines there are ignored
 _ROUNDS = 6  # rounds of a pose refinement
-_REACH_RATIO = 0.62  # ratio of the search distances of consecutive rounds; the last excludes edges of other objects
+_REACH_RATIO = 0.62  # ratio of consecutive rounds' search distances; the last excludes edges of other objects
 
 
 @dataclass(frozen=True)
 class MaskOutline:
-    """Points of a mask's outline: positions (n, 2), px, and unit normals (n, 2) that point out of the mask."""
+    """Positions (n, 2), px, on a mask's outline, and outward unit normals (n, 2)."""
 
     points: Array
     normals: Array
@@ -38,42 +38,38 @@ class MaskOutline:
 
 @dataclass(frozen=True)
 class EdgeOffsets:
-    """The offset (px) of the photo's edge along the normal of each outline point (n,); NaN if none is within `reach`.
-
-    Attributes:
-        reach: search distance, px.
-    """
+    """Offsets (n,), px, of the photo's edge along outline normals; NaN if none within `reach` (px)."""
 
     offsets: Array
     reach: float
 
     @property
     def found(self) -> float:
-        """The share of outline points with an edge within reach."""
+        """Share of outline points with an edge within reach."""
         return float(np.isfinite(self.offsets).mean()) if len(self.offsets) else 0.0
 
     @property
     def residual(self) -> float | None:
-        """The median distance to the photo's edge, px, with `reach` for a missing edge; None without an outline."""
+        """Median distance to the photo's edge, px, `reach` for a missing edge; None without an outline."""
         if len(self.offsets) == 0:
             return None
         return float(np.median(np.nan_to_num(np.abs(self.offsets), nan=self.reach)))
 
 
 def grain_px(shape: tuple[int, ...]) -> int:
-    """Return the pixels per grain for a picture of shape (height, width, ...)."""
+    """Return the pixels per grain of a picture (height, width, ...)."""
     return max(1, round(max(shape) / _GRAINS_ACROSS))
 
 
 def mask_outline(mask: Mask, others: Mask | None = None) -> MaskOutline:
-    """Return the outline of a mask (height, width), including holes, without the parts near the picture's border.
+    """Return a mask's outline (height, width) with its holes, except near the picture's border.
 
     Args:
-        others: mask (height, width) of objects that may lie in front; the outline near these objects is omitted.
+        others: mask of objects that may lie in front; the outline near them is omitted.
     """
     grain = grain_px(mask.shape)
     contours, _ = cv2.findContours(mask.astype(np.uint8), cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
-    # Blur the mask for its normals: steps between neighbouring pixels have only eight directions.
+    # The blur makes normals smooth: steps between pixels have only eight directions.
     soft = cv2.GaussianBlur(mask.astype(np.float32), (0, 0), 2.0 * grain)
     slope = np.stack([cv2.Sobel(soft, cv2.CV_32F, 1, 0), cv2.Sobel(soft, cv2.CV_32F, 0, 1)], axis=-1)
     chosen = [contour[:: _SPACING * grain, 0, :] for contour in contours if len(contour) >= 8 * grain]
@@ -91,17 +87,12 @@ def mask_outline(mask: Mask, others: Mask | None = None) -> MaskOutline:
     length = np.linalg.norm(out, axis=1)
     clear = length > 1e-3 / grain
     normals = out[clear] / length[clear, None]
-    # A contour passes through the centres of the mask's outermost pixels. The edge is half a pixel further out.
+    # Contours join pixel centres; the edge is half a pixel further out.
     return MaskOutline(at[clear] + 0.5 * normals, normals)
 
 
 def edge_offsets(grey: Grey, line: MaskOutline, reach: float = REACH) -> EdgeOffsets:
-    """Return the offset of the photo's nearest edge along the normal of each outline point.
-
-    Args:
-        grey: the photo (height, width).
-        reach: search distance, grains.
-    """
+    """Return the offsets of edges of the photo `grey` (height, width) within `reach` (grains) of an outline."""
     grain = grain_px(grey.shape)
     if len(line.points) == 0:
         return EdgeOffsets(np.zeros(0), reach * grain)
@@ -129,7 +120,7 @@ def edge_offsets(grey: Grey, line: MaskOutline, reach: float = REACH) -> EdgeOff
 
 
 def _peak_shift(slope: NDArray[np.float32], peak: NDArray[np.intp]) -> Array:
-    """Return the distance (n,) in samples from each row's peak to the vertex of the parabola through its neighbours."""
+    """Return the shift (n,), samples, to the vertex of the parabola through each row's peak and its neighbours."""
     rows, middle = np.arange(len(peak)), np.clip(peak, 1, slope.shape[1] - 2)
     before, here, after = (slope[rows, middle + k].astype(np.float64) for k in (-1, 0, 1))
     bend = np.minimum(before - 2 * here + after, -1e-9)
@@ -139,26 +130,26 @@ def _peak_shift(slope: NDArray[np.float32], peak: NDArray[np.intp]) -> Array:
 
 @dataclass(frozen=True)
 class PoseCorrection:
-    """A step (6,) of a pose: a rotation (rad) about `centre` and a shift (m), both along the camera's axes."""
+    """A pose step (6,): rotation (rad) about `centre` and shift (m), along the camera's axes."""
 
     step: Array
     centre: Array
 
     def apply(self, T_in_cam: Array) -> Array:
-        """Return a pose (4, 4) in the camera frame, moved by this step."""
+        """Return the moved pose (4, 4) in the camera frame."""
         turn = rotation_from_vector(self.step[:3])
         moved = self.centre + self.step[3:] + turn @ (T_in_cam[:3, 3] - self.centre)
         return pose(moved, turn @ T_in_cam[:3, :3])
 
     @property
     def size(self) -> float:
-        """The step's approximate displacement of points 0.3 m from `centre`, m."""
+        """Approximate displacement of points 0.3 m from `centre`, m."""
         return float(np.linalg.norm(self.step[3:]) + 0.3 * np.linalg.norm(self.step[:3]))
 
 
 @dataclass(frozen=True)
 class EdgeEquations:
-    """The normal equations (6, 6) and (6,) of a `PoseCorrection`'s step, from the edges along an outline."""
+    """The normal equations (6, 6) and (6,) of a `PoseCorrection`, from edges along an outline."""
 
     normal: Array
     gradient: Array
@@ -167,14 +158,14 @@ class EdgeEquations:
 def edge_equations(
     line: MaskOutline, depth: Array, offsets: Array, K: Array, centre: Array, edge_sigma: float = 1.0
 ) -> EdgeEquations:
-    """Return the normal equations of the pose change that moves an outline onto the photo's edges.
+    """Return the equations of the pose step that moves an outline onto the photo's edges.
 
     Args:
-        line: outline in an ideal pinhole picture with camera matrix `K` (3, 3).
-        depth: z (n,) of the surface at each outline point in the camera frame, m.
-        offsets: distance (n,) to the photo's edge along each normal, px; NaN for none.
-        centre: the point (3,) in the camera frame about which the pose rotates, m.
-        edge_sigma: standard deviation of an edge's position, px.
+        line: in an ideal pinhole picture with camera matrix `K` (3, 3).
+        depth: z (n,) of the surface in the camera frame, m.
+        offsets: distance (n,) to the edge along each normal, px; NaN for none.
+        centre: of rotation, (3,) in the camera frame, m.
+        edge_sigma: of an edge's position, px.
     """
     use = np.isfinite(offsets) & (depth > 0)
     points, normals, off = line.points[use], line.normals[use], offsets[use]
@@ -186,7 +177,7 @@ def edge_equations(
     jacobian = np.column_stack([np.cross(at - centre, by_shift), by_shift])
     scale = max(edge_sigma, 1.4826 * float(np.median(np.abs(off)))) if len(off) else edge_sigma
     weight = np.clip(1 - (off / (_TUKEY_CUTOFF * scale)) ** 2, 0, None) ** 2
-    # Neighbouring outline points share an edge, so all points count as at most `_INDEPENDENT_POINTS` independent ones.
+    # Neighbouring points share an edge, so they are not independent.
     weight *= min(1.0, _INDEPENDENT_POINTS / max(len(off), 1)) / edge_sigma**2
     weighted = jacobian * weight[:, None]
     return EdgeEquations(weighted.T @ jacobian, weighted.T @ off)
@@ -195,13 +186,12 @@ def edge_equations(
 def solve_correction(
     equations: Sequence[EdgeEquations], centre: Array, information: Array, so_far: Array
 ) -> PoseCorrection:
-    """Return the pose change that moves outlines onto the photo's edges, with the pose from ArUco boards as prior.
+    """Return the step that moves outlines onto the photo's edges, with the pose from boards as prior.
 
     Args:
-        equations: normal equations of all outlines that move with the pose.
-        centre: the point (3,) in the camera frame about which the pose rotates, m.
-        information: inverse covariance (6, 6) of the pose from boards: rotation about `centre` (rad) and shift (m).
-        so_far: sum (6,) of the pose changes of earlier rounds, which started at the pose from boards.
+        centre: of rotation, (3,) in the camera frame, m.
+        information: inverse covariance (6, 6) of the prior, rotation (rad) and shift (m).
+        so_far: sum (6,) of earlier steps from the prior.
     """
     normal = information + sum(part.normal for part in equations)
     gradient = sum(part.gradient for part in equations) - information @ so_far
@@ -209,5 +199,5 @@ def solve_correction(
 
 
 def search_radii() -> list[float]:
-    """Return the distance from the outline within which each refinement round searches edges, grains, decreasing."""
+    """Return the refinement rounds' decreasing search distances, grains."""
     return [REACH * _REACH_RATIO**k for k in range(_ROUNDS)]

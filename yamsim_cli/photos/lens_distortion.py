@@ -1,4 +1,4 @@
-"""Model lens distortion: projection, viewing rays, and warps between ideal and distorted pictures."""
+"""Project points, viewing rays and pictures through a distorted lens."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from ..core.errors import ConfigError
 from ..core.geometry.camera import CameraModel, Intrinsics
 from ..core.geometry.se3 import Array
 
-# OpenCV's default of 5 iterations leaves errors of tenths of a pixel with strong distortion.
+# OpenCV's default of 5 iterations is off by tenths of a pixel with strong distortion.
 _UNDISTORT_CRITERIA = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 50, 1e-9)
 
-_RAY_SPACING = 8  # px between exact viewing rays; interpolated rays have errors of at most 5e-4 px
+_RAY_SPACING = 8  # px between exact rays; interpolated ones are off by at most 5e-4 px
 _MAX_HALF_ANGLE = math.radians(75.0)  # rad from the axis; a wider pinhole picture would be mostly border
 
 
 def project_points(camera: CameraModel, points_in_cam: ArrayLike) -> Array:
-    """Return the pixels (n, 2) of points (n, 3) in the camera frame, m, which must lie in front of the camera."""
+    """Return pixels (n, 2) of points (n, 3), m, in front of the camera, in the camera frame."""
     points = np.asarray(points_in_cam, dtype=np.float64).reshape(-1, 1, 3)
     if len(points) == 0:
         return np.zeros((0, 2))
@@ -30,7 +30,7 @@ def project_points(camera: CameraModel, points_in_cam: ArrayLike) -> Array:
 
 
 def viewing_rays(camera: CameraModel, pixels: ArrayLike) -> Array:
-    """Return the viewing rays (n, 2) of pixels (n, 2): x/z and y/z in the camera frame."""
+    """Return viewing rays (n, 2), x/z and y/z in the camera frame, of pixels (n, 2)."""
     points = np.asarray(pixels, dtype=np.float64).reshape(-1, 1, 2)
     if len(points) == 0:
         return np.zeros((0, 2))
@@ -39,7 +39,7 @@ def viewing_rays(camera: CameraModel, pixels: ArrayLike) -> Array:
         y = (points[:, 0, 1] - cy) / fy
         return np.column_stack([(points[:, 0, 0] - cx - skew * y) / fx, y])
     K, distortion = np.array(camera.K), np.array(camera.distortion)
-    # OpenCV 4 accepts criteria in another function.
+    # OpenCV 4 accepts criteria only in another function.
     if older := getattr(cv2, "undistortPointsIter", None):
         found = older(points, K, distortion, np.eye(3), np.eye(3), _UNDISTORT_CRITERIA)
     else:
@@ -48,13 +48,13 @@ def viewing_rays(camera: CameraModel, pixels: ArrayLike) -> Array:
 
 
 def viewing_ray_grid(camera: CameraModel, x: ArrayLike, y: ArrayLike) -> NDArray[np.float32]:
-    """Return viewing rays (rows, columns, 2) on the grid of pixel columns `x` and rows `y`, both evenly spaced."""
+    """Return viewing rays (rows, columns, 2) of evenly spaced pixel columns `x` and rows `y`."""
     columns, rows = np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64)
     if not camera.distortion:
         across, down = np.meshgrid(columns, rows)
         field = viewing_rays(camera, np.stack([across, down], axis=-1).reshape(-1, 2))
         return field.reshape(len(rows), len(columns), 2).astype(np.float32)
-    # Exact rays (knots) extend beyond the grid, since cubic interpolation needs two on each side.
+    # Cubic interpolation needs two knots beyond the grid on each side.
     knots_x, knots_y = (
         np.arange(line[0] - 2 * _RAY_SPACING, line[-1] + 3 * _RAY_SPACING, _RAY_SPACING) for line in (columns, rows)
     )
@@ -62,14 +62,13 @@ def viewing_ray_grid(camera: CameraModel, x: ArrayLike, y: ArrayLike) -> NDArray
     knots = viewing_rays(camera, np.stack([across, down], axis=-1).reshape(-1, 2)).reshape(
         len(knots_y), len(knots_x), 2
     )
-    # `cv2.remap` would round positions to 1/32 of the grid spacing, a quarter of a pixel.
+    # `cv2.remap` would round to 1/32 of the spacing, a quarter of a pixel.
     by_row, by_column = _cubic_weights(rows, knots_y), _cubic_weights(columns, knots_x)
     field = np.stack([by_row @ knots[..., k] @ by_column.T for k in (0, 1)], axis=-1)
     return field.astype(np.float32)
 
 
 def _cubic_weights(at: Array, knots: Array) -> Array:
-    """Return Catmull-Rom weights (n, m) to interpolate between evenly spaced knots (m,) at positions (n,)."""
     place = (at - knots[0]) / (knots[1] - knots[0])
     first = np.floor(place).astype(int)
     t = place - first
@@ -81,11 +80,11 @@ def _cubic_weights(at: Array, knots: Array) -> Array:
 
 
 class LensWarp:
-    """Warps pictures of an ideal, centred pinhole camera to those of a real camera at the same pose.
+    """Warps pictures between an ideal, centred pinhole camera and a real one at the same pose.
 
     Attributes:
-        ideal: the pinhole camera for rendering, whose view contains that of the real camera.
-        supersample: ideal pixels per pixel of the real camera, along each axis, at the image's centre.
+        ideal: the pinhole camera, whose view contains the real one.
+        supersample: ideal pixels per real pixel along each axis, at the image's centre.
 
     Raises:
         ConfigError: the lens is too wide for a pinhole picture.
@@ -115,11 +114,11 @@ class LensWarp:
 
     @property
     def fovy(self) -> float:
-        """The vertical field of view of the ideal camera, rad."""
+        """The ideal camera's vertical field of view, rad."""
         return 2 * math.atan(self.ideal.height / 2 / self.ideal.fy)
 
     def undistort(self, photo: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """Return a photo of the real camera without distortion, as a picture of the camera `coarse`."""
+        """Undistort a photo into a picture of the camera `coarse`."""
         ideal, K = self.coarse, np.array(self._camera.K)
         map_x, map_y = cv2.initUndistortRectifyMap(
             K, np.array(self._camera.distortion), np.eye(3), ideal.K, (ideal.width, ideal.height), cv2.CV_32FC1
@@ -129,7 +128,7 @@ class LensWarp:
 
     @property
     def coarse(self) -> Intrinsics:
-        """The ideal camera with only every `supersample`-th row and column of its picture."""
+        """The ideal camera with every `supersample`-th row and column."""
         fine, step = self.ideal, self.supersample
         return Intrinsics(
             -(-fine.width // step),
@@ -151,7 +150,6 @@ class LensWarp:
         return np.asarray(bent, dtype=np.uint8)
 
     def _maps(self, fine: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Return columns and rows in the ideal picture of `fine` x `fine` points in each pixel of the real one."""
         if fine in self._known_maps:
             return self._known_maps[fine]
         camera, offset = self._camera, (fine - 1) / 2

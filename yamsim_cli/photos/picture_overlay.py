@@ -1,4 +1,4 @@
-"""Draw rendered arms, boards and lines of text over a photo."""
+"""Draw rendered arms, boards and text over a photo."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ from .lens_distortion import project_points
 
 Labels = NDArray[np.uint8]
 
-# RGB of each arm, distinguishable with red-green blindness, and of the axes.
+# RGB of arms, also with red-green blindness, and axes.
 ARM_COLOURS = ((255, 176, 0), (0, 170, 255))
 _AXIS_COLOURS = ((230, 40, 40), (40, 180, 60), (50, 90, 240))
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
-_MIN_SCALE = 0.2  # font scale below which text is unreadable
-_FRACTION_BITS = 4  # fractional bits of the fixed-point pixel coordinates for OpenCV's drawing
+_MIN_SCALE = 0.2  # font scale; smaller text is unreadable
+_FRACTION_BITS = 4  # fractional bits of pixel coordinates in OpenCV's drawing
 
 
 def blend_arms(photo: Image, rendered: Image, labels: Labels, opacity: float) -> Image:
-    """Return the photo (height, width, 3) with rendered arms over it, each outlined in its own colour.
+    """Blend rendered arms into a photo (height, width, 3), each with its colour as outline.
 
     Args:
-        labels: (height, width): 0 for the background, k for the k-th arm.
-        opacity: opacity of the rendered arms, 0..1.
+        labels: (height, width): 0 background, k the k-th arm.
+        opacity: of the arms, 0..1.
     """
     mixed = photo.astype(np.float32)
     on = labels > 0
@@ -43,7 +43,7 @@ def blend_arms(photo: Image, rendered: Image, labels: Labels, opacity: float) ->
 
 
 def draw_board(image: Image, camera: CameraModel, board: Board, T_board_in_cam: Array) -> None:
-    """Draw a board's edge and axes (x red, y green, z blue, half the board's width long) into an image, in place."""
+    """Draw a board's edge and axes (x red, y green, z blue, half a board width), in place."""
     half_x, half_y = board.width / 2, board.height / 2
     edge = np.array([[-half_x, half_y, 0], [half_x, half_y, 0], [half_x, -half_y, 0], [-half_x, -half_y, 0]])
     axes = np.array([[0, 0, 0], [half_x, 0, 0], [0, half_x, 0], [0, 0, half_x]])
@@ -58,17 +58,13 @@ def draw_board(image: Image, camera: CameraModel, board: Board, T_board_in_cam: 
 
 
 def write_lines(image: Image, lines: Sequence[str], busy: NDArray[np.bool_]) -> None:
-    """Write lines of text on a dark background into an image, in place, in the corner with the fewest busy pixels.
-
-    Args:
-        busy: (height, width), True for pixels that the text should not cover.
-    """
+    """Write text in the corner with the fewest `busy` (height, width) pixels, in place."""
     if not lines:
         return
     height, width = image.shape[:2]
     scale = max(0.38, max(height, width) / 1700)
     thickness = max(1, round(1.2 * scale))
-    # Text that does not fit gets a smaller font. OpenCV rounds text sizes to whole pixels, so the loop tries sizes.
+    # Smaller fonts are tried until the text fits: OpenCV rounds text sizes to whole pixels.
     while True:
         widest = max(cv2.getTextSize(line, _FONT, scale, thickness)[0][0] for line in lines)
         row, pad = round(38 * scale), round(12 * scale)
@@ -85,7 +81,7 @@ def write_lines(image: Image, lines: Sequence[str], busy: NDArray[np.bool_]) -> 
 
 
 def _freest_corner(busy: NDArray[np.bool_], size: tuple[int, int]) -> tuple[int, int]:
-    """Return top and left of the corner area of `size` (rows, columns) with the fewest busy pixels."""
+    """Return the top left of the corner area of `size` (rows, columns) with the fewest busy pixels."""
     rows, columns = min(size[0], busy.shape[0]), min(size[1], busy.shape[1])
     corners = [(top, left) for top in (0, busy.shape[0] - rows) for left in (0, busy.shape[1] - columns)]
     return min(corners, key=lambda at: int(busy[at[0] : at[0] + rows, at[1] : at[1] + columns].sum()))

@@ -1,4 +1,4 @@
-"""Format an object's certificate as an HTML page: every check with its figures and pictures."""
+"""Format an object's certificate as an HTML page."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ from yamsim_cli.core.markup import (
     verdict,
 )
 
-# Caption and content of the JPEG file of each picture.
+# Caption and JPEG of each picture.
 Pictures = Sequence[tuple[str, bytes]]
 
 
 def certificate_page(
     found: Mapping[str, Any], titles: Mapping[str, tuple[str, str]], pictures: Mapping[str, Pictures], made: str
 ) -> str:
-    """Return the HTML page of a certificate.
+    """Return a certificate's HTML page.
 
     Args:
-        found: the certificate as JSON data, from `certify.CertificationResult.to_json_data`.
-        titles: code of a check -> name of the fault, and advice on its correction.
-        pictures: code of a check -> its pictures.
-        made: text at the foot of the page.
+        found: from `certify.CertificationResult.to_json_data`.
+        titles: check code -> name of the fault, and advice.
+        pictures: by check code.
+        made: text at the foot.
     """
     checks = found["checks"]
     failed = sum(check["ok"] is False for check in checks)

@@ -1,4 +1,4 @@
-"""Certify an object: run all checks in order, each after the checks that must pass before it."""
+"""Certify an object by all checks in order."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from .check_outcome import CheckOutcome, skipped_check
 from .static_checks import collision_kinds
 from .tested_object import TestedObject, read_tested_object
 
-# Called with the number of completed checks, the number of all checks, and the code of the next check.
+# Called with the completed checks, their total, and the next check's code.
 CheckDone = Callable[[int, int, str], None]
 
 
@@ -29,8 +29,7 @@ class ObjectCheck:
         code: `<subject>.<fault>`, stable across versions.
         title: the fault, as a clause.
         advice: how to correct the fault.
-        make: function that runs the check.
-        needs: codes of earlier checks; if one of them failed, this check is skipped.
+        needs: earlier checks; if one failed, this check is skipped.
     """
 
     code: str
@@ -76,23 +75,23 @@ CHECKS: Mapping[str, ObjectCheck] = {check.code: check for check in _ALL}
 
 @dataclass(frozen=True)
 class CertificationResult:
-    """The tested object, and check code -> outcome of every check."""
+    """The tested object, and each check's outcome by code."""
 
     subject: TestedObject
     outcomes: Mapping[str, CheckOutcome]
 
     @property
     def ok(self) -> bool:
-        """Whether no check failed; checks may have been skipped."""
+        """Whether no check failed; some may have been skipped."""
         return not self.failed
 
     @property
     def failed(self) -> tuple[str, ...]:
-        """The codes of the failed checks."""
+        """Codes of the failed checks."""
         return tuple(code for code, outcome in self.outcomes.items() if outcome.ok is False)
 
     def to_json_data(self) -> dict[str, Any]:
-        """Return the certificate as JSON data; the same object always gives the same data."""
+        """Return JSON data, the same for the same object."""
         item = self.subject.item
         return {
             "ok": self.ok,
@@ -118,8 +117,8 @@ def certify(
     """Run every check of an object.
 
     Args:
-        meshes: mesh set -> folder, or None; visual surfaces are not checked if a folder is missing.
-        locations: config folders, which contain the rig that tests the grasp.
+        meshes: mesh set -> folder; None skips the checks of visual surfaces.
+        locations: config folders, with the rig that tests the grasp.
         progress: called before each check.
 
     Raises:

@@ -1,4 +1,4 @@
-"""Describe the outcome of a check by figures, a note, and scenes that are rendered as pictures."""
+"""Describe a check's outcome by figures, a note, and scenes to picture."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from yamsim_cli.core.scene.objects.object_geoms import HIDDEN_GROUP, SEEN_GROUP
 
 from .tested_object import TestedObject, compile_or_raise, object_spec, with_camera
 
-_MARKER_RGBA = (0.85, 0.15, 0.10, 1.0)  # colour of the sphere or box that shows mass properties
-_OBJECT_OPACITY = 0.35  # opacity of the object around that sphere or box
+_MARKER_RGBA = (0.85, 0.15, 0.10, 1.0)  # of the sphere or box that shows mass properties
+_OBJECT_OPACITY = 0.35  # the object around that shape
 
 
 @dataclass(frozen=True)
 class CheckView:
-    """A scene and its joint positions, to be rendered by the scene's camera `view`."""
+    """A scene with joint positions, for its camera `view`."""
 
     model: mujoco.MjModel
     qpos: Array
@@ -32,10 +32,10 @@ class CheckOutcome:
     """The outcome of one check.
 
     Attributes:
-        ok: whether the check passed; None if the check was skipped.
-        figures: name -> measured value; the names end in the unit.
-        note: the fault, or why the check was skipped; else empty.
-        views: scenes that are rendered as pictures.
+        ok: None if the check was skipped.
+        figures: name -> value; names end in the unit.
+        note: the fault, or why the check was skipped.
+        views: to be rendered as pictures.
     """
 
     ok: bool | None
@@ -45,22 +45,22 @@ class CheckOutcome:
 
 
 def skipped_check(why: str) -> CheckOutcome:
-    """Return the outcome of a check that does not apply or cannot be run."""
+    """Return the outcome of a check that cannot run."""
     return CheckOutcome(None, note=why)
 
 
 def round_significant(value: Any, digits: int = 4) -> float:
-    """Return a number rounded to a number of significant digits."""
+    """Round to significant digits."""
     return float(f"{float(value):.{digits}g}")
 
 
 def object_view(tested_object: TestedObject, caption: str, *, steep: float = 0.75) -> CheckView:
-    """Return a view of the object in its initial pose; a larger `steep` raises the camera, a negative one lowers it."""
+    """View the object in its initial pose; a negative `steep` looks up from below."""
     return _view(_spec(tested_object, steep), caption)
 
 
 def collision_view(tested_object: TestedObject) -> CheckView:
-    """Return a view of the collision geoms."""
+    """View the collision geoms."""
     view = _view(_spec(tested_object, 0.75), "what touches")
     touches = (view.model.geom_contype > 0) | (view.model.geom_conaffinity > 0)
     view.model.geom_group[:] = np.where(touches, SEEN_GROUP, HIDDEN_GROUP)
@@ -68,7 +68,7 @@ def collision_view(tested_object: TestedObject) -> CheckView:
 
 
 def inertia_view(tested_object: TestedObject, *, block: bool) -> CheckView:
-    """Return a view of the transparent object with its centre of mass, or if `block` with a box of equal inertia."""
+    """View the transparent object with its centre of mass, or if `block` a box of equal inertia."""
     inertia = tested_object.item.inertia
     spec = _spec(tested_object, 0.75)
     size = np.full(3, 0.03 * tested_object.size)

@@ -1,4 +1,4 @@
-"""Check that the skill `pick` lifts an object, and that a hand that turns and shakes does not drop it."""
+"""Check that `pick` lifts an object, and that a turning, shaking hand does not drop it."""
 
 from __future__ import annotations
 
@@ -32,20 +32,20 @@ from yamsim_cli.objects.certify.single_object_pick import PICK_RIG, PickedGrasp,
 from .check_outcome import CheckOutcome, CheckView, round_significant, skipped_check
 from .tested_object import TestedObject, compile_or_raise, object_spec, step_seconds, with_camera
 
-_CLOSE_TIME, _LIFT_TIME, _TURN_TIME, _SHAKE_TIME = 0.8, 0.8, 1.6, 1.0  # s, durations of the hand's motions
-_COMMAND_PERIOD = 0.02  # s, time between two commanded poses of the hand
-_LIFT_HEIGHT, _TURN_ANGLE = 0.05, np.radians(45)  # m, lift; rad, rotations about x and y of the pinch frame
-_SHAKE_AMPLITUDE, _SHAKE_RATE = 0.015, 3.0  # m, Hz, of the oscillation along each axis of `world`
-_MAX_SLIP, _MAX_TURN = 0.012, np.radians(20)  # m, rad, motion relative to the pads up to which an object counts as held
+_CLOSE_TIME, _LIFT_TIME, _TURN_TIME, _SHAKE_TIME = 0.8, 0.8, 1.6, 1.0  # s
+_COMMAND_PERIOD = 0.02  # s
+_LIFT_HEIGHT, _TURN_ANGLE = 0.05, np.radians(45)  # m; rad, about x and y of the pinch frame
+_SHAKE_AMPLITUDE, _SHAKE_RATE = 0.015, 3.0  # m, Hz, along each axis of `world`
+_MAX_SLIP, _MAX_TURN = 0.012, np.radians(20)  # m, rad; a held object moves less relative to the pads
 
 _PREFIX, _BASE = "hand_", "hand_base"
-_BASE_MASS = 20.0  # kg, heavy enough that a held object does not move the base
-_SLIDE_STIFFNESS, _SLIDE_DAMPING = 8e4, 2.6e3  # N/m, N s/m, of the base's linear drives; as stiff as an arm's flange
-_HINGE_STIFFNESS, _HINGE_DAMPING = 2e3, 60.0  # N m/rad, N m s/rad, of the rotary drives that turn the base
+_BASE_MASS = 20.0  # kg, so that a held object does not move the base
+_SLIDE_STIFFNESS, _SLIDE_DAMPING = 8e4, 2.6e3  # N/m, N s/m; as stiff as an arm's flange
+_HINGE_STIFFNESS, _HINGE_DAMPING = 2e3, 60.0  # N m/rad, N m s/rad
 
 
 def check_grasp(tested_object: TestedObject) -> CheckOutcome:
-    """Run the skill `pick` on the object, and check that two finger pads hold it by the resulting grasp."""
+    """Run `pick`, and check that two finger pads hold the object by the resulting grasp."""
     item = tested_object.item
     if item.links or item.base == "fixed":
         return skipped_check("it is opened rather than lifted: its handles are for that")
@@ -69,7 +69,6 @@ def check_grasp(tested_object: TestedObject) -> CheckOutcome:
 
 
 def _check_hold(hand: _GripperRig, taken: PickedGrasp, clearance: float) -> CheckOutcome:
-    """Check that the object stays between the pads while the hand lifts, turns and shakes the object."""
     T = inverse(taken.T_thing_in_pinch)
     gravity = hand.model.opt.gravity.copy()
     # Gravity is off until the pads press.
@@ -109,7 +108,7 @@ def _check_hold(hand: _GripperRig, taken: PickedGrasp, clearance: float) -> Chec
 def _move_along(
     hand: _GripperRig, T: Array, held: Array, path: Array, at: Callable[[Array, float], Array]
 ) -> tuple[float, float]:
-    """Move the hand along poses `at(T, share)`; return the object's largest slip (m) and rotation (rad) from `held`."""
+    """Move the hand along `at(T, share)`; return the object's largest slip (m) and rotation (rad) from `held`."""
     most = (0.0, 0.0)
     for share in path:
         hand.aim(at(T, float(share)))
@@ -138,18 +137,15 @@ def _arm(locations: Locations) -> ArmConfig:
 
 def _full_opening(locations: Locations) -> float:
     fingers = _arm(locations).robot.fingers
-    assert fingers is not None  # the rig has fingers
+    assert fingers is not None
     return fingers.full_opening
 
 
 @dataclass
 class _GripperRig:
-    """A scene with an object in free space, and a gripper `linear_4310` on a base that six drives move.
+    """A free object, and a gripper `linear_4310` on a base that six drives move.
 
-    The frame of the base is the gripper's pinch frame.
-
-    Attributes:
-        T_start: pose (4, 4) of the base in `world` with its joints at 0.
+    The base's frame is the pinch frame; `T_start` is its pose (4, 4) in `world` with joints at 0.
     """
 
     subject: TestedObject
@@ -160,7 +156,6 @@ class _GripperRig:
 
     @classmethod
     def for_object(cls, tested_object: TestedObject) -> _GripperRig:
-        """Make the scene, with the gripper at the origin and the fingers at the model's default position."""
         arm = _arm(tested_object.locations)
         child, robot = arm_spec(arm, None), arm.robot
         for actuator in list(child.actuators):
@@ -187,7 +182,7 @@ class _GripperRig:
                 drive = spec.add_actuator(name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
                 drive.set_to_position(kp=stiff, kv=damp)
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # MuJoCo warns of arm options that have no effect here
+            warnings.simplefilter("ignore")  # arm options without effect here cause warnings
             frame = base.add_frame(pos=T[:3, 3], quat=quat_from_rotation(T[:3, :3]))
             frame.attach_body(link, _PREFIX, "")
         for body in spec.bodies:
@@ -198,7 +193,6 @@ class _GripperRig:
         return cls(tested_object, robot, model, mujoco.MjData(model), np.eye(4))
 
     def reset(self, T_pinch: Array, opening: float) -> None:
-        """Put the pinch frame at a pose (4, 4), each finger at an opening (m), and the object at the origin."""
         body = self.model.body(_BASE)
         body.pos, body.quat = T_pinch[:3, 3], quat_from_rotation(T_pinch[:3, :3])
         self.T_start = T_pinch
@@ -209,13 +203,12 @@ class _GripperRig:
         mujoco.mj_forward(self.model, self.data)
 
     def aim(self, T_pinch: Array) -> None:
-        """Command the pose (4, 4) of the pinch frame in `world`."""
         T = inverse(self.T_start) @ T_pinch
         for number, value in enumerate((*T[:3, 3], *_angles(T[:3, :3]))):
             self.data.ctrl[self.model.actuator(f"{_BASE}_{number}").id] = value
 
     def squeeze(self, opening: float) -> None:
-        """Command the opening of each finger, m; an opening below half the object's width exerts a force."""
+        """Command each finger's opening, m; below half the object's width, it exerts a force."""
         drive = self.model.actuator(f"{_PREFIX}gripper").id
         self.data.ctrl[drive] = np.clip(opening, *self.model.actuator_ctrlrange[drive])
 
@@ -224,24 +217,23 @@ class _GripperRig:
 
     @property
     def drive_gain(self) -> float:
-        """The position gain of the gripper's drive, N/m; each of the two pads gets half of its force."""
+        """The gripper drive's position gain, N/m; each pad gets half of its force."""
         return float(self.model.actuator_gainprm[self.model.actuator(f"{_PREFIX}gripper").id][0])
 
     @property
     def T_thing_in_pinch(self) -> Array:
-        """The pose (4, 4) of the object in the pinch frame."""
         site, body = self.data.site(f"{_PREFIX}pinch_site"), self.data.body(self.subject.item.name)
         T: Array = inverse(pose(site.xpos, site.xmat.reshape(3, 3))) @ pose(body.xpos, body.xmat.reshape(3, 3))
         return T
 
 
 def _slip(before: Array, after: Array) -> tuple[float, float]:
-    """Return the translation at the pads (m) and the rotation (rad) between two poses of the object in that frame."""
+    """Return translation at the pads (m) and rotation (rad) between two object poses."""
     T = after @ inverse(before)
     return float(np.linalg.norm(T[:3, 3])), float(np.linalg.norm(rotation_vector(T[:3, :3])))
 
 
 def _angles(rotation: Array) -> Array:
-    """Return the intrinsic x-y-z Euler angles (3,) of a rotation (3, 3), rad."""
+    """Return intrinsic x-y-z Euler angles (3,), rad."""
     y = np.arcsin(np.clip(rotation[0, 2], -1, 1))
     return np.array([np.arctan2(-rotation[1, 2], rotation[2, 2]), y, np.arctan2(-rotation[0, 1], rotation[0, 0])])

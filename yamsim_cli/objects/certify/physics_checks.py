@@ -1,4 +1,4 @@
-"""Check an object in physics: rest, drops, a ball in a hollow, and the motion of joints."""
+"""Check an object in physics: rest, drops, a ball in a hollow, joint motion."""
 
 from __future__ import annotations
 
@@ -17,40 +17,35 @@ from .check_outcome import CheckOutcome, CheckView, round_significant, skipped_c
 from .static_checks import NO_MESHES
 from .tested_object import TestedObject, compile_or_raise, object_on_ground_spec, object_spec, step_seconds, with_camera
 
-# Checks of rest and of drops.
-_MAX_SETTLE_TIME, _SETTLE_INTERVAL = 6.0, 0.2  # s, longest time to come to rest, and interval between tests
-_STILL_TIME, _DROP_TIME = 2.0, 1.5  # s, time for which the object must then stay at rest; duration of a drop
-_TILT, _DRIFT, _SINK = np.radians(3.0), 0.003, 0.0015  # rad, m, m: tilt, drift, penetration allowed at rest
-_DROP_HEIGHT, _DROPS = 0.10, 8  # m, height from which the object falls; number of falls
-_MAX_PENETRATION = 0.05  # m, limit at impact: half the slab's thickness; deeper objects come out on its underside
-_MAX_ENERGY_GAIN, _MIN_FALL_ENERGY = 0.02, 1e-4  # limit, as a share of the fall's energy; J, least value of that energy
-_REST_SPEED = 0.0002  # m/s; slower objects are at rest, if they also turn at less than ten times this number in rad/s
+_MAX_SETTLE_TIME, _SETTLE_INTERVAL = 6.0, 0.2  # s, longest wait for rest, and time between tests
+_STILL_TIME, _DROP_TIME = 2.0, 1.5  # s, of rest that follows; duration of a drop
+_TILT, _DRIFT, _SINK = np.radians(3.0), 0.003, 0.0015  # rad, m, m, allowed at rest
+_DROP_HEIGHT, _DROPS = 0.10, 8  # m; number of falls
+_MAX_PENETRATION = 0.05  # m at impact, half the slab; deeper objects come out on its underside
+_MAX_ENERGY_GAIN, _MIN_FALL_ENERGY = 0.02, 1e-4  # share of the fall's energy; J, least energy of a fall
+_REST_SPEED = 0.0002  # m/s; the limit for turns is ten times this number, rad/s
 _FIXED = "its base is fixed: it lies nowhere else"
 
-# Check of a ball in a hollow.
-_CELLS = 56  # columns of the object's height map along its longer side
-_MIN_DEPTH, _MIN_ROOM = 0.010, 0.0045  # m, of a hollow: least depth, and least distance of a point to its walls
-_MIN_HOLLOW_SHARE = 0.02  # least volume of a hollow over that of the object's bounding box; smaller ones are dents
-_BALL_SOLREF = (0.004, 1.0)  # MuJoCo's solref of the ball; stiff, so that it does not sink through a thin floor
-_MAX_BALL_RADIUS = 0.015  # m; in a narrow hollow, the ball is smaller
-_BALL_CLEARANCE = 0.03  # m, height over the top of the object from which the ball falls
-_BALL_TIME = 2.0  # s, simulated time of the fall and of coming to rest
-_MAX_BALL_HEIGHT = 0.5  # largest gap between the resting ball and the floor, as a share of the hollow's depth
+_CELLS = 56  # columns of the height map along the longer side
+_MIN_DEPTH, _MIN_ROOM = 0.010, 0.0045  # m, of a hollow: depth, and distance to its walls
+_MIN_HOLLOW_SHARE = 0.02  # volume over the bounding box's; smaller hollows are dents
+_BALL_SOLREF = (0.004, 1.0)  # MuJoCo's; stiff, so that the ball does not sink through a thin floor
+_MAX_BALL_RADIUS = 0.015  # m; smaller in a narrow hollow
+_BALL_CLEARANCE = 0.03  # m, height over the object's top at the start
+_BALL_TIME = 2.0  # s
+_MAX_BALL_HEIGHT = 0.5  # gap between resting ball and floor, as a share of the hollow's depth
 _BALL_DENSITY = 1000.0  # kg/m3
 
-# Check of joints.
-_PUSH_TIME, _REST_TIME = 4.0, 3.0  # s, time to push a joint to its limit, and time to come to rest afterwards
-_END_TOLERANCE = 0.03  # allowed distance from the joint limit after a push, as a share of the joint's range
-_JOINT_REST_SPEED = 0.02  # 1/s, upper limit of the speed at rest, in joint ranges per second
-_EFFORT_FACTOR = 3.0  # force or torque of a push over the sum of friction, detent and weight
-_MIN_EFFORT = {True: 0.02, False: 1.0}  # least effort of a push: N m on a rotary joint (True), N on a slide
-_FREQUENCY = 6.0  # Hz, natural frequency of the controller that pushes a joint towards its limit
+_PUSH_TIME, _REST_TIME = 4.0, 3.0  # s, of a push to a limit, and to come to rest
+_END_TOLERANCE = 0.03  # share of the range that a push may miss
+_JOINT_REST_SPEED = 0.02  # joint ranges per s
+_EFFORT_FACTOR = 3.0  # effort of a push over the sum of friction, detent and weight
+_MIN_EFFORT = {True: 0.02, False: 1.0}  # N m on a rotary joint (True), N on a slide
+_FREQUENCY = 6.0  # Hz, of the controller that pushes a joint
 
 
 @dataclass
 class _TestScene:
-    """A scene with an object over a slab."""
-
     subject: TestedObject
     model: mujoco.MjModel
     data: mujoco.MjData
@@ -63,7 +58,7 @@ class _TestScene:
         return cls(tested_object, model, mujoco.MjData(model))
 
     def reset(self, turn: Array, gap: float) -> None:
-        """Put the object without velocity, rotated by `turn` (3, 3), with its lowest point `gap` (m) over the slab."""
+        """Put the object at rest, rotated (3, 3), its lowest point `gap` (m) over the slab."""
         mujoco.mj_resetData(self.model, self.data)
         low = float((self.subject.collision_points @ turn.T)[:, 2].min())
         at = self.model.joint(self.subject.item.name).qposadr[0]
@@ -73,7 +68,7 @@ class _TestScene:
         mujoco.mj_forward(self.model, self.data)
 
     def run(self, seconds: float) -> tuple[float, float]:
-        """Step physics; return deepest contact (m) and greatest energy (J). If unstable, raises `ArithmeticError`."""
+        """Return deepest contact (m) and greatest energy (J); `ArithmeticError` if unstable."""
         deep, energy = 0.0, -np.inf
         for _ in range(round(seconds / self.model.opt.timestep)):
             mujoco.mj_step(self.model, self.data)
@@ -90,7 +85,6 @@ class _TestScene:
         return pose(body.xpos, body.xmat.reshape(3, 3))
 
     def settle(self) -> None:
-        """Step physics until the object rests, at most for `_MAX_SETTLE_TIME`. Raises `ArithmeticError` if unstable."""
         for _ in range(round(_MAX_SETTLE_TIME / _SETTLE_INTERVAL)):
             self.run(_SETTLE_INTERVAL)
             if np.abs(self.data.qvel[:3]).max() < _REST_SPEED and np.abs(self.data.qvel[3:6]).max() < 10 * _REST_SPEED:
@@ -101,7 +95,7 @@ class _TestScene:
 
 
 def check_rest(tested_object: TestedObject) -> CheckOutcome:
-    """Check that the object stays at rest in its initial pose, and on each face on which it can rest."""
+    """Check rest in the initial pose and on each stable face."""
     if tested_object.item.base == "fixed":
         return skipped_check(_FIXED)
     world = _TestScene.for_object(tested_object)
@@ -127,10 +121,9 @@ def check_rest(tested_object: TestedObject) -> CheckOutcome:
 
 
 def _measure_rest(world: _TestScene, face: StablePose, *, must_stay: bool) -> dict[str, float]:
-    """Put the object on a face; return its tilt, deg, and its horizontal drift and penetration of the slab, mm.
+    """Put the object on a face; return tilt, deg, drift and penetration, mm.
 
-    Args:
-        must_stay: whether motion counts from the first step; otherwise the object comes to rest first.
+    Unless it `must_stay` from the first step, the object comes to rest first.
     """
     world.reset(face.rotation, 0.0)
     before = world.T
@@ -147,7 +140,7 @@ def _measure_rest(world: _TestScene, face: StablePose, *, must_stay: bool) -> di
 
 
 def check_drop(tested_object: TestedObject) -> CheckOutcome:
-    """Check that the object stays over the ground and gains no energy in falls from 10 cm in random orientations."""
+    """Check that 10 cm falls in random orientations end over the ground, without energy gain."""
     if tested_object.item.base == "fixed":
         return skipped_check(_FIXED)
     world = _TestScene.for_object(tested_object)
@@ -193,13 +186,13 @@ def _rotation(quat: Array) -> Array:
 
 @dataclass(frozen=True)
 class Hollow:
-    """The deepest hollow of an object in which water would stay, in the object's frame.
+    """The deepest hollow in which water would stay, in the object's frame.
 
     Attributes:
-        place: position (2,) at which a ball is dropped, m.
-        floor_height, water_height: heights of the surface at `place`, and of the water, m.
-        wall_distance: distance from `place` to the walls, m.
-        water_columns: positions and floor heights (n, 3) of the height map's columns under this water, m.
+        place: (2,) where a ball is dropped, m.
+        floor_height, water_height: of the surface at `place`, and of the water, m.
+        wall_distance: from `place`, m.
+        water_columns: positions and floor heights (n, 3) under water, m.
     """
 
     place: Array
@@ -210,7 +203,7 @@ class Hollow:
 
 
 def find_hollow(tested_object: TestedObject) -> Hollow | None:
-    """Return the deepest hollow of an object in its initial pose; None if it is too shallow, small or narrow."""
+    """Return the deepest hollow in the initial pose; None if too shallow, small or narrow."""
     grid = compute_height_map(tested_object.surface, _CELLS)
     level = water_level(grid.top)
     covered = np.isfinite(grid.top)
@@ -236,7 +229,7 @@ def find_hollow(tested_object: TestedObject) -> Hollow | None:
 
 
 def check_hollow(tested_object: TestedObject) -> CheckOutcome:
-    """Check that a ball that is dropped into the hollow comes to rest inside."""
+    """Check that a ball dropped into the hollow rests inside."""
     if not tested_object.visual_surfaces:
         return skipped_check(NO_MESHES)
     found = find_hollow(tested_object)
@@ -284,7 +277,7 @@ def check_hollow(tested_object: TestedObject) -> CheckOutcome:
 
 
 def check_articulation(tested_object: TestedObject) -> CheckOutcome:
-    """Check that every joint moves from limit to limit, and comes to rest afterwards."""
+    """Check that joints move from limit to limit, and come to rest."""
     links = tested_object.item.links
     if not links:
         return skipped_check("nothing moves on it")
@@ -314,7 +307,7 @@ def check_articulation(tested_object: TestedObject) -> CheckOutcome:
 
 
 def _missing_range(model: mujoco.MjModel, data: mujoco.MjData, link: Link, name: str, end: int) -> float:
-    """Push a joint to its lower (`end` 0) or upper limit (1); return the share of its range that it did not reach."""
+    """Push a joint to its lower (`end` 0) or upper limit (1); return the missed share of its range."""
     mujoco.mj_resetData(model, data)
     mujoco.mj_forward(model, data)
     joint = model.joint(name)
@@ -332,7 +325,7 @@ def _missing_range(model: mujoco.MjModel, data: mujoco.MjData, link: Link, name:
 
 
 def _push_effort(model: mujoco.MjModel, data: mujoco.MjData, link: Link, name: str) -> float:
-    """Return the effort of a push, N or N m: a multiple of friction, highest detent and weight of the moved parts."""
+    """Return the effort, N or N m."""
     joint = link.joint
     body = model.body(name).id
     weight = float(model.body_subtreemass[body]) * 9.81

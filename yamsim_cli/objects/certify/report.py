@@ -1,4 +1,4 @@
-"""Write the HTML page of a certificate, with pictures of the checked scenes."""
+"""Write a certificate's HTML page with pictures."""
 
 from __future__ import annotations
 
@@ -14,16 +14,12 @@ from .certificate_page import certificate_page
 from .certify import CHECKS, CertificationResult
 from .check_outcome import CheckView
 
-_SIZE, _RENDERED_SIZE = (320, 240), (640, 480)  # px, sizes of a picture, and of its rendering before reduction
-_QUALITY = 85  # JPEG quality
+_SIZE, _RENDERED_SIZE = (320, 240), (640, 480)  # px, of a picture, and of its rendering
+_QUALITY = 85  # JPEG
 
 
 def write_page(certified: CertificationResult, path: Path) -> None:
-    """Write the HTML page of a certified object, replacing an existing file.
-
-    Raises:
-        ResourceError: this machine cannot render, or the file cannot be written.
-    """
+    """Write a certified object's HTML page. Raises `ResourceError`."""
     titles = {code: (check.title, check.advice) for code, check in CHECKS.items()}
     pictures = {
         code: [(view.caption, _picture(view)) for view in outcome.views] for code, outcome in certified.outcomes.items()

@@ -1,4 +1,4 @@
-"""Simulate the skill `pick` with one arm and a single object on a table."""
+"""Simulate `pick` with one arm and a single object on a table."""
 
 from __future__ import annotations
 
@@ -36,23 +36,22 @@ from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.core.scene.compiled import CompiledScene
 from yamsim_cli.core.scene.random_streams import Stream, random_generator
 
-#: Name of the config of the rig that picks the object up.
 PICK_RIG = "single_linear"
 
 _ROLE = "thing"
-_POSITION = (0.33, 0.15)  # m, position of the object in `world`: within reach, beside the hand's start
-_HEADINGS = (0.0, 90.0)  # degrees, headings of the object; the second is tried if `pick` fails at the first
-_JOB = AttemptJob(0, 0)  # fixed seed and attempt number, so that every run gives the same result
+_POSITION = (0.33, 0.15)  # m, in `world`: within reach, beside the hand's start
+_HEADINGS = (0.0, 90.0)  # degrees; the second if `pick` fails at the first
+_JOB = AttemptJob(0, 0)  # every run gives the same result
 
 
 @dataclass(frozen=True)
 class PickedGrasp:
-    """The grasp of an object that `pick` has lifted.
+    """The grasp by which `pick` has lifted an object.
 
     Attributes:
-        T_thing_in_pinch: pose (4, 4) of the object in the hand's pinch frame.
-        opening: commanded opening of each finger around the object, m.
-        force: grip force of each finger, N.
+        T_thing_in_pinch: object pose (4, 4) in the pinch frame.
+        opening: commanded, of each finger, m.
+        force: of each finger, N.
     """
 
     T_thing_in_pinch: Array
@@ -61,13 +60,10 @@ class PickedGrasp:
 
 
 def simulate_pick(item: ObjectConfig, locations: Locations) -> PickedGrasp:
-    """Run `pick` on an object in physics, and return the resulting grasp.
-
-    Args:
-        locations: config folders; with the object's mesh folders if its collision geometry has meshes.
+    """Run `pick` on an object in physics. `locations` include mesh folders for collision meshes.
 
     Raises:
-        SkillFailedError: `pick` failed at each heading of the object; the last error is raised.
+        SkillFailedError: `pick` failed at each heading; the last error.
         SimulationError: the scene cannot be compiled.
     """
     *first, last = _HEADINGS
@@ -78,13 +74,10 @@ def simulate_pick(item: ObjectConfig, locations: Locations) -> PickedGrasp:
 
 
 def reachable_grasp_points(item: ObjectConfig, locations: Locations) -> tuple[GraspPoint, ...]:
-    """Return the grasp points of an object that `pick` can use, those with the least tilt of the hand first.
+    """Return the grasp points that `pick` can use, least tilt of the hand first.
 
-    A grasp point counts if the arm reaches it without contacts at one of the headings; physics does not run. Fixed or
-    articulated objects, and objects without a grasp by friction, have no such points.
-
-    Args:
-        locations: config folders; with the object's mesh folders if its collision geometry has meshes.
+    The arm must reach a point without contacts at one of the headings; physics does not run. Fixed or articulated
+    objects, and objects without a friction grasp, have none. `locations` include mesh folders for collision meshes.
 
     Raises:
         SkillFailedError: the table has no room for the object.
@@ -101,7 +94,6 @@ def reachable_grasp_points(item: ObjectConfig, locations: Locations) -> tuple[Gr
 
 
 def _min_tilt(context: PlanningContext, item: ObjectConfig) -> float:
-    """Return the hand's least tilt from straight down at usable grasp points, in whole degrees, or infinity."""
     pick, hand = Pick(thing=_ROLE), context.hands[0]
     for candidate in friction_candidates(item):
         if isinstance(pick.find_reachable_grasp(context, hand, _ROLE, candidate), ReachableGrasp):
@@ -111,8 +103,6 @@ def _min_tilt(context: PlanningContext, item: ObjectConfig) -> float:
 
 @dataclass(frozen=True)
 class _PickSetup:
-    """An episode in which an object rests on the table, and the program of skills that picks it up."""
-
     scene: CompiledScene
     episode: Episode
     context: PlanningContext

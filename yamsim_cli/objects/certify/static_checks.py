@@ -1,4 +1,4 @@
-"""Check size, surfaces, mass, inertia and the match of collision geoms and visual surfaces, without physics."""
+"""Check size, surfaces, mass, inertia and collision geoms without physics."""
 
 from __future__ import annotations
 
@@ -19,24 +19,24 @@ from .tested_object import TestedObject
 
 NO_MESHES = "its meshes are not here: run `yamsim assets fetch`"
 
-_PLAUSIBLE_SIZES = (0.002, 1.5)  # m, least and largest plausible length of an object on a table
-_MAX_OPEN_SHARE = 1e-3  # allowed share of open edges; scans have some where two scanned patches meet
-_PLAUSIBLE_DENSITIES = (15.0, 12_000.0)  # kg/m3, plausible densities, from foam and folded cloth to lead
-_ROUNDING = 5e-4  # m, allowed distance of the centre of mass outside the convex hull, for rounding
-_SLACK = 0.01  # allowed relative error of the triangle inequality of moments of inertia, for rounding
-# Least ratio of a principal moment to that of a solid bounding box of the same mass along these axes. A banana has the
-# lowest ratio of the YCB and kitchen objects, 0.37; a ball has 0.6, and a shell more than 1.
+_PLAUSIBLE_SIZES = (0.002, 1.5)  # m, length of an object on a table
+_MAX_OPEN_SHARE = 1e-3  # of all edges; scans have some where patches meet
+_PLAUSIBLE_DENSITIES = (15.0, 12_000.0)  # kg/m3, from foam and folded cloth to lead
+_ROUNDING = 5e-4  # m, centre of mass outside the convex hull, for rounding
+_SLACK = 0.01  # relative error of the triangle inequality of moments of inertia
+# Least ratio of a principal moment to a solid bounding box's. A banana has the lowest of YCB and kitchen objects, 0.37;
+# a ball has 0.6, a shell more than 1.
 _MIN_BOX_SHARE = 0.1
-_VOLUME_SAMPLES, _SURFACE_SAMPLES = 30_000, 2000  # points for volumes, and points on the visual surfaces
-_MAX_HULL_SHARE = 1.25  # largest collision volume over that of the surface's hull; hollows may be filled
-_MIN_MESH_SHARE = 0.25  # least collision volume over that of the visual mesh; a few wires may represent a plate
-# m, and share of the object's size. 95 % of the visual surface may lie outside the collision geoms by the larger one.
+_VOLUME_SAMPLES, _SURFACE_SAMPLES = 30_000, 2000
+_MAX_HULL_SHARE = 1.25  # collision volume over the hull's; hollows may be filled
+_MIN_MESH_SHARE = 0.25  # collision volume over the visual mesh's; a few wires may represent a plate
+# m, and share of the size: 95 % of the visual surface must be nearer to the collision geoms than the larger limit.
 _MAX_DISTANCE, _MAX_DISTANCE_SHARE = 0.006, 0.05
-_MAX_DEPTH = 0.006  # m; points of visual surfaces that lie deeper in their convex hull are not compared
+_MAX_DEPTH = 0.006  # m, in the convex hull; deeper points are not compared
 
 
 def check_size(tested_object: TestedObject) -> CheckOutcome:
-    """Check that the length is plausible: an object of 60 m, for example, was modelled in millimetres."""
+    """Check that the length is plausible: 60 m, for example, indicates a file in mm."""
     extent = np.ptp(tested_object.outline, axis=0)
     longest = float(extent.max())
     figures = {f"{axis}_m": round_significant(value) for axis, value in zip("xyz", extent, strict=True)}
@@ -46,7 +46,7 @@ def check_size(tested_object: TestedObject) -> CheckOutcome:
 
 
 def check_closed(tested_object: TestedObject) -> CheckOutcome:
-    """Check that the visual surfaces have almost no open edges."""
+    """Check that visual surfaces have almost no open edges."""
     if not tested_object.visual_surfaces:
         return skipped_check(NO_MESHES)
     edges = sum(3 * len(faces) // 2 for _, faces in tested_object.visual_surfaces)
@@ -58,7 +58,7 @@ def check_closed(tested_object: TestedObject) -> CheckOutcome:
 
 
 def check_normals(tested_object: TestedObject) -> CheckOutcome:
-    """Check that the faces of the visual surfaces point outwards."""
+    """Check that visual faces point outwards."""
     if not tested_object.visual_surfaces:
         return skipped_check(NO_MESHES)
     volumes = [uniform_mass_properties(*surface).volume for surface in tested_object.visual_surfaces]
@@ -69,7 +69,7 @@ def check_normals(tested_object: TestedObject) -> CheckOutcome:
 
 
 def check_density(tested_object: TestedObject) -> CheckOutcome:
-    """Check that mass over volume of the visual surfaces is a plausible density."""
+    """Check that mass over volume is a plausible density."""
     mass = tested_object.item.inertia.mass
     if not tested_object.visual_surfaces:
         return CheckOutcome(None, {"mass_kg": round_significant(mass)}, NO_MESHES)
@@ -87,7 +87,7 @@ def check_density(tested_object: TestedObject) -> CheckOutcome:
 
 
 def check_centre_of_mass(tested_object: TestedObject) -> CheckOutcome:
-    """Check that the centre of mass lies in the convex hull of the object."""
+    """Check that the centre of mass lies in the convex hull."""
     deep = float(depth_in_hull(np.array([tested_object.item.inertia.centre]), tested_object.outline)[0])
     note = "" if deep >= -_ROUNDING else f"{-deep * 1000:.4g} mm outside of it"
     return CheckOutcome(
@@ -99,12 +99,12 @@ def check_centre_of_mass(tested_object: TestedObject) -> CheckOutcome:
 
 
 def check_inertia(tested_object: TestedObject) -> CheckOutcome:
-    """Check that a body of this mass and size can have these principal moments of inertia."""
+    """Check that mass and size allow the moments of inertia."""
     found = tested_object.item.inertia
     moments = np.array(found.diagonal)
     along = (tested_object.outline - np.array(found.centre)) @ pose_from_quat((0, 0, 0), found.quat)[:3, :3]
     squares, edges = along**2, np.ptp(along, axis=0) ** 2
-    # No part of the mass is farther from an axis than the farthest point of the surface.
+    # No mass is farther from an axis than the farthest point.
     most = found.mass * (squares.sum(axis=1, keepdims=True) - squares).max(axis=0)
     filled = found.mass / 12 * (edges.sum() - edges)
     a, b, c = sorted(found.diagonal)
@@ -136,7 +136,7 @@ def check_inertia(tested_object: TestedObject) -> CheckOutcome:
 
 
 def check_collision_geometry(tested_object: TestedObject) -> CheckOutcome:
-    """Check that the collision geoms match the visual surfaces in volume and position."""
+    """Check that collision geoms match the visual surfaces in volume and position."""
     if not tested_object.visual_surfaces:
         return skipped_check(NO_MESHES)
     parts = tested_object.item.collision
@@ -152,7 +152,7 @@ def check_collision_geometry(tested_object: TestedObject) -> CheckOutcome:
     hull = block * float((depth_in_hull(filled, surface[0]) > 0).mean())
     mesh = sum(uniform_mass_properties(*each).volume for each in tested_object.visual_surfaces)
     seen = sample_surface(surface, _SURFACE_SAMPLES, np.random.default_rng(0))[0]
-    # Deep points are out of reach or in a hollow, which `check_hollow` tests. Scans of hollows are poor.
+    # Deep points are out of reach, or in a hollow, which `check_hollow` tests. Scans of hollows are poor.
     seen = seen[depth_in_hull(seen, surface[0]) < _MAX_DEPTH]
     out = np.maximum(_distance(tested_object, parts, seen), 0)
     reach = float(np.linalg.norm(np.ptp(surface[0], axis=0)))
@@ -175,13 +175,13 @@ def check_collision_geometry(tested_object: TestedObject) -> CheckOutcome:
 
 
 def collision_kinds(parts: Sequence[CollisionPart]) -> str:
-    """Return the kinds of collision parts: "primitives", "hulls", "distance" or several of these."""
+    """Return the kinds: "primitives", "hulls", "distance", joined by "and"."""
     names = {"hull": "hulls", "sdf": "distance"}
     return " and ".join(sorted({names.get(part.type, "primitives") for part in parts}))
 
 
 def _distance(tested_object: TestedObject, parts: Sequence[CollisionPart], points: Array) -> Array:
-    """Return signed distances (n,) of points (n, 3) from collision parts, m; underestimated near edges of hulls."""
+    """Return signed distances (n,) of points (n, 3), m; underestimated near edges of hulls."""
     nearest = np.full(len(points), np.inf)
     primitives = [part for part in parts if not isinstance(part, HullPart | SdfPart)]
     if primitives:

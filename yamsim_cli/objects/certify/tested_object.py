@@ -1,4 +1,4 @@
-"""Collect the data of an object under test, and make scenes with the object alone or on a slab."""
+"""Data of an object under test, and scenes with it alone or on a slab."""
 
 from __future__ import annotations
 
@@ -20,23 +20,21 @@ from yamsim_cli.core.scene.compilation import compile_spec
 from yamsim_cli.core.scene.objects.scene_object import add_object
 from yamsim_cli.core.sim.geom_shapes import body_surface, geom_corners
 
-_GROUND_FRICTION = (1.0, 0.005, 0.0001)  # MuJoCo friction of the slab, as of the table in configs/scenes/tabletop.yaml
-_GROUND_HALF_SIZE = (1.0, 1.0, 0.05)  # m, half size of the slab; thick, so that no object falls through
-_TIMESTEP = 0.002  # s, of physics
-_BACKGROUND = (0.80, 0.81, 0.82)  # background colour of pictures
+_GROUND_FRICTION = (1.0, 0.005, 0.0001)  # MuJoCo's, as of the table in configs/scenes/tabletop.yaml
+_GROUND_HALF_SIZE = (1.0, 1.0, 0.05)  # m; thick, so that no object falls through
+_TIMESTEP = 0.002  # s
+_BACKGROUND = (0.80, 0.81, 0.82)
 
 
 @dataclass(frozen=True)
 class TestedObject:
-    """The data of an object under test.
+    """An object under test.
 
     Attributes:
-        item: config of the object.
-        meshes: mesh set -> folder, or None if the set is missing.
-        locations: config folders, which contain the rig that tests the grasp.
-        visual_surfaces: visual meshes of the base with merged vertices, in the object's frame, m; empty if a set is
-            missing.
-        collision_points: points (n, 3) on the base's collision geoms, in the object's frame, m.
+        meshes: mesh set -> folder, or None if missing.
+        locations: config folders, with the rig that tests the grasp.
+        visual_surfaces: of the base, vertices merged, in the object's frame, m; empty if a set is missing.
+        collision_points: (n, 3) on the base's collision geoms, in the object's frame, m.
     """
 
     item: ObjectConfig
@@ -47,22 +45,22 @@ class TestedObject:
 
     @property
     def surface(self) -> Surface:
-        """The visual surfaces as one surface."""
+        """The visual surfaces as one."""
         return concatenate_surfaces(self.visual_surfaces)
 
     @property
     def outline(self) -> Array:
-        """Points (n, 3) on the visual surfaces, or on the collision geoms if meshes are missing, m."""
+        """Points (n, 3) on visual surfaces, or on collision geoms if meshes are missing, m."""
         return self.surface[0] if self.visual_surfaces else self.collision_points
 
     @property
     def size(self) -> float:
-        """The diagonal of the bounding box of the collision geoms, m."""
+        """Bounding box diagonal of the collision geoms, m."""
         return float(np.linalg.norm(np.ptp(self.collision_points, axis=0)))
 
 
 def read_tested_object(item: ObjectConfig, meshes: Mapping[str, Path | None], locations: Locations) -> TestedObject:
-    """Compile an object's config, and return the data that the checks need.
+    """Compile an object's config, and return the data for the checks.
 
     Raises:
         ResourceError: a mesh cannot be read, or a collision mesh is missing.
@@ -84,10 +82,10 @@ def read_tested_object(item: ObjectConfig, meshes: Mapping[str, Path | None], lo
 
 
 def object_spec(item: ObjectConfig, meshes: Mapping[str, Path | None], *, fixed: bool = False) -> mujoco.MjSpec:
-    """Return a scene with the object alone, without ground; its base cannot move if `fixed`."""
+    """Return a scene with the object alone; its base cannot move if `fixed`."""
     spec = mujoco.MjSpec()
     spec.compiler.autolimits = True
-    spec.compiler.balanceinertia = True  # compile impossible inertias, which fail `check_inertia`
+    spec.compiler.balanceinertia = True  # impossible inertias must compile, and fail `check_inertia`
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     spec.option.timestep = _TIMESTEP
     add_object(spec, item, meshes, fixed=fixed)
@@ -98,7 +96,7 @@ def object_spec(item: ObjectConfig, meshes: Mapping[str, Path | None], *, fixed:
 
 
 def object_on_ground_spec(tested_object: TestedObject) -> mujoco.MjSpec:
-    """Return a scene with the object and a slab whose top is at z = 0."""
+    """Return a scene with the object and a slab whose top is z = 0."""
     spec = object_spec(tested_object.item, tested_object.meshes)
     spec.worldbody.add_geom(
         name="ground",
@@ -115,10 +113,10 @@ def object_on_ground_spec(tested_object: TestedObject) -> mujoco.MjSpec:
 def with_camera(
     spec: mujoco.MjSpec, centre: Sequence[float] | Array, size: float, steep: float = 0.75
 ) -> mujoco.MjSpec:
-    """Add lights, and a camera `view` that shows `size` (m) around the point `centre` (3,), m.
+    """Add lights, and a camera `view` that shows `size` (m) around `centre` (3,), m.
 
     Args:
-        steep: height of the camera over the point, as a share of 1.75 `size`; negative for a view from below.
+        steep: the camera's height over `centre`, as a share of 1.75 `size`.
     """
     spec.visual.headlight.ambient = [0.35, 0.35, 0.35]
     spec.visual.headlight.diffuse = [0.3, 0.3, 0.3]
@@ -141,7 +139,7 @@ def with_camera(
 
 
 def compile_or_raise(spec: mujoco.MjSpec) -> mujoco.MjModel:
-    """Return the model of a spec. Raises `ResourceError` if it does not compile."""
+    """Compile a spec; `ResourceError` if that fails."""
     return compile_spec(spec, "the thing", ResourceError)
 
 

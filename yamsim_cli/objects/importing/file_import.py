@@ -1,4 +1,4 @@
-"""Import an object from a file: store its meshes as a set named by a hash of their content, and write its config."""
+"""Import an object file: store its meshes as a set named by their hash, and write its config."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ from ..building import BuiltObject, ImportOptions, build_object
 from ..convex_decomposition import DECOMPOSITION_FOLDER, Share
 from ..readers.object_reader import UnitOptions, read_object
 
-_DIRECT_FOLDER = "imports"  # folder of the configs that `import_directly` writes, in the folder of meshes
+_DIRECT_FOLDER = "imports"  # folder of `import_directly`'s configs, in the mesh folder
 
 
 @dataclass(frozen=True)
 class ImportedObjectFile:
-    """The path of the written config file, its config, and the object with its mesh files."""
+    """The written config, its path, and the object with its mesh files."""
 
     path: Path
     config: ObjectConfig
@@ -35,7 +35,7 @@ class ImportedObjectFile:
 
 
 def object_name_of(path: Path) -> str:
-    """Return an object's name from its file, or from its folder if the file has a generic name such as `model`."""
+    """Return the object's name: the file's, or the folder's if that is generic, such as `model`."""
     stem = path.parent.name if path.stem.lower() in ("model", "mesh", "scene", "object", "textured") else path.stem
     name = re.sub(r"\W+", "_", stem, flags=re.ASCII).strip("_") or "thing"
     return name if name[0].isalpha() else f"thing_{name}"
@@ -49,11 +49,7 @@ def import_file(
     out: Path | None,
     share: Share = lambda done: None,
 ) -> ImportedObjectFile:
-    """Import an object file (mesh, SDF, URDF or MJCF): store its meshes, and write its config.
-
-    Args:
-        out: YAML file to write; by default `<name>.yaml` in the user's config folder.
-        share: called with the completed share of the work, 0 to 1.
+    """Import an object file (mesh, SDF, URDF or MJCF) to `out`, by default `<name>.yaml` in the user's config folder.
 
     Raises:
         UsageError: the name is invalid, the config file exists, or its folder, the unit or the up axis is unknown.
@@ -68,7 +64,7 @@ def import_file(
 
 
 def import_directly(file: Path, locations: Locations, share: Share = lambda done: None) -> ImportedObjectFile:
-    """Import a file by default options; write its config beside the meshes. Raises `UsageError` or `ResourceError`."""
+    """Import a file by default options, its config beside the meshes. Raises `UsageError` or `ResourceError`."""
     config, made, yaml = _build_and_publish(file, UnitOptions(), ImportOptions(object_name_of(file)), locations, share)
     path = locations.assets / _DIRECT_FOLDER / f"{config.name}-{sha256_bytes(yaml.encode())[:12]}.yaml"
     if not path.exists():
@@ -77,7 +73,7 @@ def import_directly(file: Path, locations: Locations, share: Share = lambda done
 
 
 def config_path(locations: Locations, name: str, out: Path | None) -> Path:
-    """Return the path of a new config: `out`, or by default `<name>.yaml` in the user's config folder.
+    """Return `out`, or by default `<name>.yaml` in the user's config folder.
 
     Raises:
         UsageError: the user has no config folder, or the file exists.
@@ -91,7 +87,7 @@ def config_path(locations: Locations, name: str, out: Path | None) -> Path:
 
 
 def write_config(path: Path, yaml: str) -> None:
-    """Write a config file, and create its folder. Raises `ResourceError` if that is impossible."""
+    """Write a config file, and make its folder. Raises `ResourceError`."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         write_file(path, yaml.encode())
@@ -102,9 +98,8 @@ def write_config(path: Path, yaml: str) -> None:
 def _build_and_publish(
     file: Path, units: UnitOptions, options: ImportOptions, locations: Locations, share: Share
 ) -> tuple[ObjectConfig, BuiltObject, str]:
-    """Build an object and store its meshes as a mesh set; return the config, the object and the config's YAML."""
     if file.suffix.lower() == ".stl":
-        # STL files state no unit and no up axis; most of those for robots are in metres, z up.
+        # STL states neither; most robot files are in metres, z up.
         units = replace(units, unit=units.unit or "m", up=units.up or "z")
     made = build_object(read_object(file, units), options, locations.assets / DECOMPOSITION_FOLDER, share)
     sha256 = sha256_file(file)
@@ -127,10 +122,7 @@ def _build_and_publish(
 
 
 def _with_reachable_grasps(config: ObjectConfig, locations: Locations) -> ObjectConfig:
-    """Return the config with only those grasp points that the skill `pick` can use.
-
-    If no grasp point is usable, all of them stay, and the certificate reports the fault.
-    """
+    """Keep only grasp points that `pick` can use; without any, all stay, and the certificate reports it."""
     with suppress(SkillFailedError):
         if places := reachable_grasp_points(config, locations):
             return config.with_grasp_points(places)

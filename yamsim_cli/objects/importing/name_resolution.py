@@ -1,4 +1,4 @@
-"""Import object files that are given in place of a config's name, such as `--object my_mug.glb`."""
+"""Import object files given in place of a config name, such as `--object my_mug.glb`."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ if TYPE_CHECKING:
 
 
 def import_if_file(name: str, locations: Locations, notify: Callable[[str], None]) -> str:
-    """Import `name` if it is an object file, and return the config's path; return any other name unchanged.
+    """Return the config path of an imported object file, or any other name unchanged.
 
     Args:
         notify: called with a note about a guessed mass.
 
     Raises:
-        UsageError: the unit or the up axis of the file is unknown, or its size is implausible.
+        UsageError: the file's unit or up axis is unknown, or its size is implausible.
         ResourceError: the file is refused or does not allow a valid config, or a file cannot be written.
     """
     if Path(name).suffix.lower() not in ENDINGS:

@@ -1,8 +1,8 @@
-"""Import objects of the YCB set: make configs from scans, published masses and estimated colours.
+"""Import YCB objects: configs from scans, published masses and estimated colours.
 
 Source of the masses: B. Calli, A. Walsman, A. Singh, S. Srinivasa, P. Abbeel, A. M. Dollar, "Benchmarking in
 Manipulation Research: Using the Yale-CMU-Berkeley Object and Model Set", IEEE Robotics & Automation Magazine 22(3),
-2015, its table of objects. Real objects may have another mass: the table gives full cans and boxes.
+2015, its table of objects. The table gives full cans and boxes.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from .file_import import config_path, write_config
 _Rgba = tuple[float, float, float, float]
 
 
-# YCB id -> published mass, g. For sets of cups, blocks and bricks, the mass of one piece.
+# YCB id -> published mass, g; of one piece, for sets of cups, blocks and bricks.
 MASS_G: Mapping[str, float] = {
     "002_master_chef_can": 414,
     "003_cracker_box": 411,
@@ -88,7 +88,7 @@ MASS_G: Mapping[str, float] = {
 }
 
 
-# YCB id -> the object's main colour, estimated by eye: the scans have no colours.
+# YCB id -> main colour, estimated by eye: scans have none.
 _RGBA: Mapping[str, _Rgba] = {
     "005_tomato_soup_can": (0.72, 0.13, 0.10, 1),
     "007_tuna_fish_can": (0.16, 0.30, 0.55, 1),
@@ -114,24 +114,24 @@ _RGBA: Mapping[str, _Rgba] = {
     "070-b_colored_wood_blocks": (0.80, 0.20, 0.15, 1),
     "077_rubiks_cube": (0.90, 0.90, 0.88, 1),
 }
-_GREY: _Rgba = (0.6, 0.6, 0.6, 1)  # colour of the others
-# Name of a set of equal objects in a YCB id -> name of one of them.
+_GREY: _Rgba = (0.6, 0.6, 0.6, 1)
+# Set of equal objects in a YCB id -> name of one.
 _PIECE_NAMES = {"cups": "cup", "colored_wood_blocks": "wood_block"}
 
 
 @dataclass(frozen=True)
 class ImportedYcbObject:
-    """The path of a written config file, and its content."""
+    """A written config file and its content."""
 
     path: Path
     description: YcbConfig
 
 
 def import_ycb(ycb_id: str, locations: Locations, mass_g: float | None, out: Path | None) -> ImportedYcbObject:
-    """Import an object of the YCB set: write a config that is fitted to its downloaded scan.
+    """Write the config of a YCB object, fitted to its downloaded scan.
 
     Args:
-        mass_g: mass in place of the published one, g.
+        mass_g: replaces the published mass.
         out: YAML file to write; by default `<id>.yaml` in the user's config folder.
 
     Raises:

@@ -1,4 +1,4 @@
-"""Convert the links and joints of an SDF, URDF or MJCF file to the rigid parts of an object."""
+"""Convert links and joints of an SDF, URDF or MJCF file to rigid parts."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from yamsim_cli.core.geometry.se3 import Array, inverse
 
 from .object_parts import MassProperties, RigidPart, Surface
 
-_MAX_LINKS = 64  # links of a file
-_UNLIMITED_DEG = 1800.0  # degrees to each side of 0, range of a hinge without limits; more than a hand can turn it
-_HANDLE_OPENING = 0.01  # m, opening of each finger around a handle; files give only the frame of a handle
+_MAX_LINKS = 64
+_UNLIMITED_DEG = 1800.0  # degrees each way, of a hinge without limits; more than a hand can turn
+_HANDLE_OPENING = 0.01  # m, of each finger; files give only a handle's frame
 
 
 @dataclass
 class LinkDescription:
-    """A link of a description file, and its pose `T` (4, 4) in the model's frame with every joint at 0."""
+    """A link, and its pose `T` (4, 4) in the model's frame with joints at 0."""
 
     name: str
     T: Array
@@ -36,8 +36,8 @@ class JointDescription:
     """A joint between two links.
 
     Attributes:
-        parent, child: names of the links; the parent is None for the world.
-        moves: data of a `core.config.objects.articulation.LinkJoint` in the child's frame; None for a fixed joint.
+        parent: None for the world.
+        moves: data of a `core.config.objects.articulation.LinkJoint` in the child's frame; None if fixed.
     """
 
     name: str
@@ -49,12 +49,9 @@ class JointDescription:
 def build_parts(
     links: Sequence[LinkDescription], joints: Sequence[JointDescription]
 ) -> tuple[tuple[RigidPart, ...], bool]:
-    """Return the parts of an object, parents first, and whether its base is fixed to the world.
+    """Return an object's parts, parents first, and whether its base is fixed to the world.
 
-    Links that fixed joints connect become one part.
-
-    Raises:
-        RefusedError: the number of links is 0 or too large, or the links do not form one tree.
+    Fixed joints merge links into one part. Raises `RefusedError` for 0 or too many links, or no single tree.
     """
     if not links:
         raise RefusedError("empty", "it has no link")
@@ -94,7 +91,6 @@ def build_parts(
 def _find_root(
     links: Sequence[LinkDescription], joints: Sequence[JointDescription]
 ) -> tuple[dict[str, LinkDescription], LinkDescription, bool]:
-    """Return the links by name, the root, and whether the root is fixed to the world. Raises `RefusedError`."""
     by_name = {link.name: link for link in links}
     if len(by_name) < len(links):
         raise RefusedError("damaged", "two of its links have the same name")
@@ -149,7 +145,7 @@ def _moved_handle(handle: Mapping[str, Any], T: Array) -> Mapping[str, Any]:
 
 
 def transform_shape(shape: Mapping[str, Any] | Surface, T: Array) -> Mapping[str, Any] | Surface:
-    """Return a collision shape in the frame in which the shape's present frame has the pose T (4, 4)."""
+    """Return a shape in the frame in which its present frame has the pose T (4, 4)."""
     from .primitive_shapes import collision_shape
 
     if isinstance(shape, Surface):
@@ -188,10 +184,9 @@ def _add_mass_properties(first: MassProperties, second: MassProperties) -> MassP
 
 
 def make_mass_properties(mass: float, centre: Array, tensor: Array) -> MassProperties | None:
-    """Return mass (kg), centre (3,), m, and inertia (3, 3), kg m2, as one object; None if the mass is 0.
+    """Combine mass (kg), centre (3,), m, and inertia (3, 3), kg m2; None if the mass is 0.
 
-    Raises:
-        RefusedError: the mass is negative or above 10,000 kg.
+    Raises `RefusedError` for a mass below 0 or above 10,000 kg.
     """
     if mass == 0:
         return None
@@ -201,7 +196,7 @@ def make_mass_properties(mass: float, centre: Array, tensor: Array) -> MassPrope
 
 
 def joint_range(low: float, high: float, *, turns: bool, name: str) -> list[float]:
-    """Return a joint's range, m or degrees, from its limits, m or rad. An unlimited hinge gets 5 turns each way."""
+    """Return a range, m or degrees, from limits, m or rad. An unlimited hinge gets 5 turns each way."""
     if not turns:
         if not (abs(low) <= 2 and abs(high) <= 2):
             raise RefusedError("impossible", f"joint {name!r} slides from {low:g} to {high:g} m")
@@ -214,6 +209,6 @@ def joint_range(low: float, high: float, *, turns: bool, name: str) -> list[floa
 
 
 def handle_from_frame(name: str, T: Array) -> Mapping[str, Any]:
-    """Return handle data for a frame (4, 4) in a link: z is the approach direction, y the fingers' closing axis."""
+    """Return a handle for a frame (4, 4) in a link: z is the approach, y the fingers' closing axis."""
     position, approach, axis = (column.tolist() for column in (T[:3, 3], T[:3, 2], T[:3, 1]))
     return {"name": name, "position": position, "approach": approach, "axis": axis, "opening": _HANDLE_OPENING}

@@ -1,4 +1,4 @@
-"""Check the headers of mesh files before memory is allocated for the content."""
+"""Check mesh file headers before memory is allocated for the content."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 
 from yamsim_cli.core.files.untrusted.refusals import RefusedError
 
-# Bytes of each component type, and components of each accessor type. Source: glTF 2.0 specification, section 3.6.2.2.
+# Bytes per component type, components per accessor type. Source: glTF 2.0 specification, section 3.6.2.2.
 _COMPONENTS = {5120: 1, 5121: 1, 5122: 2, 5123: 2, 5125: 4, 5126: 4}
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
 _PLY_BYTES = {
@@ -21,7 +21,7 @@ _PLY_BYTES = {
 
 
 def check_header(data: bytes, suffix: str, max_faces: int) -> None:
-    """Raise `RefusedError` if a header states more elements than the file can hold, or more than `max_faces`."""
+    """Raise `RefusedError` for more elements than the file can hold, or than `max_faces`."""
     if not data:
         raise RefusedError("empty", "it has no bytes")
     match suffix:
@@ -102,7 +102,6 @@ def _json(text: bytes) -> Any:
 
 
 def _check_gltf_tree(tree: Any, binary: int | None, maximum: int) -> None:
-    """Check that glTF accessors lie in their views, that views lie in their buffers, and that nodes form trees."""
     try:
         _accessors(tree, binary, maximum)
         _nodes(tree)

@@ -1,4 +1,4 @@
-"""Read surfaces and materials of glTF, OBJ, STL, PLY and COLLADA files by trimesh, which opens no files itself."""
+"""Read surfaces and materials of glTF, OBJ, STL, PLY and COLLADA by trimesh, which opens no files itself."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ from .mesh_headers import check_header
 from .object_parts import GREY, Rgba, Surface, SurfaceMaterial
 from .textures import bake_colours, encode_png_texture, open_image
 
-MAX_FACES = 2_000_000  # triangles of a file, more than any scan needs; users must reduce larger meshes
+MAX_FACES = 2_000_000  # triangles; no scan needs more
 
-# Ending -> trimesh's file type, unit (m) and up axis; None if the format does not define them.
+# Ending -> trimesh's file type, unit (m), up axis; None if the format defines none.
 FORMATS: dict[str, tuple[str, float | None, str | None]] = {
     # Source: glTF 2.0 specification, section 3.4: metres, +Y up.
     ".glb": ("glb", 1.0, "y"),
@@ -31,17 +31,17 @@ FORMATS: dict[str, tuple[str, float | None, str | None]] = {
     ".obj": ("obj", None, None),
     ".stl": ("stl", None, None),
     ".ply": ("ply", None, None),
-    # Each file states its unit and up axis.
+    # Each file states both.
     ".dae": ("dae", None, None),
 }
 
-# Endings of image files that materials may name. Only PNG and JPEG images are accepted.
+# Image files that materials may name; only PNG and JPEG are accepted.
 _PICTURES = (".png", ".jpg", ".jpeg", ".bmp", ".tga", ".tif", ".tiff", ".gif", ".webp", ".dds", ".exr", ".hdr")
 
 
 @dataclass(frozen=True)
 class MeshFile:
-    """The surfaces of a mesh file in the file's unit; the unit's length, m, and the up axis, None if not stated."""
+    """Surfaces in the file's unit; the unit, m, and up axis, if stated."""
 
     surfaces: tuple[Surface, ...]
     unit_m: float | None
@@ -49,7 +49,7 @@ class MeshFile:
 
 
 class _Resolver:
-    """Gives trimesh the content of files that a mesh names, if they lie in a confined folder."""
+    """Gives trimesh the named files that lie in a confined folder."""
 
     def __init__(self, folder: ConfinedFolder, base: Path) -> None:
         self._folder, self._base = folder, base
@@ -57,7 +57,7 @@ class _Resolver:
     def get(self, name: str) -> bytes:
         data = self._folder.read(name, self._base)
         if Path(name).suffix.lower() in _PICTURES:
-            # Check images here, because trimesh ignores those that it cannot open.
+            # trimesh ignores images that it cannot open.
             try:
                 open_image(data, name)
             except RefusedError as error:
@@ -78,11 +78,11 @@ class _Resolver:
 
 
 def read_mesh(data: bytes, suffix: str, folder: ConfinedFolder, base: Path) -> MeshFile:
-    """Return the surfaces of a mesh file.
+    """Return a mesh file's surfaces.
 
     Args:
-        suffix: the file's ending, which decides the format.
-        folder: folder that contains all files that the mesh may name.
+        suffix: decides the format.
+        folder: contains all files that the mesh may name.
         base: the file's folder, below `folder`.
 
     Raises:
@@ -112,7 +112,6 @@ def read_mesh(data: bytes, suffix: str, folder: ConfinedFolder, base: Path) -> M
         raise
     except MemoryError:
         raise RefusedError("too-much-memory", "reading it takes too much memory for a file of its size") from None
-    # A library may raise anything on damaged input.
     except Exception as error:
         raise folder.refused or _damaged(suffix, error) from error
     if folder.refused is not None:
@@ -143,7 +142,6 @@ def _damaged(suffix: str, error: Exception) -> RefusedError:
 
 
 def _meshes(scene: Any) -> list[tuple[Any, Array]]:
-    """Return a mesh and its pose (4, 4) for each node of a scene that shows a mesh."""
     import trimesh
 
     found, faces = [], 0
@@ -183,7 +181,7 @@ def _surface(mesh: Any, T: Array) -> Surface | None:
     elif visual.kind == "vertex":
         colours = np.asarray(visual.vertex_colors, np.uint8)
     elif visual.kind == "face":
-        # Each triangle gets separate corners.
+        # Triangles get separate corners.
         colours = np.repeat(np.asarray(visual.face_colors, np.uint8), 3, axis=0)
         vertices = vertices[triangles].reshape(-1, 3)
         triangles = np.arange(3 * len(triangles), dtype=np.int32).reshape(-1, 3)
@@ -196,7 +194,6 @@ def _surface(mesh: Any, T: Array) -> Surface | None:
 
 
 def _textured(material: Any) -> tuple[Rgba, Any]:
-    """Return the colour and the base texture of a trimesh material of glTF (PBR), OBJ or COLLADA."""
     from trimesh.visual.material import PBRMaterial
 
     if isinstance(material, PBRMaterial):
@@ -204,7 +201,7 @@ def _textured(material: Any) -> tuple[Rgba, Any]:
     else:
         factor, image = getattr(material, "diffuse", None), getattr(material, "image", None)
         if image is not None:
-            # In OBJ and COLLADA a texture replaces the colour, for which exporters write an arbitrary grey.
+            # In OBJ and COLLADA a texture replaces the colour, an arbitrary grey of exporters.
             return (1.0, 1.0, 1.0, 1.0), image
     if factor is None:
         return ((1.0, 1.0, 1.0, 1.0) if image is not None else GREY), image
@@ -226,7 +223,6 @@ def _rgba(values: Any) -> Rgba:
 
 
 def _check_textures(data: bytes, suffix: str, meshes: list[tuple[Any, Array]]) -> None:
-    """Refuse a glTF file with a texture that trimesh could not read and therefore omitted."""
     text = data if suffix == ".gltf" else data[20 : 20 + int.from_bytes(data[12:16], "little")]
     tree = json.loads(text)
     named = {
@@ -247,9 +243,9 @@ def _check_textures(data: bytes, suffix: str, meshes: list[tuple[Any, Array]]) -
 def mesh_surfaces(
     folder: ConfinedFolder, uri: str, base: Path, scale: Sequence[float], material: SurfaceMaterial | None
 ) -> list[Surface]:
-    """Return the surfaces (m) of a mesh file that an SDF or URDF file names, scaled, and with `material` if given.
+    """Return the scaled surfaces (m) of a mesh that an SDF or URDF file names, with any `material`.
 
-    The function ignores the up axis of the mesh file, as simulators that read SDF and URDF do.
+    As in simulators, the mesh file's up axis is ignored.
     """
     if not uri:
         raise RefusedError("damaged", "it has a mesh without a name")
@@ -265,14 +261,13 @@ def mesh_surfaces(
 
 
 def _with_material(surface: Surface, material: SurfaceMaterial) -> Surface:
-    """Return the surface with `material`, unless only the mesh file gives a texture."""
     if material.texture is None and surface.material.texture is not None:
         return surface
     return replace(surface, material=material)
 
 
 def plain_material(folder: ConfinedFolder, rgba: Sequence[float], texture: str, base: Path) -> SurfaceMaterial:
-    """Return a material with a colour and, if `texture` names an image, that texture."""
+    """Return a material with a colour and the texture `texture`, if it names an image."""
     red, green, blue, alpha = (min(1.0, max(0.0, value)) for value in (*rgba, 1.0, 1.0, 1.0, 1.0)[:4])
     colour: Rgba = (red, green, blue, alpha if len(rgba) > 3 else 1.0)
     if not texture:

@@ -1,7 +1,6 @@
 """Read an MJCF file with one object by MuJoCo's compiler.
 
-MuJoCo resolves classes, units and frames, but would open any path that a file names. Therefore yamsim reads every named
-file, and passes its content to MuJoCo under a new name.
+MuJoCo would open any path that a file names, so yamsim passes it the content of each under a new name.
 """
 
 from __future__ import annotations
@@ -35,12 +34,12 @@ from .primitive_shapes import collision_shape, visual_surface
 from .textures import encode_png_texture, open_image
 from .untrusted_xml import Element, parse_untrusted_xml
 
-# Refused elements: they run foreign code, or multiply a file's content.
+# They run foreign code, or multiply a file's content.
 _REFUSED_TAGS = ("plugin", "extension", "replicate", "composite", "flexcomp", "skin", "hfield", "attach")
 _FOLDERS = {"mesh": ("meshdir", "assetdir"), "texture": ("texturedir", "assetdir")}
-_MAX_BUILTIN = 4096  # px, largest width and height of a texture that MuJoCo generates
-_VIEW_GROUPS = 3  # number of geom groups that a viewer shows by default: 0, 1 and 2
-_DEFAULT_RGBA = (0.5, 0.5, 0.5, 1.0)  # MuJoCo's default geom colour: a geom with it takes the colour of its material
+_MAX_BUILTIN = 4096  # px, side of a texture that MuJoCo generates
+_VIEW_GROUPS = 3  # geom groups that a viewer shows by default: 0, 1 and 2
+_DEFAULT_RGBA = (0.5, 0.5, 0.5, 1.0)  # MuJoCo's default, for which a geom takes its material's colour
 
 _SHAPE_KINDS = {
     mujoco.mjtGeom.mjGEOM_BOX: "box",
@@ -49,12 +48,12 @@ _SHAPE_KINDS = {
     mujoco.mjtGeom.mjGEOM_CYLINDER: "cylinder",
     mujoco.mjtGeom.mjGEOM_ELLIPSOID: "ellipsoid",
 }
-# Shape -> number of values in MuJoCo's `geom_size`.
+# Shape -> values in MuJoCo's `geom_size`.
 _SIZES = {"box": 3, "sphere": 1, "capsule": 2, "cylinder": 2, "ellipsoid": 3}
 
 
 def read_mjcf(data: bytes, folder: ConfinedFolder, base: Path) -> ObjectDescription:
-    """Return the object that an MJCF file describes. Raises `RefusedError` if the file is damaged or not supported."""
+    """Read an MJCF file. Raises `RefusedError` if it is damaged or not supported."""
     root = with_includes(data, folder, base, parse_untrusted_xml)
     if root.tag != "mujoco":
         raise RefusedError("damaged", f"its root is <{root.tag}>, not <mujoco>, <sdf> or <robot>")
@@ -75,7 +74,7 @@ def read_mjcf(data: bytes, folder: ConfinedFolder, base: Path) -> ObjectDescript
 
 
 def _take_files(root: Element, folder: ConfinedFolder, base: Path) -> dict[str, bytes]:
-    """Read all files that an MJCF document names, rename them in the document, and return new name -> content."""
+    """Rename all named files in a document, and return new name -> content."""
     compiler: dict[str, str] = {}
     for element in root.iter("compiler"):
         compiler |= element.attrib
@@ -216,7 +215,7 @@ def _mesh(model: mujoco.MjModel, geom: int, *, convex: bool = False) -> Surface:
         at = int(model.mesh_texcoordadr[mesh])
         coordinates = model.mesh_texcoord[at : at + int(model.mesh_texcoordnum[mesh])]
         uv = coordinates[model.mesh_facetexcoord[first : first + faces]].astype(np.float64)
-        # MuJoCo measures v from the upper edge of the image.
+        # MuJoCo measures v from the upper edge.
         uv[..., 1] = 1 - uv[..., 1]
     elif material.texture is not None:
         material = SurfaceMaterial(material.rgba)

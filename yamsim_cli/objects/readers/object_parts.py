@@ -1,4 +1,4 @@
-"""An object that was read from a file: parts with surfaces, collision shapes and mass properties."""
+"""An object read from a file: parts with surfaces, collision shapes and mass properties."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.core.geometry.stl import Faces
 
 Rgba = tuple[float, float, float, float]
-GREY: Rgba = (0.7, 0.7, 0.7, 1.0)  # colour of surfaces whose file gives none
+GREY: Rgba = (0.7, 0.7, 0.7, 1.0)  # without a colour in the file
 
 
 @dataclass(frozen=True)
@@ -20,8 +20,8 @@ class SurfaceMaterial:
     """The appearance of a surface.
 
     Attributes:
-        rgba: colour; with a texture, the factor by which the texture is multiplied.
-        texture: content of a PNG file, or None.
+        rgba: colour, by which a texture is multiplied.
+        texture: PNG.
         specular, shininess: strength and sharpness of highlights, 0 to 1.
     """
 
@@ -36,8 +36,8 @@ class Surface:
     """Triangles (m, 3) over vertices (n, 3), m, with one material.
 
     Attributes:
-        uv: texture coordinates (m, 3, 2) of each triangle's corners, from the lower left of the image; or None.
-        convex: whether the convex hull of the surface is its collision geometry.
+        uv: (m, 3, 2) of triangle corners, from the image's lower left.
+        convex: its convex hull is its collision geometry.
     """
 
     vertices: Array
@@ -47,7 +47,7 @@ class Surface:
     convex: bool = False
 
     def transform(self, T: Array) -> Surface:
-        """Return the surface transformed by an affine map (4, 4); a reflection reverses the triangles."""
+        """Transform by an affine map (4, 4); a reflection reverses the triangles."""
         vertices = self.vertices @ T[:3, :3].T + T[:3, 3]
         if np.linalg.det(T[:3, :3]) >= 0:
             return replace(self, vertices=vertices)
@@ -57,7 +57,7 @@ class Surface:
 
 @dataclass(frozen=True)
 class MassProperties:
-    """Mass, kg, centre of mass (3,), m, and inertia (3, 3) about that centre, kg m2, in the part's frame."""
+    """Mass, kg, centre (3,), m, and inertia (3, 3) about it, kg m2, in the part's frame."""
 
     mass: float
     centre: Array
@@ -69,13 +69,11 @@ class RigidPart:
     """One rigid body of an object.
 
     Attributes:
-        name: name in the file.
-        parent: index of the parent part, which comes first; None for the base.
-        T_in_parent: pose (4, 4) in the parent's frame with the joint at 0; the identity for the base.
+        parent: index of an earlier part; None for the base.
+        T_in_parent: pose (4, 4) with the joint at 0.
         joint: data of a `core.config.objects.articulation.LinkJoint`; None for the base.
-        weight: mass properties in the file; None if it has none.
         looks: visual surfaces.
-        shapes: collision shapes in the file: data of `core.config.objects.primitives`, or surfaces; None without any.
+        shapes: the file's collision shapes: data of `core.config.objects.primitives`, or surfaces.
         handles: data of `core.config.objects.articulation.Handle`.
     """
 
@@ -94,13 +92,12 @@ class ObjectDescription:
     """An object as read from its file.
 
     Attributes:
-        name: name in the file, or empty.
-        parts: the parts, the base first.
-        fixed: whether the base is fixed to the world.
-        unit_m: length of the file's unit, m; None if not stated.
-        up: up axis of the file, "x", "y" or "z"; None if not stated.
-        friction: sliding friction; None if not stated.
-        notes: messages for users about content of the file that was left out.
+        parts: the base first.
+        fixed: the base is fixed to the world.
+        unit_m: the file's unit, m; None if not stated.
+        up: "x", "y" or "z"; None if not stated.
+        friction: sliding.
+        notes: for users, on content that was left out.
     """
 
     name: str
@@ -112,7 +109,7 @@ class ObjectDescription:
     notes: tuple[str, ...] = ()
 
     def poses(self) -> list[Array]:
-        """Return each part's pose (4, 4) in the base's frame with every joint at 0."""
+        """Return parts' poses (4, 4) in the base's frame with joints at 0."""
         poses: list[Array] = []
         for part in self.parts:
             poses.append(part.T_in_parent if part.parent is None else poses[part.parent] @ part.T_in_parent)

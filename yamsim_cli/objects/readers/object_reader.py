@@ -1,4 +1,4 @@
-"""Read an object file in a child process, and convert the object to metres with z up."""
+"""Read an object file in a child process, and convert it to metres with z up."""
 
 from __future__ import annotations
 
@@ -24,22 +24,16 @@ from .reader_process import REFUSAL_FILE, read_written
 
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}  # unit -> m
 
-_MAX_SIZE, _MIN_SIZE = 2.0, 0.003  # m, largest and least size of an object that an arm can handle
-_LIKELY = (0.01, 0.8)  # m, likely sizes; the error for a missing unit suggests units that give them
-_CPU_SECONDS, _CPU_SECONDS_PER_MB = 15.0, 0.7  # s, limit of CPU time to read a file, and its increase per megabyte
-_WALL_CLOCK_FACTOR = 4.0  # limit of elapsed time over the limit of CPU time, for a busy machine
-_PACKAGES = ("trimesh", "PIL", "defusedxml", "collada")  # packages of the extra `import`; binary STL needs none
+_MAX_SIZE, _MIN_SIZE = 2.0, 0.003  # m, of objects that an arm can handle
+_LIKELY = (0.01, 0.8)  # m; the error for a missing unit suggests units that give these sizes
+_CPU_SECONDS, _CPU_SECONDS_PER_MB = 15.0, 0.7  # s of CPU time, and per megabyte of the file
+_WALL_CLOCK_FACTOR = 4.0  # elapsed over CPU time, for a busy machine
+_PACKAGES = ("trimesh", "PIL", "defusedxml", "collada")  # of the extra `import`; binary STL needs none
 
 
 @dataclass(frozen=True)
 class UnitOptions:
-    """Options for a file's unit and axes, which override the values in the file.
-
-    Attributes:
-        unit: a key of `UNITS`.
-        up: up axis of the file: x, y or z.
-        scale: factor of all lengths.
-    """
+    """A file's unit (a key of `UNITS`), up axis (x, y or z) and scale, each of which overrides the file."""
 
     unit: str | None = None
     up: str | None = None
@@ -50,7 +44,7 @@ def read_object(path: Path, units: UnitOptions) -> ObjectDescription:
     """Return the object in a file, in metres, z up.
 
     Raises:
-        UsageError: the unit or the up axis is in neither the file nor the options, or the size is implausible.
+        UsageError: unit or up axis are unknown, or the size is implausible.
         ResourceError: the file is refused, with one of `untrusted.refusals.CODES`; or the extra is not installed.
     """
     try:
@@ -61,7 +55,6 @@ def read_object(path: Path, units: UnitOptions) -> ObjectDescription:
 
 
 def _read_as_is(path: Path) -> ObjectDescription:
-    """Return the object in a file, in the file's unit and axes. Raises `RefusedError` or `ResourceError`."""
     missing = [name for name in _PACKAGES if find_spec(name) is None]
     if missing and path.suffix.lower() != ".stl":
         raise ResourceError(f"reading {path.name} needs {' and '.join(missing)}: pip install 'yamsim[import]'")
@@ -84,7 +77,7 @@ def _read_in_child(path: Path, scratch: Path, seconds: float) -> ObjectDescripti
     out = scratch / "out"
     out.mkdir()
     call = python_call(reader_process.main, str(path), str(path.parent), str(out), int(np.ceil(seconds)))
-    # One thread, since each thread reserves memory.
+    # Each thread would reserve memory.
     quiet = ["env", "OPENBLAS_NUM_THREADS=1", "OMP_NUM_THREADS=1", "MUJOCO_GL=off"]
     limit = _WALL_CLOCK_FACTOR * seconds
     try:
@@ -108,7 +101,7 @@ def _read_in_child(path: Path, scratch: Path, seconds: float) -> ObjectDescripti
 
 
 def convert_to_metres(thing: ObjectDescription, units: UnitOptions) -> ObjectDescription:
-    """Return an object in metres, z up. Raises `RefusedError` if unit or up axis are unknown, or the size is absurd."""
+    """Convert to metres, z up. Raises `RefusedError` for an unknown unit or up axis, or an absurd size."""
     size = _extent(thing)
     no_up = units.up is None and thing.up is None
     if units.unit is None and thing.unit_m is None:
@@ -155,7 +148,6 @@ def _extent(thing: ObjectDescription) -> Array:
 
 
 def _rotation_to_z(up: str) -> Array:
-    """Return the rotation (3, 3) that turns the axis `up` to +z."""
     if up == "y":
         return np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
     if up == "x":
@@ -164,7 +156,6 @@ def _rotation_to_z(up: str) -> Array:
 
 
 def _convert_units(thing: ObjectDescription, metre: float, turn: Array) -> ObjectDescription:
-    """Return the object with all lengths multiplied by `metre`, and rotated by `turn` (3, 3). Raises `RefusedError`."""
     if metre == 1.0 and np.array_equal(turn, np.eye(3)):
         return thing
     base, *others = thing.parts

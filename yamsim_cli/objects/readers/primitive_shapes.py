@@ -1,4 +1,4 @@
-"""Convert the primitive shapes of SDF, URDF and MJCF files to visual surfaces and to collision primitives."""
+"""Convert primitives of SDF, URDF and MJCF files to visual surfaces and collision primitives."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from yamsim_cli.core.geometry.stl import Faces
 
 from .object_parts import Surface, SurfaceMaterial
 
-_SEGMENTS = 40  # facets around the axis of a round surface
-_AXIS_TOLERANCE = 1e-6  # largest deviation from 1 of the z component of an axis that counts as vertical
+_SEGMENTS = 40  # facets around the axis
+_AXIS_TOLERANCE = 1e-6  # deviation of a vertical axis's z component from 1
 
 
 def _revolve(outline: Array, material: SurfaceMaterial) -> Surface:
-    """Return the surface of revolution of an outline (n, 2): radius and height, m, from the lowest point upwards."""
+    """Revolve an outline (n, 2): radius and height, m, from the lowest point upwards."""
     middle = outline[1:-1]
     angle = 2 * np.pi * np.arange(_SEGMENTS) / _SEGMENTS
     x, y = (np.outer(middle[:, 0], turn) for turn in (np.cos(angle), np.sin(angle)))
@@ -41,11 +41,11 @@ def _revolve(outline: Array, material: SurfaceMaterial) -> Surface:
 
 
 def collision_shape(kind: str, size: Array, T: Array) -> Mapping[str, Any] | Surface:
-    """Return a primitive at a pose `T` (4, 4) as config data, or as a surface if configs cannot express it.
+    """Return a primitive at a pose (4, 4) as config data, or as a surface if configs cannot express it.
 
     Args:
         kind: "box", "cylinder", "capsule", "sphere" or "ellipsoid".
-        size: half sizes of a box; radius and half length of a cylinder or capsule; radius or radii of the others, m.
+        size: half sizes; radius and half length (cylinder, capsule); radius or radii, m.
     """
     centre = [float(x) for x in T[:3, 3]]
     R = T[:3, :3]
@@ -68,11 +68,7 @@ def collision_shape(kind: str, size: Array, T: Array) -> Mapping[str, Any] | Sur
 
 
 def visual_surface(kind: str, size: Array, material: SurfaceMaterial) -> Surface:
-    """Return the surface of a primitive centred at the origin. Raises `RefusedError` if its size is implausible.
-
-    Args:
-        kind, size: shape and dimensions, with the meaning that they have in `collision_shape`.
-    """
+    """Return a centred primitive's surface. Raises `RefusedError` for absurd sizes."""
     if not all(1e-6 <= length <= 1e4 for length in size):
         raise RefusedError("impossible", f"it has a body of size {' x '.join(f'{length:g}' for length in size)}")
     match kind:

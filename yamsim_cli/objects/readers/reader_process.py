@@ -1,7 +1,6 @@
-"""Read one object file in a child process with limits, and pass the object to the parent process by files.
+"""Read one object file in a child process with limits, and pass the object on by files.
 
-These files are JSON, NumPy arrays and PNG. The parent does not trust the child: the parent loads arrays without pickle,
-and checks vertices and triangles again.
+The parent does not trust the child: it loads arrays without pickle, and checks vertices and triangles again.
 """
 
 from __future__ import annotations
@@ -21,21 +20,17 @@ from yamsim_cli.core.files.untrusted.refusals import RefusedError
 
 from .object_parts import MassProperties, ObjectDescription, RigidPart, Surface, SurfaceMaterial
 
-REFUSAL_FILE = "refused.json"  # written instead of the object if the child refuses the file
+REFUSAL_FILE = "refused.json"  # written if the child refuses the file
 _DESCRIPTION_FILE, _ARRAYS = "thing.json", "arrays.npz"
 
-_BASE_BYTES = 3_000_000_000  # bytes, address space of Python and its libraries, most of it only reserved
-_MEMORY_FACTOR = 60  # bytes of further address space for each byte of the object file
-_MAX_MEMORY = 12_000_000_000  # bytes, limit of the address space
-_MAX_WRITTEN = 2_000_000_000  # bytes, limit of each written file; enough for the arrays of the largest mesh
+_BASE_BYTES = 3_000_000_000  # bytes, address space of Python and its libraries, mostly only reserved
+_MEMORY_FACTOR = 60  # bytes of address space per byte of the file
+_MAX_MEMORY = 12_000_000_000  # bytes of address space
+_MAX_WRITTEN = 2_000_000_000  # bytes per written file; enough for the largest mesh
 
 
 def main(file: str, root: str, out: str, seconds: int) -> None:
-    """Read `file`, which may refer to files in the folder `root`; write the object or a refusal into the folder `out`.
-
-    Args:
-        seconds: limit of CPU time, s.
-    """
+    """Read `file`, with files in `root` only. Write the object or a refusal to `out`. `seconds` limits CPU time."""
     path = Path(file)
     _set_process_limits(path.stat().st_size, seconds)
     try:
@@ -56,7 +51,7 @@ def _set_process_limits(size: int, seconds: int) -> None:
         (resource.RLIMIT_FSIZE, _MAX_WRITTEN),
         (resource.RLIMIT_CORE, 0),
     ):
-        # A lower existing limit stays.
+        # A lower limit stays.
         with contextlib.suppress(ValueError, OSError):
             resource.setrlimit(kind, (limit, limit))
 
@@ -66,7 +61,7 @@ def _refuse(out: str, code: str, text: str) -> None:
 
 
 def read_file(path: Path, root: Path) -> ObjectDescription:
-    """Return the object in a file, which may refer to files in the folder `root`. Raises `RefusedError`."""
+    """Read a file that may refer to files in `root`. Raises `RefusedError`."""
     folder, base, suffix = ConfinedFolder(root), path.parent.resolve(), path.suffix.lower()
     if path.stat().st_size > MAX_BYTES:
         raise RefusedError("too-large", f"it has more than {MAX_BYTES // 10**6} MB")
@@ -81,7 +76,7 @@ def read_file(path: Path, root: Path) -> ObjectDescription:
 
 
 def _description(data: bytes, folder: ConfinedFolder, base: Path) -> ObjectDescription:
-    """Return the object that an SDF, URDF or MJCF file describes. The root element, not the ending, gives the type."""
+    """Read a file by its root element, not its ending."""
     from .untrusted_xml import parse_untrusted_xml
 
     match parse_untrusted_xml(data).tag:
@@ -124,11 +119,7 @@ def _write_object(thing: ObjectDescription, folder: Path) -> None:
 
 
 def read_written(folder: Path) -> ObjectDescription:
-    """Return the object that the child wrote into a folder.
-
-    Raises:
-        OSError, ValueError, KeyError, TypeError: the files are missing, incomplete or invalid.
-    """
+    """Return the object that the child wrote. Raises OSError, ValueError, KeyError or TypeError."""
     data = json.loads((folder / _DESCRIPTION_FILE).read_bytes())
     with np.load(folder / _ARRAYS, allow_pickle=False) as stored:
         arrays = {name: stored[name] for name in stored.files}

@@ -1,4 +1,4 @@
-"""Read an SDFormat file with one model of links, joints, and frames that are relative to each other.
+"""Read an SDFormat file with one model of links, joints and relative frames.
 
 Source: sdformat.org/spec, versions 1.4 to 1.12, elements model, link, joint, geometry, material and include.
 """
@@ -28,16 +28,12 @@ from .object_parts import MassProperties, ObjectDescription, Surface, SurfaceMat
 from .primitive_shapes import collision_shape, visual_surface
 from .untrusted_xml import Element, inertia_matrix, number, numbers, parse_untrusted_xml, rotation_from_rpy
 
-_MAX_INCLUDE_DEPTH = 8  # levels of models that include others
+_MAX_INCLUDE_DEPTH = 8  # levels of included models
 _JOINTS = {"revolute": "hinge", "continuous": "hinge", "prismatic": "slide", "screw": "screw"}
 
 
 def read_sdf(data: bytes, folder: ConfinedFolder, base: Path) -> ObjectDescription:
-    """Return the object that an SDFormat file describes.
-
-    Raises:
-        RefusedError: the file is damaged, has several models, or has content that no config can express.
-    """
+    """Read an SDFormat file. Raises `RefusedError` if it is damaged or no config can express it."""
     model, where = _model(data, folder, base, ())
     reader = _Reader(folder, where)
     links, joints = reader.model(model)
@@ -65,7 +61,6 @@ def _model(data: bytes, folder: ConfinedFolder, base: Path, seen_files: tuple[Pa
 def _included(
     include: Element, folder: ConfinedFolder, base: Path, seen_files: tuple[Path, ...]
 ) -> tuple[Element, Path]:
-    """Return the model that an <include> names, and its folder: an SDF file, or a folder with `model.sdf`."""
     uri = (include.findtext("uri") or "").strip()
     try:
         path = folder.find(uri, base)
@@ -79,8 +74,6 @@ def _included(
 
 
 class _Reader:
-    """Reads the links, joints and handles of a model. File names in it are relative to the folder `base`."""
-
     def __init__(self, folder: ConfinedFolder, base: Path) -> None:
         self._folder, self._base = folder, base
         self.notes: list[str] = []
@@ -168,7 +161,6 @@ class _Reader:
     def _handle(
         self, element: Element, frames: _Frames, by_name: dict[str, LinkDescription], links: list[LinkDescription]
     ) -> None:
-        """Add a handle to the link of a <frame> whose name begins with `handle`."""
         name = _name_of(element)
         owner = frames.link_of(element.get("attached_to", "") or frames.relative(name))
         if not name.lower().startswith("handle") or (owner or links[0].name) not in by_name:
@@ -200,7 +192,7 @@ def _weight(inertial: Element | None) -> MassProperties | None:
 
 
 def _primitive(geometry: Element) -> tuple[str, Array] | None:
-    """Return the arguments `kind` and `size` of `collision_shape` for a <geometry>; None if it is no primitive."""
+    """Return a <geometry>'s `kind` and `size` for `collision_shape`; None if it is no primitive."""
     if (found := geometry.find("box")) is not None:
         return "box", np.array(numbers(found.findtext("size"), 3)) / 2
     if (found := geometry.find("sphere")) is not None:
@@ -227,7 +219,7 @@ def _joint_data(element: Element, axis: Element, kind: str, direction: Array, po
         "friction": number(axis.findtext("dynamics/friction"), 0.0),
     }
     if kind == "screw":
-        # `screw_thread_pitch` is in metres per turn; the older `thread_pitch` is in negative radians per metre.
+        # `screw_thread_pitch` is in metres per turn, the older `thread_pitch` in negative radians per metre.
         lead = element.findtext("screw_thread_pitch")
         old = number(element.findtext("thread_pitch"), 1.0)
         moves["pitch"] = number(lead) if lead else -2 * math.pi / old if old else 0.0
@@ -235,14 +227,10 @@ def _joint_data(element: Element, axis: Element, kind: str, direction: Array, po
 
 
 class _Frames:
-    """Poses of all named elements of a model, in the model's frame.
-
-    Raises:
-        RefusedError: two elements have the same name, or an element has none.
-    """
+    """Poses of all named elements in the model's frame; unnamed or duplicate ones raise `RefusedError`."""
 
     def __init__(self, model: Element) -> None:
-        # Name -> pose (4, 4), and the frame to which the pose is relative; "" is the model's frame.
+        # Name -> pose (4, 4), and the frame to which it is relative; "" is the model's.
         self._frames: dict[str, tuple[Array, str]] = {}
         self._attached: dict[str, str] = {}
         self._links = {_name_of(element) for element in model.findall("link")}
@@ -268,11 +256,10 @@ class _Frames:
         self._frames[name] = _pose_of(element), default
 
     def relative(self, name: str) -> str:
-        """Return the name of the frame to which a frame's pose is relative."""
         return self._frames[name][1]
 
     def T(self, name: str, path: tuple[str, ...] = ()) -> Array:
-        """Return the pose (4, 4) of an element in the model's frame. Raises `RefusedError` if missing or circular."""
+        """Return a pose (4, 4) in the model's frame."""
         if name in ("", "__model__"):
             return np.eye(4)
         if name not in self._frames:
@@ -285,7 +272,7 @@ class _Frames:
         return self._known[name]
 
     def link_of(self, name: str) -> str | None:
-        """Return the link of a frame; None if attached to the world. Raises `RefusedError` if missing or circular."""
+        """Return a frame's link; None for the world."""
         steps = 0
         while name not in self._links:
             if name in ("world", "__model__", ""):
@@ -306,7 +293,6 @@ def _name_of(element: Element) -> str:
 
 
 def _pose_of(element: Element) -> Array:
-    """Return the pose (4, 4) in an element's <pose>, by default the identity."""
     found = element.find("pose")
     if found is None:
         return np.eye(4)

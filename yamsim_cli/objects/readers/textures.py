@@ -1,4 +1,4 @@
-"""Decode textures within limits, reduce and encode them as PNG, and bake vertex colours into textures."""
+"""Decode textures within limits, store them as PNG, and bake vertex colours into textures."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from yamsim_cli.core.files.untrusted.refusals import RefusedError
 from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.core.geometry.stl import Faces
 
-_MAX_PIXELS = 64_000_000  # pixels of an image that is decoded
-_MAX_SIDE = 2048  # px, largest side of a stored texture
-_TILE = 2  # px, side of the square of a triangle: one texel per corner, and a fourth for interpolation
+_MAX_PIXELS = 64_000_000
+_MAX_SIDE = 2048  # px, of a stored texture
+_TILE = 2  # px, a triangle's square: one texel per corner, a fourth for interpolation
 
 
 def open_image(data: bytes, name: str) -> Any:
-    """Return a PNG or JPEG file as an undecoded Pillow image. Raises `RefusedError` if unreadable or too large."""
+    """Open a PNG or JPEG without decoding it. Raises `RefusedError` if unreadable or too large."""
     from PIL import Image, UnidentifiedImageError
 
     Image.MAX_IMAGE_PIXELS = _MAX_PIXELS
@@ -42,7 +42,7 @@ def _checked(image: Any, name: str) -> Any:
 
 
 def encode_png_texture(image: Any, name: str) -> bytes:
-    """Return a Pillow image as an RGB PNG of at most 2048 x 2048 pixels. Raises `RefusedError` if undecodable."""
+    """Encode as RGB PNG of at most 2048 x 2048 pixels. Raises `RefusedError` if undecodable."""
     _checked(image, name)
     try:
         if "transparency" in image.info or image.mode in ("RGBA", "LA", "PA"):
@@ -57,10 +57,9 @@ def encode_png_texture(image: Any, name: str) -> bytes:
 
 
 def bake_colours(vertices: Array, faces: Faces, colours: NDArray[np.uint8]) -> tuple[Array, bytes]:
-    """Return texture coordinates (m, 3, 2) and a PNG that shows vertex colours (n, 4), interpolated over triangles.
+    """Return texture coordinates (m, 3, 2) and a PNG of vertex colours (n, 4), interpolated over triangles.
 
-    Each triangle has a square of texels, its tile. Tiles of neighbouring triangles are close together, so that a
-    smaller version of the texture blends similar colours.
+    Each triangle has a tile. Tiles of neighbours are close together, so that a smaller texture blends similar colours.
     """
     from PIL import Image
 
@@ -82,7 +81,7 @@ def bake_colours(vertices: Array, faces: Faces, colours: NDArray[np.uint8]) -> t
 
 
 def _morton_order(points: Array) -> NDArray[np.int64]:
-    """Return the indices (n,) that sort points (n, 3) in Morton order, which keeps neighbours together."""
+    """Return indices (n,) of points (n, 3) in Morton order, which keeps neighbours together."""
     low, high = points.min(axis=0), points.max(axis=0)
     cells = ((points - low) / np.maximum(high - low, 1e-12) * 1023).astype(np.int64)
     key = np.zeros(len(points), np.int64)

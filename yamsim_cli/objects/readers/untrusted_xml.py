@@ -1,4 +1,4 @@
-"""Parse untrusted XML without entities and within limits, and read numbers and rotations from it."""
+"""Parse untrusted XML without entities and within limits, with its numbers and rotations."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from yamsim_cli.core.geometry.se3 import Array
 
 Element = ElementTree.Element
 
-_MAX_BYTES = 64_000_000  # bytes of a document
-_MAX_ELEMENTS = 200_000  # elements of a document
-_MAX_DEPTH = 64  # levels of nested elements
+_MAX_BYTES = 64_000_000
+_MAX_ELEMENTS = 200_000
+_MAX_DEPTH = 64  # nested elements
 
 
 def parse_untrusted_xml(data: bytes) -> Element:
-    """Return the root of a document. Raises `RefusedError` if the data is no XML, defines entities, or is too large."""
+    """Return a document's root. Raises `RefusedError` if it is no XML, defines entities, or is too large."""
     import defusedxml.ElementTree
     from defusedxml import DefusedXmlException
 
@@ -42,13 +42,12 @@ def _check_shape(root: Element) -> None:
             raise RefusedError("too-large", f"it has more than {_MAX_ELEMENTS:,} elements, or {_MAX_DEPTH} levels")
         level = [child for element in level for child in element]
     for element in root.iter():
-        # Remove the namespace.
         if isinstance(element.tag, str):
             element.tag = element.tag.rpartition("}")[2]
 
 
 def numbers(text: str | None, count: int, default: tuple[float, ...] | None = None) -> list[float]:
-    """Return the `count` finite numbers in a text, or `default` if it is empty. Raises `RefusedError` otherwise."""
+    """Return `count` finite numbers, or `default` for an empty text, else raise `RefusedError`."""
     words = (text or "").split()
     if not words and default is not None:
         return list(default)
@@ -64,12 +63,12 @@ def numbers(text: str | None, count: int, default: tuple[float, ...] | None = No
 
 
 def number(text: str | None, default: float | None = None) -> float:
-    """Return the finite number in a text, or `default` if it is empty. Raises `RefusedError` otherwise."""
+    """Return one finite number, as `numbers`."""
     return numbers(text, 1, None if default is None else (default,))[0]
 
 
 def collada_asset(data: bytes) -> tuple[float, str]:
-    """Return unit (m) and up axis of a COLLADA file, by default 1 m and y. Source: COLLADA 1.4.1, `asset`."""
+    """Return a COLLADA file's unit (m) and up axis, by default 1 m and y. Source: COLLADA 1.4.1, `asset`."""
     root = parse_untrusted_xml(data)
     unit, up = root.find("asset/unit"), root.find("asset/up_axis")
     axis = "" if up is None else (up.text or "").strip()
@@ -80,7 +79,7 @@ def collada_asset(data: bytes) -> tuple[float, str]:
 
 
 def rotation_from_rpy(roll: float, pitch: float, yaw: float) -> Array:
-    """Return the rotation (3, 3) by angles about the fixed x, then y, then z axis, rad, as in SDFormat and URDF."""
+    """Return the rotation (3, 3) about the fixed x, then y, then z axis, rad, as in SDFormat and URDF."""
     cr, sr, cp, sp, cy, sy = (f(a) for a in (roll, pitch, yaw) for f in (math.cos, math.sin))
     return np.array(
         [
@@ -92,5 +91,5 @@ def rotation_from_rpy(roll: float, pitch: float, yaw: float) -> Array:
 
 
 def inertia_matrix(xx: float, xy: float, xz: float, yy: float, yz: float, zz: float) -> Array:
-    """Return the symmetric inertia matrix (3, 3) with six given elements."""
+    """Return the symmetric matrix (3, 3)."""
     return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])

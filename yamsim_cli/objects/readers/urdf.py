@@ -1,4 +1,4 @@
-"""Read the links and joints of a URDF file. The frame of each link is that of its parent joint.
+"""Read a URDF file's links and joints. Each link's frame is its parent joint's.
 
 Source: wiki.ros.org/urdf/XML, elements link, joint and material.
 """
@@ -26,7 +26,7 @@ _WORLD = "world"
 
 
 def read_urdf(data: bytes, folder: ConfinedFolder, base: Path) -> ObjectDescription:
-    """Return the object that a URDF file describes. Raises `RefusedError` if the file is damaged or not supported."""
+    """Read a URDF file. Raises `RefusedError` if it is damaged or not supported."""
     root = parse_untrusted_xml(data)
     if root.tag != "robot":
         raise RefusedError("damaged", f"its root is <{root.tag}>, not <robot>")
@@ -48,7 +48,7 @@ def _parent_and_child(joint: Element) -> tuple[str, str]:
 
 
 def _poses(links: dict[str, Element], joints: list[Element]) -> dict[str, Array]:
-    """Return the pose (4, 4) of each link in the root link's frame with every joint at 0, by link name."""
+    """Return link name -> pose (4, 4) in the root link's frame with joints at 0."""
     above = {child: (parent, joint) for joint in joints for parent, child in (_parent_and_child(joint),)}
     known: dict[str, Array] = {}
     for name in links:

@@ -1,4 +1,4 @@
-"""Decide whether a board's fitted pose in a photo is acceptable. If not, give the reason and advice for photos."""
+"""Accept a board's fitted pose in a photo, or give the reason against it and advice for photos."""
 
 from __future__ import annotations
 
@@ -26,30 +26,30 @@ from .fitting.print_view import whole_board_piece
 
 Grey = NDArray[np.uint8]
 
-# A marker that the pose fit excludes, but that is whole and displaced, lies beyond a crease of the print. A covered
-# marker has a lower correlation or no shift. Source: 14 half-covered prints and 3 creased ones.
+# A marker that the fit excludes, but that is whole and displaced, lies beyond a crease. A covered marker has a low
+# correlation or no shift. Source: 14 half-covered prints and 3 creased ones.
 _MIN_DISPLACED = 2  # displaced markers that indicate a crease
-_MIN_DISPLACED_CORRELATION = 0.5  # correlation of rendering and photo, above which a marker is whole
-_DISPLACED_PX = 0.7  # px, shift above which a marker is displaced
+_MIN_DISPLACED_CORRELATION = 0.5  # correlation of print and photo; above, a marker is whole
+_DISPLACED_PX = 0.7  # px, shift; above, a marker is displaced
 _CREASED_SHARE_IF_DISPLACED = 0.9  # prior probability of a crease with displaced markers
-_SHARED_ERROR_FACTOR = 4 / 3  # on `PoseLimits.turn`, for a sigma that includes errors of lens and print scale
-_MIN_FLAT_PROBABILITY = 0.5  # probability of a flat print, up to which a message names the print's shape as the cause
+_SHARED_ERROR_FACTOR = 4 / 3  # factor on `PoseLimits.turn` for a sigma with errors of lens and print scale
+_MIN_FLAT_PROBABILITY = 0.5  # below, messages name the print's shape as the cause
 
-PRINT_SIGMA = 0.0025  # relative sigma of an unmeasured print's size: printers stretch by tenths of a percent
+PRINT_SIGMA = 0.0025  # relative error of an unmeasured print's size: printers stretch by tenths of a percent
 
 # Limits within which nearly all boards are found. Source: `make bench-fiducials`.
-_MAX_MOTION_PX = 3.0  # px, length of the motion blur
+_MAX_MOTION_PX = 3.0  # px, motion blur
 _MAX_BLUR_PX = 1.5  # px, sigma of the defocus blur
-_MIN_CONTRAST_RATIO = 8.0  # ratio of the print's contrast to the noise's standard deviation
+_MIN_CONTRAST_RATIO = 8.0  # contrast of the print over the noise's sigma
 _MIN_CELL_PX = 0.8  # px, shorter side of a marker cell
-_MIN_GREY_RANGE = 60.0  # grey levels, range below which a photo is dark or has low contrast
-_MAX_EDGE_SIGMA = 2.5  # px, sigma of the sharpest edge, above which a photo is blurred
-_SMOOTHING_SIGMA = 1.5  # px, sigma of the smoothing against noise before edges are measured
-_RANGE_PERCENTILES = (0.5, 99.5)  # percentiles of the grey levels that define a photo's range
+_MIN_GREY_RANGE = 60.0  # grey levels; below, a photo is dark or has low contrast
+_MAX_EDGE_SIGMA = 2.5  # px, sigma of the sharpest edge; above, a photo is blurred
+_SMOOTHING_SIGMA = 1.5  # px, against noise before edges are measured
+_RANGE_PERCENTILES = (0.5, 99.5)  # percentiles that define a photo's range of grey levels
 
 
 class BoardStatus(StrEnum):
-    """The result for a board. AMBIGUOUS: two poses or prints. POOR_FIT: no pose fits. UNCERTAIN: too large a sigma."""
+    """AMBIGUOUS: two poses or prints fit. POOR_FIT: none does. UNCERTAIN: the sigma is too large."""
 
     OK = "ok"
     NOT_FOUND = "not_found"
@@ -63,17 +63,17 @@ class BoardDetection:
     """A board in a photo.
 
     Attributes:
-        markers: ids of the markers that were read, or whose print agrees with the pose.
+        markers: ids that were read, or whose print agrees with the pose.
         reason: why the status is not OK, for users; empty for OK.
-        T_board_in_cam: pose (4, 4) of the `board` frame (origin at the centre, z out of the paper); None if refused.
-        covariance: (6, 6) of a small rotation (rad) about the board's centre and of its shift (m), both along the
-            camera's axes. Sources: noise, the print's shape, the lens and the print's scale.
-        shared_errors: (6, k) change of the pose per standard deviation of each error that all boards of a photo share.
-            The first error is that of the focal length, and the last that of the print's scale.
-        reprojection_rms: root mean square reprojection error of the markers, px.
-        blur: approximate blur and motion of the photo, px; an upper bound for a board that fills the photo.
-        is_duplicated: whether the photo shows the print more than once.
-        advice: how to improve the photo, if the board is not located.
+        T_board_in_cam: pose (4, 4), origin at the board's centre, z out of the paper; None if refused.
+        covariance: (6, 6) of a rotation (rad) about the centre and a shift (m) along the camera's axes, from noise,
+            print shape, lens and print scale.
+        shared_errors: (6, k) pose change per sigma of each error that all boards of a photo share: first the focal
+            length, last the print scale.
+        reprojection_rms: px, of the markers.
+        blur: px; an upper bound for a board that fills the photo.
+        is_duplicated: the photo shows the print more than once.
+        advice: for better photos, if the board is not located.
     """
 
     board: Board
@@ -90,17 +90,17 @@ class BoardDetection:
 
     @property
     def explanation(self) -> str:
-        """The reason and the advice, for users; empty for OK."""
+        """Reason and advice, for users."""
         return f"{self.reason}; would help: {', '.join(self.advice)}" if self.advice else self.reason
 
     @property
     def position_sigma(self) -> float | None:
-        """The root sum square of the standard deviations of the centre's position along the three axes, m."""
+        """Root sum square of the centre's position sigmas, m."""
         return None if self.covariance is None else math.sqrt(float(np.trace(self.covariance[3:, 3:])))
 
     @property
     def own_position_sigma(self) -> float | None:
-        """The standard deviation of the centre's position, all axes, m, without errors that all boards share (lens)."""
+        """Position sigma, m, without the errors that all boards share."""
         if self.covariance is None or self.shared_errors is None:
             return None
         return math.sqrt(
@@ -109,18 +109,13 @@ class BoardDetection:
 
     @property
     def rotation_sigma(self) -> float | None:
-        """The root sum square of the standard deviations of the rotation about the three axes, rad."""
+        """Root sum square of the rotation sigmas, rad."""
         return None if self.covariance is None else math.sqrt(float(np.trace(self.covariance[:3, :3])))
 
 
 @dataclass(frozen=True)
 class PoseLimits:
-    """The largest uncertainty with which a board's pose is accepted, without errors that all boards of a photo share.
-
-    Attributes:
-        turn: standard deviation of the rotation, all axes, rad. With the shared errors, a third more is accepted.
-        shift: standard deviation of the centre's position, all axes, m.
-    """
+    """The largest accepted rotation and position sigmas, rad and m, without errors that all boards of a photo share."""
 
     turn: float = math.radians(1.5)
     shift: float = 0.01
@@ -138,19 +133,17 @@ def judge_detection(
     predicted_poses: Sequence[Array] = (),
     limits: PoseLimits = USUAL_LIMITS,
 ) -> BoardDetection:
-    """Return the detection of a board with fitted poses: the pose with its uncertainty, or the reason for no pose.
+    """Return a fitted board's pose with its uncertainty, or the reason against it.
 
     Args:
         photo: grey levels (height, width).
-        fit: the pose whose rendered print explains the photo best.
-        fits: all poses that were fitted, from different start poses.
-        predicted_poses: approximate poses (4, 4) of the board, one from each other board, to resolve an ambiguity.
-        limits: the largest uncertainty with which the pose is accepted.
+        fit: the best of `fits`, which are from different start poses.
+        predicted_poses: approximate poses (4, 4) from other boards, which resolve an ambiguity.
     """
     fit = without_outliers(photo, camera, board, fit)
     rival = find_competing_fit(photo, camera, board, fit, fits, predicted_poses)
     if rival is not None and is_clearly_better(rival, fit):
-        # A flat board allows two poses, and the fit started at the wrong one.
+        # The fit started at the wrong one of a flat board's two poses.
         fit, rival = rival, find_competing_fit(photo, camera, board, rival, [*fits, fit], predicted_poses)
     ids = tuple(sorted(board.ids[k] for k in fit.agreeing))
     rms = marker_shift_rms(fit.alignment.tiles[0])
@@ -202,15 +195,15 @@ def _has_displaced_markers(photo: NDArray[np.float32], camera: CameraModel, boar
 
 
 def marker_shift_rms(tiles: Mapping[int, MarkerTile]) -> float:
-    """Return the root mean square distance (px) between markers in the photo and rendered markers."""
+    """Return the markers' rms distance (px) from rendered ones."""
     shifts = np.array([tile.shift for tile in tiles.values()])
     return float(np.sqrt((shifts**2).sum(axis=1).mean()))
 
 
 def pose_covariance(alignment: Alignment, camera: CameraModel, point: Array) -> tuple[Array, Array]:
-    """Return a pose's covariance and shared errors, as in `BoardDetection`, about a point (3,) of frame `ref`, m."""
+    """Return a pose's `covariance` and `shared_errors` (`BoardDetection`) about a point (3,) of `ref`, m."""
     x, y, z = alignment.T_ref_in_cam[:3, :3] @ (point - alignment.centre)
-    # A rotation w about the centre moves the point by w x r.
+    # A rotation w moves the point by w x r.
     moved = np.eye(6)
     moved[3:, :3] = [[0, z, -y], [-z, 0, x], [y, -x, 0]]
     error_columns = [alignment.by_lens @ camera.intrinsics_cholesky, PRINT_SIGMA * alignment.by_print]
@@ -221,13 +214,9 @@ def pose_covariance(alignment: Alignment, camera: CameraModel, point: Array) -> 
 
 @dataclass(frozen=True)
 class BoardAppearance:
-    """The image quality of a board in a photo.
+    """The image quality of a board: marker cell's shorter side, blur sigma and motion length (px).
 
-    Attributes:
-        cell: shorter side of a marker cell, px.
-        blur, motion: sigma of the defocus blur and length of the motion blur, px.
-        contrast: grey levels from black to white.
-        noise: standard deviation of the photo's noise, grey levels.
+    `contrast` (black to white) and `noise` (standard deviation) are in grey levels.
     """
 
     cell: float
@@ -240,7 +229,7 @@ class BoardAppearance:
 def measure_appearance(
     board: Board, camera: CameraModel, photo: NDArray[np.float32], fit: Alignment
 ) -> BoardAppearance:
-    """Return a board's image quality at a fitted pose in a photo (height, width)."""
+    """Measure a board's image quality at a fitted pose in a photo (height, width)."""
     T = fit.T_ref_in_cam
     corners = project_points(camera, board.outer_corners() @ T[:3, :3].T + T[:3, 3])
     area = cv2.contourArea(corners.astype(np.float32))
@@ -255,7 +244,7 @@ def measure_appearance(
 
 
 def suggest_improvements(looks: BoardAppearance) -> tuple[str, ...]:
-    """Return advice for better photos of a board; empty if motion, blur, contrast and cell size are sufficient."""
+    """Return advice for better photos, if any."""
     found = []
     if looks.motion > _MAX_MOTION_PX:
         found.append(f"hold still (it is smeared by {looks.motion:.0f} px)")
@@ -282,7 +271,6 @@ def suggest_photo_improvements(grey: Grey) -> tuple[str, ...]:
 
 
 def _min_blur(grey: Grey, contrast: float) -> float:
-    """Return the approximate sigma (px) of a photo's sharpest edges, from their gradient."""
     smooth = cv2.GaussianBlur(grey.astype(np.float32), (0, 0), _SMOOTHING_SIGMA)
     across, down = cv2.Scharr(smooth, cv2.CV_32F, 1, 0) / 32, cv2.Scharr(smooth, cv2.CV_32F, 0, 1) / 32
     steepest = float(np.percentile(np.hypot(across, down)[::2, ::2], 99.9))

@@ -1,8 +1,8 @@
-"""Locate boards in a photo: the pose of each board, or the reason for no pose.
+"""Locate boards in a photo: each board's pose, or the reason for none.
 
-Every pose that the corners of the detected markers allow is fitted to the whole print (`fitting.pose_alignment`). The
-best pose is accepted only if no other pose explains the photo nearly as well: a distant flat board allows two poses. A
-board with too few readable markers is recognized as a whole (`recognition`).
+Each pose that the detected corners allow is fitted to the whole print (`fitting.pose_alignment`). The best is accepted
+only if no other explains the photo nearly as well: a distant flat board allows two poses. A board with too few readable
+markers is recognized as a whole (`recognition`).
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ from .recognition.board_recognizer import BoardRecognizer
 
 Grey = NDArray[np.uint8]
 
-_MAX_LOG_SCALE = 3 * PRINT_SIGMA  # log of print size over nominal size, above which the rig's poses are wrong
+_MAX_LOG_SCALE = 3 * PRINT_SIGMA  # log of print over nominal size, above which the rig's poses are wrong
 
 
 def locate_boards(
@@ -55,17 +55,13 @@ def locate_boards(
     before: Sequence[Array | None] = (),
     limits: PoseLimits = USUAL_LIMITS,
 ) -> tuple[list[BoardDetection], dict[str, list[DetectedMarker]]]:
-    """Locate boards in a photo.
+    """Return a detection for each board, and all detected markers by dictionary.
 
     Args:
         grey: the photo (height, width).
-        T_boards_in_ref: approximate pose (4, 4) of each board in one frame, which predicts a board's pose from another
-            board. A prediction starts the search and resolves ambiguities; the fitted pose does not depend on it.
-        before: pose (4, 4) of each board in the camera frame in the previous photo; None if not known.
-        limits: the largest uncertainty with which a pose is accepted.
-
-    Returns:
-        One detection for each board, and by dictionary all detected markers, including those of other boards.
+        T_boards_in_ref: approximate poses (4, 4) in a shared frame. Poses that they predict from other boards start the
+            search and resolve ambiguities; the fitted pose does not depend on them.
+        before: poses (4, 4) in the camera frame in the previous photo; None if not known.
 
     Raises:
         ConfigError: a board's dictionary does not exist.
@@ -81,7 +77,7 @@ def locate_boards(
             sightings[k] = recognizer.detect_again(
                 seen, _poses_by_other_boards(k, sightings, T_boards_in_ref), was, anywhere=True
             )
-    # Boards that the loop above recognized only now predict the poses of boards before them in the list.
+    # Boards recognized only now predict the poses of boards earlier in the list.
     for k, seen in enumerate(sightings):
         if seen.status is not BoardStatus.OK and not seen.is_duplicated:
             new = [
@@ -95,7 +91,7 @@ def locate_boards(
 def _poses_by_other_boards(
     k: int, detections: Sequence[BoardDetection], T_boards_in_ref: Sequence[Array]
 ) -> list[Array]:
-    """Return the k-th board's pose (4, 4) in the camera frame as predicted by each other located board."""
+    """Return the k-th board's pose (4, 4) in the camera frame, as other boards predict it."""
     if not T_boards_in_ref:
         return []
     return [
@@ -108,11 +104,9 @@ def _poses_by_other_boards(
 def boards_without_pose(
     grey: Grey, camera: CameraModel, boards: Sequence[Board], reason: str
 ) -> tuple[list[BoardDetection], dict[str, list[DetectedMarker]]]:
-    """Return a detection without pose for each board in a photo (height, width), and all markers by dictionary.
+    """Return detections without pose for `reason`, and all markers by dictionary.
 
-    Args:
-        camera: a camera with any focal length, only to group markers.
-        reason: why the boards have no pose, for users.
+    `grey` is (height, width); any focal length of `camera` suffices to group markers.
     """
     markers = find_markers(grey, sorted({board.dictionary for board in boards}))
     sightings = []
@@ -146,7 +140,7 @@ def _locate_read_board(
     for T in initial_poses(best, board, camera):
         if fit := fit_pose(photo, camera, board, best.places, T, fits):
             fits.append(fit)
-            # The other start pose could only give a competing pose, which `judge_detection` searches.
+            # The other start could only give a competing pose, which `judge_detection` searches.
             if fit.contradicting == 0 or fit.explains_well:
                 break
     if not fits:
@@ -158,7 +152,7 @@ def _locate_read_board(
 
 
 def with_pose(grey: Grey, camera: CameraModel, seen: BoardDetection, T_board_in_cam: Array) -> BoardDetection:
-    """Replace the pose (4, 4) of a detection, and measure its reprojection error in the photo (height, width)."""
+    """Replace a detection's pose (4, 4) and measure the reprojection error in a photo (height, width)."""
     piece = whole_board_piece(seen.board, [seen.board.ids.index(number) for number in seen.markers])
     check = measure_agreement(
         grey.astype(np.float32), camera, [piece], T_board_in_cam, seen.blur or USUAL_BLUR, noise=1.0
@@ -170,11 +164,10 @@ def with_pose(grey: Grey, camera: CameraModel, seen: BoardDetection, T_board_in_
 def locate_together(
     grey: Grey, camera: CameraModel, detections: Sequence[BoardDetection], T_boards_in_ref: Sequence[Array]
 ) -> list[BoardDetection] | None:
-    """Fit one pose to boards with known relative poses. Boards far apart determine their common tilt better.
+    """Fit one pose to boards with poses and known relative poses: distant boards determine tilt better.
 
     Args:
-        detections: the boards' detections, at least one, each with a pose.
-        T_boards_in_ref: pose (4, 4) of each board in a frame `ref` that all boards share.
+        T_boards_in_ref: poses (4, 4) in a shared frame `ref`.
 
     Returns:
         New detections; None if no print size within 3 `PRINT_SIGMA` explains the relative poses.
@@ -183,11 +176,11 @@ def locate_together(
         PrintPiece(seen.board, T, tuple(seen.board.ids.index(number) for number in seen.markers))
         for seen, T in zip(detections, T_boards_in_ref, strict=True)
     ]
-    # The board with the most certain pose gives the start pose of `ref`.
+    # The most certain board gives the start pose of `ref`.
     best = min(range(len(pieces)), key=lambda k: detections[k].position_sigma or math.inf)
     T_board_in_cam, kernel = detections[best].T_board_in_cam, detections[best].blur or USUAL_BLUR
     assert T_board_in_cam is not None
-    # The print size is fitted too: a fixed size with an error of 0.25 % would tilt the boards by 0.2 degrees.
+    # The print size is fitted too: a size error of 0.25 % would tilt the boards by 0.2 degrees.
     scale_prior = LogScalePrior(0.0, PRINT_SIGMA / INFLATION, _common_log_scale(detections, T_boards_in_ref))
     T_start = T_board_in_cam.copy()
     T_start[:3, 3] *= math.exp(scale_prior.start)
@@ -210,7 +203,7 @@ def locate_together(
 
 
 def _common_log_scale(detections: Sequence[BoardDetection], T_boards_in_ref: Sequence[Array]) -> float:
-    """Return the log of print size over nominal size at which the boards' distances match `T_boards_in_ref`."""
+    """Return the log of print over nominal size at which the boards' distances match `T_boards_in_ref`."""
     logs = []
     for (one, T_one), (two, T_two) in itertools.combinations(zip(detections, T_boards_in_ref, strict=True), 2):
         assert one.T_board_in_cam is not None and two.T_board_in_cam is not None

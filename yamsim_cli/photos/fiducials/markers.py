@@ -1,4 +1,4 @@
-"""Detect ArUco markers in a photo, and group those that can belong to one print of a board."""
+"""Detect ArUco markers, and group those that can belong to one print of a board."""
 
 from __future__ import annotations
 
@@ -18,21 +18,20 @@ from ..lens_distortion import viewing_rays
 
 Grey = NDArray[np.uint8]
 
-# The detector's thresholds suit markers of 30 px and more.
-_ENLARGED_SIDE = 1920  # px, approximate longer side to which smaller photos are enlarged
+_ENLARGED_SIDE = 1920  # px, longer side of enlarged small photos: the detector suits markers of 30 px and more
 _MAX_ENLARGEMENT = 3
-# px, longer side to which larger photos are reduced. The detector ignores markers with an edge below 0.0075 of the
-# longer side (`minMarkerPerimeterRate`), which is 30 px after the reduction.
+# px, longer side to which large photos are reduced. The detector ignores edges below 0.0075 of the longer side
+# (`minMarkerPerimeterRate`), here 30 px.
 _REDUCED_SIDE = 4096
-# The detector's thresholds suit photos that use all grey levels.
+# The detector suits photos that use all grey levels.
 _STRETCHED_PERCENTILES = (0.1, 99.9)  # percentiles that are stretched to the whole range
-_MIN_UNSTRETCHED_RANGE = 128.0  # grey levels between these percentiles, from which a photo is not stretched
-_MAX_CENTRE_DISTANCE = 0.8  # marker edges, largest distance of the board centres that two markers predict
+_MIN_UNSTRETCHED_RANGE = 128.0  # grey levels; photos with a larger range are not stretched
+_MAX_CENTRE_DISTANCE = 0.8  # marker edges, between the board centres that two markers predict
 
 
 @dataclass(frozen=True)
 class DetectedMarker:
-    """A marker's id, and its corners (4, 2), px, clockwise from the marker's own top left."""
+    """Id, and corners (4, 2), px, clockwise from the marker's own top left."""
 
     id: int
     corners: Array
@@ -40,21 +39,21 @@ class DetectedMarker:
 
 @dataclass(frozen=True)
 class MarkerGroup:
-    """Markers that can belong to one board: indices into `board.ids`, and corners (k, 4, 2), px."""
+    """Markers that can belong to one board: indices into `board.ids`, corners (k, 4, 2), px."""
 
     places: tuple[int, ...]
     corners: Array
 
 
 def find_markers(grey: Grey, dictionaries: Sequence[str]) -> dict[str, list[DetectedMarker]]:
-    """Return dictionary name -> all its markers in a photo (height, width), including repeated ids.
+    """Return the markers of each dictionary in a photo (height, width), with repeated ids.
 
     Raises:
         ConfigError: OpenCV has no such dictionary.
     """
     sized, factor = _resize_for_detector(grey)
     parameters = cv2.aruco.DetectorParameters()
-    # The corners only give start poses, and their refinement would take six times as long as the detection.
+    # Start values only; refinement would take six times the detection.
     parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_NONE
     found = {}
     for name in dictionaries:
@@ -70,7 +69,6 @@ def find_markers(grey: Grey, dictionaries: Sequence[str]) -> dict[str, list[Dete
 
 
 def _resize_for_detector(grey: Grey) -> tuple[Grey, Array]:
-    """Return the photo in a size that suits the detector, and the scale factors (2,) of width and height."""
     longer = max(grey.shape)
     if longer > _REDUCED_SIDE:
         size = tuple(round(side * _REDUCED_SIDE / longer) for side in grey.shape[::-1])
@@ -92,9 +90,9 @@ def _stretch_contrast(grey: Grey) -> Grey:
 
 
 def group_markers(markers: Sequence[DetectedMarker], board: Board, camera: CameraModel) -> list[MarkerGroup]:
-    """Return a board's markers, grouped by the board centre that each predicts, with the largest group first.
+    """Group a board's markers by the board centre that each predicts, largest group first.
 
-    A second print of the same board, or a misread marker, forms another group.
+    A second print, or a misread marker, forms another group.
     """
     place = {number: k for k, number in enumerate(board.ids)}
     ours = [marker for marker in markers if marker.id in place]
@@ -118,9 +116,9 @@ def group_markers(markers: Sequence[DetectedMarker], board: Board, camera: Camer
 
 
 def _middle(marker: DetectedMarker, corners: Array, camera: CameraModel) -> tuple[Array, float]:
-    """Return the viewing ray (2,) of the board centre that a marker predicts, and the marker's edge in ray units."""
+    """Return the viewing ray (2,) of the predicted board centre, and the marker's edge in ray units."""
     seen = viewing_rays(camera, marker.corners)
-    # The perspective of one small marker is mostly noise, so an affine map extrapolates better.
+    # A small marker's perspective is mostly noise: an affine map extrapolates better.
     known = np.column_stack([corners[:, :2], np.ones(4)])
     affine, *_ = np.linalg.lstsq(known, seen, rcond=None)
     edge = float(np.linalg.norm(np.diff(seen, axis=0), axis=1).max())
@@ -128,5 +126,5 @@ def _middle(marker: DetectedMarker, corners: Array, camera: CameraModel) -> tupl
 
 
 def seen_ids(markers: Mapping[str, Sequence[DetectedMarker]]) -> list[int]:
-    """Return the sorted ids of all markers of all dictionaries, without duplicates."""
+    """Return the sorted ids of all markers, once each."""
     return sorted({marker.id for found in markers.values() for marker in found})

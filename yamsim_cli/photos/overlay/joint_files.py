@@ -1,4 +1,4 @@
-"""Read the joints of the arms in photos from .npy, YAML and .pkl files."""
+"""Read the arms' joints in photos from .npy, YAML and .pkl files."""
 
 from __future__ import annotations
 
@@ -15,30 +15,30 @@ from yamsim_cli.core.files.documents.yaml_document import load_yaml
 from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.core.robots.joint_limits import describe_limit_violation
 
-_LIMIT_TOLERANCE = math.radians(3.0)  # rad, accepted excess over a joint limit, for errors of encoders and calibrations
-_MAX_OPENING_SHARE = 1.1  # largest ratio of a gripper's opening to its full opening
+_LIMIT_TOLERANCE = math.radians(3.0)  # rad beyond a limit, for errors of encoders and calibrations
+_MAX_OPENING_SHARE = 1.1  # ratio of an opening to the full opening
 
 _SUFFIXES = (".npy", ".yaml", ".yml", ".pkl")
 
-# The joints (rad) and the gripper opening (m) of each arm of a rig, in the rig's order of arms.
+# Joints (rad) and opening (m) of each arm, in the rig's order.
 ArmPostures = tuple[ArmPosture, ...]
 
 
 def home_postures(rig: RigConfig) -> ArmPostures:
-    """Return the postures of a rig's arms at the robots' home joints, with closed grippers."""
+    """Return home joints with closed grippers."""
     return tuple(ArmPosture(np.array(arm.robot.home), 0.0) for arm in rig.arms)
 
 
 def load_postures(path: Path, rig: RigConfig) -> list[ArmPostures]:
-    """Read the postures of a rig's arms from a file: one element for all photos, or one for each photo.
+    """Read one element for all photos, or one per photo.
 
-    An `.npy` file holds one row, or a row for each photo. A `.pkl` file holds a recorded frame with the key `joints`. A
-    YAML file holds either `joints: [...]` or a list under each arm's name. A row has each arm's joints in rad and, for
-    an arm with fingers, the opening of one finger in m. The left arm comes first. For a rig of one arm, a row may omit
-    the opening, or hold a left and a right arm. If any value exceeds 1.1 full openings, all are shares 0..1, not m.
+    An `.npy` file holds a row, or a row per photo; a `.pkl` file, a recorded frame's `joints`; a YAML file, `joints:
+    [...]` or a list per arm name. A row has each arm's joints (rad) and, with fingers, one finger's opening (m), left
+    arm first. For a rig of one arm, a row may omit the opening, or hold two arms. If a value exceeds 1.1 full openings,
+    all are shares 0..1.
 
     Raises:
-        ConfigError: the file is unreadable, has the wrong shape, or has values that are not finite or out of range.
+        ConfigError: the file is unreadable, or its shape or values are wrong.
     """
     kind = path.suffix.lower()
     if kind not in _SUFFIXES:
@@ -56,12 +56,11 @@ def load_postures(path: Path, rig: RigConfig) -> list[ArmPostures]:
 
 
 def recorded_postures(joints: Array, rig: RigConfig, source: Path) -> ArmPostures:
-    """Return the postures of a rig's arms from a recorded frame's `joints`. Raises ConfigError for a wrong shape."""
+    """Return postures from a recorded frame's `joints`. Raises ConfigError for a wrong shape."""
     return _arm_postures(_split_by_arm(joints, rig, source), rig)[0]
 
 
 def _arm_postures(values: list[Array], rig: RigConfig) -> list[ArmPostures]:
-    """Return the postures of all arms, row by row, from each arm's rows of joints and, with fingers, opening."""
     dofs = [arm.robot.dof for arm in rig.arms]
     return [
         tuple(
@@ -78,7 +77,7 @@ def _in_metres(values: list[Array], rig: RigConfig, path: Path) -> list[Array]:
     for full, k in fingers:
         given = values[k][:, -1]
         shares = given if are_shares else given / full
-        # Drives report values slightly beyond both limits, and some grippers close beyond 0 to apply force.
+        # Drives report values beyond both limits; some grippers close beyond 0 for force.
         if shares.min() < -0.15 or shares.max() > _MAX_OPENING_SHARE:
             worst = given[np.abs(shares - 0.5).argmax()]
             raise ConfigError(
@@ -92,7 +91,7 @@ def _in_metres(values: list[Array], rig: RigConfig, path: Path) -> list[Array]:
 def _numbers(path: Path, kind: str) -> Array:
     if kind == ".npy":
         try:
-            # `np.load` would also accept .npz archives.
+            # `np.load` would accept .npz archives.
             with path.open("rb") as stream:
                 return np.asarray(np.lib.format.read_array(stream, allow_pickle=False), dtype=np.float64)
         except (ValueError, TypeError, EOFError, MemoryError) as error:
@@ -136,7 +135,6 @@ def _array(value: object, path: Path) -> Array:
 
 
 def _split_by_arm(values: Array, rig: RigConfig, path: Path) -> list[Array]:
-    """Split an array (rows, columns) of all arms' joints and openings into one array for each arm of the rig."""
     rows = np.atleast_2d(values)
     if len(rows) == 0:
         raise ConfigError(f"{path}: holds no row of joints")
@@ -145,7 +143,7 @@ def _split_by_arm(values: Array, rig: RigConfig, path: Path) -> list[Array]:
     if alone and count in (dof, each):
         return [_padded(rows, each)]
     if count == 2 * each:
-        # A file for one arm may hold two such arms, in the format of the recorder of a real station.
+        # The recorder of a real station stores two arms.
         return [rows[:, :each].copy() if arm.side == "left" else rows[:, each:].copy() for arm in rig.arms]
     valid = " or ".join(map(str, dict.fromkeys((dof, each, 2 * each)))) if alone else _describe_columns(rig)
     raise ConfigError(f"{path}: joints have the shape {values.shape}; rig {rig.name!r} needs {valid} numbers a row")
@@ -158,7 +156,6 @@ def _padded(rows: Array, width: int) -> Array:
 
 
 def _describe_columns(rig: RigConfig) -> str:
-    """Return text such as "14 (left 6, left gripper, right 6, right gripper)"."""
     arms = [rig.arms[k] for k in rig.recording_order]
     parts = []
     for arm in arms:

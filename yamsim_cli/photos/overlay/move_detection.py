@@ -1,6 +1,6 @@
-"""Detect moves of the camera or of an arm's base in a series of photos from one camera.
+"""Detect moves of the camera or of an arm's base between photos of one camera.
 
-Each board's pose in the camera frame gives a series of vectors (6,). A lasting step in such a series indicates a move.
+A lasting step in a series of a board's poses in the camera frame, as vectors (6,), indicates a move.
 """
 
 from __future__ import annotations
@@ -19,23 +19,22 @@ from yamsim_cli.core.geometry.se3 import Array, inverse, pose, rotation_from_vec
 from ..fiducials.board_detection import BoardStatus
 from .photo_arm_poses import ArmPose, RigInPhoto
 
-# Smallest reported move. An arm in front of its board shifts the estimated pose by part of this amount.
+# Smallest reported move; an arm in front of its board shifts the estimate by part of it.
 _MIN_SHIFT = 5e-4  # m
 _MIN_TURN = math.radians(0.1)  # rad
-# Minimum assumed standard deviation of a pose. Identical photos would give zero.
+# Minimum pose sigma; identical photos would give zero.
 _NOISE_SHIFT = 5e-5  # m
 _NOISE_TURN = math.radians(0.01)  # rad
-_MAX_EVENT_SPAN = 3  # photos, largest distance between steps of two boards that count as one event
-_HANDHELD_NOISE_RATIO = 8.0  # scatter of a pose over its sigma in one photo, above which the camera is hand-held
-_MIN_PHOTOS_PER_STEP = 12  # photos per step; if several steps have fewer, the camera counts as hand-held
+_MAX_EVENT_SPAN = 3  # photos between steps of two boards in one event
+_HANDHELD_NOISE_RATIO = 8.0  # scatter of a pose over its sigma in one photo, of a hand-held camera
+_MIN_PHOTOS_PER_STEP = 12  # if several steps have fewer, the camera is hand-held
 
-_MIN_SAMPLES = 4  # photos between two steps; with fewer, one outlier dominates their median pose
-# Squared difference of the poses before and after, in variances, above which a step counts. Noise exceeds this
-# limit once in 20 million (chi-squared, 6 degrees of freedom): no false step in a series of thousands.
+_MIN_SAMPLES = 4  # photos; with fewer, one outlier dominates the median
+# Squared pose difference in variances. Noise exceeds it once in 20 million (chi-squared, 6 degrees of freedom).
 _MIN_STRENGTH = 45.0
-_MAX_SAMPLE_COST = 6.0  # standard deviations that a sample counts for at most, so that one wrong pose is no step
-_SIGMA_PER_MAD = 1.4826  # ratio of the standard deviation to the median absolute deviation, of normal noise
-_MEDIAN_VARIANCE_RATIO = np.pi / 2  # ratio of the variance of a median of normal samples to that of their mean
+_MAX_SAMPLE_COST = 6.0  # standard deviations a sample counts for, so that one wrong pose is no step
+_SIGMA_PER_MAD = 1.4826  # standard deviation over median absolute deviation, normal noise
+_MEDIAN_VARIANCE_RATIO = np.pi / 2  # variance of a median over that of a mean, normal samples
 
 
 class MovedBody(StrEnum):
@@ -43,7 +42,7 @@ class MovedBody(StrEnum):
 
     CAMERA = "camera"
     BASE = "base"
-    EITHER = "camera or base"  # one visible board does not distinguish a move of the base from a move of the camera
+    EITHER = "camera or base"  # one board alone does not distinguish the two
     SEVERAL = "several"
 
 
@@ -52,15 +51,11 @@ class DetectedMove:
     """A move between two photos.
 
     Attributes:
-        photo: number of the first photo after the move, among all photos.
-        path: path of the first photo after the move.
-        time: time of the first photo after the move, s; None if not known.
-        what: the body that moved.
-        arm: the arm whose base moved, or whose board shows the move.
-        shift: displacement of the base's origin or of the camera, m.
-        turn: rotation angle, rad.
-        shift_sigma, turn_sigma: standard deviations of `shift` (m) and `turn` (rad).
-        shift_in_base: (3,) displacement along the axes of the arm's base before the move, m.
+        photo: number of the first photo after the move.
+        path, time: of that photo; s, None if not known.
+        arm: whose base moved, or whose board shows the move.
+        shift, turn: of the base's origin or the camera, m and rad, with `shift_sigma` and `turn_sigma`.
+        shift_in_base: (3,) along the base's axes before the move, m.
     """
 
     photo: int
@@ -77,19 +72,14 @@ class DetectedMove:
 
 @dataclass(frozen=True)
 class MoveReport:
-    """The moves of the camera and of the bases in a series of photos.
-
-    Attributes:
-        moves: in the order of the photos.
-        unknown: why moves cannot be detected, for users; empty if they can.
-    """
+    """Moves in the photos' order; or `unknown`, why they cannot be detected, for users."""
 
     moves: tuple[DetectedMove, ...] = ()
     unknown: str = ""
 
 
 def describe_move(move: DetectedMove) -> str:
-    """Return a line that describes a move: the photo, the body, and the displacement."""
+    """Return a line with the photo, the body and the displacement."""
     by = (
         f"{move.shift * 1000:.1f} mm (sigma {move.shift_sigma * 1000:.2f}) and "
         f"{math.degrees(move.turn):.2f} degrees (sigma {math.degrees(move.turn_sigma):.3f})"
@@ -105,9 +95,9 @@ def describe_move(move: DetectedMove) -> str:
 
 
 def find_moves(results: Sequence[RigInPhoto]) -> MoveReport:
-    """Return the moves in a series of photos from a camera on a tripod or stand.
+    """Return the moves in photos from a camera on a tripod or stand.
 
-    If all boards moved by the same motion, the camera moved. If one board moved and another did not, its base moved.
+    A motion that all boards share is the camera's; a motion of one board alone is its base's.
     """
     arms = range(len(results[0].arms)) if results else range(0)
     tracks = [track for k in arms if (track := _track(results, k)) is not None]
@@ -123,13 +113,12 @@ def find_moves(results: Sequence[RigInPhoto]) -> MoveReport:
 
 @dataclass(frozen=True)
 class _PoseStep:
-    """A lasting change in a series of vectors (d,). A level is the median between two steps.
+    """A lasting change between two levels (d,), medians between steps.
 
     Attributes:
         at: index of the first sample after the step.
-        before, after: the levels (d,) before and after the step.
-        sigma: standard deviation (d,) of the difference between the levels.
-        strength: squared difference in variances, summed over all axes.
+        sigma: standard deviation (d,) of the difference.
+        strength: squared difference in variances, summed over axes.
     """
 
     at: int
@@ -140,12 +129,9 @@ class _PoseStep:
 
 
 class _BoardTrack:
-    """A board's pose over time, as motions from its pose in the middle photo.
+    """A board's motions (n, 6), rad and m along the camera's axes, from its middle photo.
 
-    Attributes:
-        arm: index of the arm.
-        photos: numbers (n,) of the photos with a pose.
-        motions: (n, 6): rotations, rad, and shifts, m, along the camera's axes.
+    `photos` (n,) are the numbers of photos with a pose.
     """
 
     def __init__(self, arm: int, photos: list[int], boards: list[Array], bases: list[Array], minimum: Array) -> None:
@@ -157,11 +143,9 @@ class _BoardTrack:
 
     @cached_property
     def steps(self) -> list[_PoseStep]:
-        """The steps of the board's pose of at least `_MIN_TURN` or `_MIN_SHIFT`."""
         return [step for step in _find_steps(self.motions, self._least) if _is_significant(step)]
 
     def step_before(self, photo: int) -> _PoseStep | None:
-        """Return the change of the median pose at a photo, significant or not; None with too few photos around it."""
         cut = int(np.searchsorted(self.photos, photo))
         edges = [0, *(step.at for step in self.steps if abs(step.at - cut) > _MAX_EVENT_SPAN), len(self.photos)]
         low = max(edge for edge in edges if edge <= cut)
@@ -172,18 +156,15 @@ class _BoardTrack:
 
     @property
     def camera_never_rests(self) -> bool:
-        """Whether the camera moves almost all the time, as in a hand."""
         shaken = float(np.median(_noise_of(self.motions, self._least) / self._least))
         steps = len(self.steps)
         return shaken > _HANDHELD_NOISE_RATIO or (steps > 1 and steps * _MIN_PHOTOS_PER_STEP > len(self.photos))
 
     def base(self, motion: Array) -> Array:
-        """Return the base's pose (4, 4) in the camera frame for a motion (6,) of the board from the middle photo."""
         turn = rotation_from_vector(motion[:3]) @ self._board[:3, :3]
         return pose(self._board[:3, 3] + motion[3:], turn) @ self._T_base_in_board
 
     def sigma(self, step: _PoseStep) -> tuple[float, float]:
-        """Return the standard deviations of the base's shift (m) and rotation (rad) in a step, all axes together."""
         turn = float(np.linalg.norm(step.sigma[:3]))
         lever = float(np.linalg.norm(self._T_base_in_board[:3, 3]))
         return math.hypot(float(np.linalg.norm(step.sigma[3:])), lever * turn), turn
@@ -206,7 +187,7 @@ def _track(results: Sequence[RigInPhoto], k: int) -> _BoardTrack | None:
 
 
 def _photo_noise(arm: ArmPose) -> Array:
-    """Return the standard deviations (6,) of a board's pose, rad and m, without errors that all photos share."""
+    """Return sigmas (6,) of a board's pose, rad and m, without errors that all photos share."""
     seen = arm.detection
     least = np.array([_NOISE_TURN] * 3 + [_NOISE_SHIFT] * 3)
     if seen is None or seen.covariance is None or seen.shared_errors is None:
@@ -217,7 +198,6 @@ def _photo_noise(arm: ArmPose) -> Array:
 
 
 def _relative_motion(T: Array, start: Array) -> Array:
-    """Return the motion (6,) from a start pose: a rotation vector, rad, and a shift, m, in the parent frame."""
     return np.concatenate([rotation_vector(T[:3, :3] @ start[:3, :3].T), T[:3, 3] - start[:3, 3]])
 
 
@@ -230,7 +210,6 @@ _TrackStep = tuple[_BoardTrack, _PoseStep]
 
 
 def _events(found: list[_TrackStep]) -> list[list[_TrackStep]]:
-    """Group the steps of different boards that lie at most `_MAX_EVENT_SPAN` photos apart."""
     events: list[list[_TrackStep]] = []
     for track, step in sorted(found, key=lambda one: one[0].photos[one[1].at]):
         last = events[-1] if events else []
@@ -245,7 +224,6 @@ def _events(found: list[_TrackStep]) -> list[list[_TrackStep]]:
 def _classify_event(
     results: Sequence[RigInPhoto], tracks: list[_BoardTrack], event: list[_TrackStep]
 ) -> list[DetectedMove]:
-    """Return the moves of an event, from the boards with a step and those without."""
     track, step = max(event, key=lambda one: one[1].strength)
     photo = int(track.photos[step.at])
     others = [(other, its) for other in tracks if other is not track and (its := other.step_before(photo)) is not None]
@@ -260,7 +238,6 @@ def _classify_event(
 
 
 def _same_relative_pose(one: _TrackStep, other: _TrackStep) -> bool:
-    """Return whether the relative pose of two bases is the same before and after an event."""
     (track_one, step_one), (track_two, step_two) = one, other
     before = inverse(track_one.base(step_one.before)) @ track_two.base(step_two.before)
     after = inverse(track_one.base(step_one.after)) @ track_two.base(step_two.after)
@@ -299,19 +276,15 @@ def _move(
 
 
 def _noise_of(series: Array, minimum: Array) -> Array:
-    """Return the noise (d,) of a series (n, d), at least `minimum` (d,). The estimate is robust to a few steps."""
     jumps = np.abs(np.diff(series, axis=0))
     sigma: Array = np.maximum(_SIGMA_PER_MAD * np.median(jumps, axis=0) / np.sqrt(2), minimum)
     return sigma
 
 
 def _find_steps(series: Array, minimum: Array) -> list[_PoseStep]:
-    """Return the steps of a series (n, d), in order.
+    """Return the steps of a series (n, d) with noise of at least `minimum` (d,), in order.
 
-    Between two steps, the level is the median of at least four samples. A single outlier is no step.
-
-    Args:
-        minimum: minimum standard deviation (d,) of the noise.
+    Levels are medians of at least four samples: one outlier is no step.
     """
     sigma = _noise_of(series, minimum)
     edges = [0, *sorted(_split(series / sigma, 0)), len(series)]
@@ -324,14 +297,13 @@ def _find_steps(series: Array, minimum: Array) -> list[_PoseStep]:
 
 
 def _step_at(series: Array, at: int, sigma: Array) -> _PoseStep:
-    """Return the step before sample `at` of a series (n, d) whose noise has standard deviations `sigma` (d,)."""
     before, after = np.median(series[:at], axis=0), np.median(series[at:], axis=0)
     spread = sigma * np.sqrt(_MEDIAN_VARIANCE_RATIO * (1 / at + 1 / (len(series) - at)))
     return _PoseStep(at, before, after, spread, float(np.sum(((after - before) / spread) ** 2)))
 
 
 def _split(series: Array, start: int) -> list[int]:
-    """Return `start` plus the indices at which a series with noise 1 steps, by recursive splits into two levels."""
+    """Return `start` plus the steps, by recursive splits into two levels with noise 1."""
     n = len(series)
     if n < 2 * _MIN_SAMPLES:
         return []

@@ -1,4 +1,4 @@
-"""Score rendered arms by a photo's edges and by a mask of the robot, and refine their poses by the edges."""
+"""Score rendered arms by edges and masks, and refine their poses by edges."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ from .joint_files import ArmPostures
 from .photo_arm_poses import ArmPose, RigInPhoto
 from .rendered_arms import ArmRenderer, PinholeArms
 
-_MIN_POINTS = 20  # points of an outline, below which the outline does not move a pose
+_MIN_POINTS = 20  # points of an outline; with fewer, it does not move a pose
 
 
 def score_outlines(result: RigInPhoto, renderer: ArmRenderer, grey: NDArray[np.uint8]) -> RigInPhoto:
-    """Return the result with the median distance (px) of rendered outlines to the photo's edges, by arm and overall."""
+    """Return median distances (px) of outlines to edges in the result, by arm and overall."""
     flat_grey = renderer.undistort(grey)
     labels = renderer.flat_labels()
     offsets = {
@@ -53,10 +53,9 @@ def _other_arms_mask(labels: NDArray[np.uint8], k: int) -> NDArray[np.bool_]:
 def refine_poses(
     result: RigInPhoto, renderer: ArmRenderer, postures: ArmPostures, grey: NDArray[np.uint8], together: bool
 ) -> RigInPhoto:
-    """Return the result with poses fitted to the edges of a photo (height, width); poses from boards are the prior.
+    """Refine poses by edges of a photo (height, width), with poses from boards as prior.
 
-    Args:
-        together: whether the arms move as one rigid body.
+    With `together`, the arms move as one rigid body.
     """
     flat_grey = renderer.undistort(grey)
     start = result.bases
@@ -84,7 +83,6 @@ def refine_poses(
 def _equations(
     flat: PinholeArms, flat_grey: NDArray[np.uint8], k: int, centre: Array, reach: float
 ) -> EdgeEquations | None:
-    """Return the equations that move the k-th arm onto the photo's edges; None if too little of the arm is visible."""
     line = mask_outline(flat.labels == k + 1, _other_arms_mask(flat.labels, k))
     if len(line.points) < _MIN_POINTS:
         return None
@@ -104,18 +102,18 @@ def _with_refined_pose(arm: ArmPose, T_base_in_cam: Array, grey: NDArray[np.uint
 
 
 def _prior(arms: Sequence[ArmPose]) -> tuple[Array, Array]:
-    """Return a point (3,) in the camera frame and the inverse covariance (6, 6) of the arms' pose about that point."""
+    """Return a point (3,) in the camera frame, and the pose's inverse covariance (6, 6) about it."""
     for arm in arms:
         seen = arm.detection
         if seen is not None and seen.covariance is not None and seen.T_board_in_cam is not None:
             information: Array = np.linalg.inv(seen.covariance).astype(np.float64)
             return seen.T_board_in_cam[:3, 3], information
-    # Recordings hold no uncertainty of a pose. Assume one degree and one centimetre.
+    # Recordings hold no uncertainty: assume one degree and one centimetre.
     assert arms[0].T_base_in_cam is not None
     return arms[0].T_base_in_cam[:3, 3], np.diag([math.radians(1) ** -2] * 3 + [0.01**-2] * 3)
 
 
 def mask_iou(one: NDArray[np.bool_], other: NDArray[np.bool_]) -> float:
-    """Return the intersection over union of two masks (height, width); 1 if both are empty."""
+    """Return the intersection over union of masks (height, width); 1 if both are empty."""
     union = int((one | other).sum())
     return int((one & other).sum()) / union if union else 1.0

@@ -1,4 +1,4 @@
-"""Report the results of an overlay run: captions, plain data for JSON, and checks."""
+"""Report an overlay run by captions, JSON and checks."""
 
 from __future__ import annotations
 
@@ -21,15 +21,7 @@ REPORT_NAME = "overlay.json"
 
 @dataclass
 class OverlayReport:
-    """The results of drawing rendered arms over a series of photos.
-
-    Attributes:
-        results: a result for each photo that could be read.
-        files: paths of the written files.
-        failures: a message for each limit of the request that a photo violates.
-        unreadable: a message for each photo that could not be read.
-        move_report: the detected moves of the camera and of the arms' bases between photos.
-    """
+    """The results of an overlay run: written `files`, violated limits (`failures`), and `unreadable` photos."""
 
     rig: RigConfig
     results: list[RigInPhoto] = field(default_factory=list)
@@ -39,7 +31,7 @@ class OverlayReport:
     move_report: MoveReport = field(default_factory=MoveReport)
 
     def to_json_data(self) -> dict[str, Any]:
-        """Return the report as plain data for JSON: lengths in m, angles in rad, poses (4, 4) row by row."""
+        """Return data for JSON: m, rad, poses (4, 4) row by row."""
         return {
             "images": [_plain_result(result, self.rig) for result in self.results],
             "files": [str(path) for path in self.files],
@@ -51,7 +43,7 @@ class OverlayReport:
         }
 
     def write(self, out: Path) -> None:
-        """Write the report as JSON to the folder `out`."""
+        """Write the report into the folder `out`."""
         self.files.append(out / REPORT_NAME)
         write_output(out / REPORT_NAME, json_text(self.to_json_data()).encode())
 
@@ -60,7 +52,7 @@ class OverlayReport:
 
         Raises:
             ResourceError: no photo gives a pose, or a photo violates a limit.
-            PartialJobError: some photos give a pose, and others give none or cannot be read.
+            PartialJobError: some photos give a pose, others give none or cannot be read.
         """
         without = [result for result in self.results if not result.bases]
         if len(without) == len(self.results):
@@ -77,7 +69,7 @@ class OverlayReport:
 
 
 def captions(result: RigInPhoto) -> list[str]:
-    """Return the text lines to draw into a photo: one for each arm, then on joints, lens and distance of the arms."""
+    """Return text to draw: a line per arm, then joints, lens and distance of the arms."""
     lines = []
     for arm in result.arms:
         text = f"{arm.name}: {arm.status}"
@@ -115,7 +107,7 @@ def _nothing_found(results: Sequence[RigInPhoto], rig: RigConfig) -> str:
     refused = [
         f"{arm.name}: {arm.detection.explanation}" for arm in first.arms if arm.detection and arm.detection.reason
     ]
-    # All arms share the lens, so the message names its problem once.
+    # All arms share the lens, so its problem is named once.
     why = f"; {focal if focal else '; '.join(refused)}" if refused else ""
     more = f" (and {len(results) - 1} more photos)" if len(results) > 1 else ""
     return f"{first.path}{more}: no board gives a pose: looked for ids {wanted or 'none'}, saw {seen}{why}"

@@ -1,4 +1,4 @@
-"""Overlay a rig's arms on photos, and write pictures, masks, video and report."""
+"""Overlay a rig's arms on photos; write pictures, masks, video and report."""
 
 from __future__ import annotations
 
@@ -37,12 +37,7 @@ from .rendered_arms import ArmRenderers
 
 @dataclass(frozen=True)
 class PhotoJob:
-    """A photo on which to overlay the arms.
-
-    Attributes:
-        mask: file with the user's mask of the robot; None without one.
-        outputs: paths of the overlay picture to write and, optionally, of the rendered mask.
-    """
+    """A photo to overlay, the user's robot mask if any, and the paths of the picture and rendered mask."""
 
     photo: Photo
     mask: Path | None
@@ -54,18 +49,17 @@ class OverlayRequest:
     """The settings of an overlay run.
 
     Attributes:
-        jobs: the photos with masks and output paths, from `photo_jobs`.
-        out: folder for the pictures and the report.
-        camera: calibration of all photos. None for each photo's recorded camera, or else an estimate from the boards.
-        trust_margin: whether to take the rig's relative arm poses as exact, and fit one rig pose to all boards.
-        refine: whether to move each pose until the arms' outline matches the photo's edges.
-        opacity: opacity of the rendered arms, 0..1.
-        limits: the largest uncertainty with which a board's pose is accepted.
-        video: MP4 file of all pictures, which replaces an existing file; None for no video.
-        frame_period: time from one picture to the next in the video, s.
-        max_reprojection: largest accepted RMS reprojection error of a board's markers, px; None for no limit.
-        min_iou: smallest accepted overlap of rendered and given mask, 0..1; None for no limit.
-        fail_if_moved: whether a move of the camera or of a base between photos counts as a failure.
+        jobs: from `photo_jobs`.
+        out: folder for pictures and report.
+        camera: calibration of all photos; None for the recorded camera or an estimate.
+        trust_margin: take the rig's relative arm poses as exact, and fit one rig pose.
+        refine: move poses until outlines match the photo's edges.
+        opacity: of the rendered arms, 0..1.
+        video: MP4 file of all pictures, which is replaced.
+        frame_period: of the video, s.
+        max_reprojection: RMS error of a board's markers, px.
+        min_iou: overlap of rendered and given mask, 0..1.
+        fail_if_moved: a move of the camera or a base is a failure.
     """
 
     jobs: Sequence[PhotoJob]
@@ -83,7 +77,7 @@ class OverlayRequest:
 
     @property
     def files(self) -> list[Path]:
-        """The files that `run_overlays` writes: pictures, masks and the report, without the video."""
+        """The files that `run_overlays` writes, without the video."""
         return [*(path for job in self.jobs for path in job.outputs), self.out / REPORT_NAME]
 
 
@@ -95,18 +89,17 @@ def photo_jobs(
     write_masks: bool = False,
     mask_images: Path | None = None,
 ) -> list[PhotoJob]:
-    """Return the photos with their arm postures, their masks and the files to write.
+    """Return the photos with postures, masks and output paths.
 
     Args:
-        out: folder for the pictures.
-        postures: arms' postures, one element for all photos or one for each; None for those recorded with a photo.
-        write_masks: whether to write a rendered mask of each photo: 0 for the background, k for the k-th arm.
-        mask_images: the user's mask of the robot for all photos, or a folder with masks named after the photos.
+        postures: one element for all photos, or one each; None for recorded ones.
+        write_masks: 0 background, k the k-th arm.
+        mask_images: the robot mask of all photos, or a folder with masks named after them.
 
     Raises:
-        ConfigError: the number of rows does not match the photos.
+        ConfigError: the number of postures does not match the photos.
         UsageError: an output would replace a photo or a mask.
-        ResourceError: the folder of masks has none for a photo.
+        ResourceError: a photo has no mask in the folder.
     """
     if postures is not None and len(postures) not in (1, len(photos)):
         raise ConfigError(f"--joints has {len(postures)} rows for {len(photos)} photos; give one row, or one for each")
@@ -125,7 +118,6 @@ def photo_jobs(
 
 
 def _result_names(photos: Sequence[Photo]) -> list[str]:
-    """Return a distinct output name for each photo: its stem or, for duplicates, with suffix or list position."""
     stems = [photo.path.stem for photo in photos]
     if len(set(stems)) < len(stems):
         stems = [photo.path.name.replace(".", "_") for photo in photos]
@@ -142,12 +134,12 @@ def run_overlays(
     locations: Locations,
     progress: Progress,
 ) -> OverlayReport:
-    """Draw the rig's arms over every readable photo, write all files of the request, and return the report.
+    """Draw the arms over every readable photo, and write all files.
 
     Raises:
         ConfigError: a mask or the camera does not match the photos.
         UsageError: a video is requested for photos of several sizes.
-        ResourceError: no photo can be read, a mask cannot be read, or the output cannot be written.
+        ResourceError: no photo or a mask cannot be read, or output cannot be written.
     """
     jobs = request.jobs
     try:
@@ -202,12 +194,7 @@ def _overlay(
     result: RigInPhoto,
     renderers: ArmRenderers,
 ) -> tuple[RigInPhoto, Image, NDArray[np.uint8]]:
-    """Return the scored result of a photo, the picture with the arms, and labels (height, width): k for the k-th arm.
-
-    Args:
-        image, grey: the photo, RGB (height, width, 3) and grey.
-        result: the arms' poses in the photo.
-    """
+    """Return the scored result, the picture with arms, and labels (height, width): k for the k-th arm."""
     postures, camera = job.photo.postures or home_postures(rig), result.lens.camera
     picture, labels = image.copy(), np.zeros(image.shape[:2], np.uint8)
     if result.bases:
@@ -238,7 +225,7 @@ def _mask_overlap(labels: NDArray[np.uint8], mask: Mask, path: Path) -> float:
 
 
 def _changed_pixels(picture: Image, image: Image) -> NDArray[np.bool_]:
-    # Comparing one channel at a time is much faster than all channels at once.
+    # One channel at a time is much faster.
     changed = np.zeros(image.shape[:2], dtype=np.bool_)
     for k in range(3):
         changed |= picture[..., k] != image[..., k]

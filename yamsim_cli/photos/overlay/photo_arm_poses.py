@@ -1,4 +1,4 @@
-"""Find each arm's base pose in a photo, from its own board, from all boards together, or from a recording."""
+"""Find each arm's base pose in a photo: by its board, by all boards, or from a recording."""
 
 from __future__ import annotations
 
@@ -20,19 +20,19 @@ from ..fiducials.markers import seen_ids
 from .photo_cameras import PhotoCamera
 from .photos import Photo
 
-INFERRED = "inferred"  # status of an arm whose pose follows from the other board and the rig
-RECORDED = "recorded"  # status of an arm whose pose is that of the recording
-NO_BOARD = "no_board"  # status of an arm without a board in the rig, whose pose is unknown
+INFERRED = "inferred"  # arm status: pose from the other board and the rig
+RECORDED = "recorded"  # arm status: pose from the recording
+NO_BOARD = "no_board"  # arm status: no board in the rig, pose unknown
 
-_MAX_REPROJECTION_PX = 0.5  # px, reprojection error above which the result has a note
-_MARGIN_TOLERANCE = 0.002  # m, error of the rig's distance between arms (`margin`), above which the result has a note
+_MAX_REPROJECTION_PX = 0.5  # px, above which the result has a note
+_MARGIN_TOLERANCE = 0.002  # m, error of the rig's distance between arms, above which the result has a note
 
-# A chi-squared test of the boards' relative pose decides whether two prints have the sizes in the rig.
-_MARGIN_SIGMA = 0.005  # m, standard deviation of the real margin between the arms from the rig's
-_POSITION_SIGMA = 0.002  # m, standard deviation of the real arm positions from the rig's, along each axis
-_MIN_EXPLAINED = 25.0  # minimum decrease of chi squared by another print size
-_MAX_UNEXPLAINED = 14.0  # maximum chi squared that remains with another print size
-_MIN_SIZE_DIFFERENCE = 0.01  # smallest reported difference of size, relative to the rig
+# Chi-squared test of whether two prints have the rig's sizes.
+_MARGIN_SIGMA = 0.005  # m, of the real distance between the arms from the rig's
+_POSITION_SIGMA = 0.002  # m, of the real arm positions from the rig's, along each axis
+_MIN_EXPLAINED = 25.0  # decrease of chi squared by another print size
+_MAX_UNEXPLAINED = 14.0  # chi squared that remains with another print size
+_MIN_SIZE_DIFFERENCE = 0.01  # smallest reported difference, relative to the rig
 
 
 @dataclass(frozen=True)
@@ -40,11 +40,10 @@ class ArmPose:
     """The pose of one arm in a photo.
 
     Attributes:
-        board: the board's name; None for an arm without a board.
-        status: the board's `BoardStatus`, INFERRED or RECORDED for a pose from another source, or NO_BOARD.
-        detection: the detection of the arm's board; None without a board.
-        T_base_in_cam: pose (4, 4) of the arm's base; None if unknown.
-        edge_residual: median distance of the rendered outline to the photo's edges, px; None if not measured.
+        board: name, if the arm has one.
+        status: the board's `BoardStatus`, INFERRED, RECORDED or NO_BOARD.
+        T_base_in_cam: pose (4, 4); None if unknown.
+        edge_residual: median distance of the rendered outline to edges, px; None if not measured.
     """
 
     name: str
@@ -56,7 +55,7 @@ class ArmPose:
 
     @property
     def located(self) -> bool:
-        """Whether the base has a pose within the limits of uncertainty."""
+        """Whether the base's pose is within the limits of uncertainty."""
         return self.T_base_in_cam is not None and self.status != BoardStatus.UNCERTAIN
 
 
@@ -65,16 +64,14 @@ class RigInPhoto:
     """The poses of a rig's arms in a photo.
 
     Attributes:
-        lens: the camera model of the photo and its source.
-        joints_source: source of the joints: "home", "file" or "episode".
-        arms: one pose for each arm of the rig.
-        ids: ids of all detected markers, including those that belong to no board of the rig.
-        T_arm2_in_arm1: pose (4, 4) of arm 2's base in arm 1's, each from its own board; None unless both are located.
-        margin, margin_sigma: measured distance of the arms along world y, and its standard deviation, m; else None.
-        edge_residual: median distance of all rendered outlines to the photo's edges, px; None if not measured.
-        iou: overlap with the user's mask, 0..1; None without a mask.
-        notes: warnings for users, such as a distance between the arms that differs from the rig's.
-        time: time of the photo, s; None if not known.
+        joints_source: "home", "file" or "episode".
+        ids: of all detected markers, also of other boards.
+        T_arm2_in_arm1: pose (4, 4) of arm 2's base, if both boards are located.
+        margin, margin_sigma: measured distance of the arms along world y, m.
+        edge_residual: median distance of all rendered outlines to edges, px.
+        iou: overlap with the user's mask, 0..1.
+        notes: warnings for users, such as a margin that differs from the rig's.
+        time: s; None if not known.
     """
 
     path: Path
@@ -92,7 +89,7 @@ class RigInPhoto:
 
     @property
     def bases(self) -> dict[int, Array]:
-        """Index of an arm -> pose (4, 4) of its base in the camera frame, for all located arms."""
+        """Arm index -> pose (4, 4) of its base in the camera frame, for located arms."""
         return {
             k: arm.T_base_in_cam for k, arm in enumerate(self.arms) if arm.located and arm.T_base_in_cam is not None
         }
@@ -107,14 +104,13 @@ def find_arms(
     before: RigInPhoto | None = None,
     limits: PoseLimits = USUAL_LIMITS,
 ) -> RigInPhoto:
-    """Find each arm's base pose: from its own board, with `trust_margin` from all boards, or else from the recording.
+    """Find base poses by each arm's board, with `trust_margin` by all boards, else from the recording.
 
     Args:
         grey: the photo (height, width).
-        lens: the camera. If its focal length is too uncertain, no board gives a pose.
-        trust_margin: whether to take the rig's relative arm poses as exact, and fit one rig pose to all boards.
-        before: the result of the previous photo of a series, whose board poses are additional start poses.
-        limits: the largest uncertainty with which a board's pose is accepted.
+        lens: with too uncertain a focal length, no board gives a pose.
+        trust_margin: take the rig's relative arm poses as exact, and fit one rig pose.
+        before: the previous photo's result, for start poses.
     """
     boards, camera = [arm.board.board for arm in rig.arms if arm.board], lens.camera
     if lens.focal.reason:
@@ -149,14 +145,13 @@ def _T_board_in_world(rig: RigConfig, k: int) -> Array:
 
 
 def _located_boards(arms: Sequence[ArmPose]) -> list[tuple[int, BoardDetection]]:
-    """Return the index and the board detection of each arm whose own board is located."""
     return [
         (k, arm.detection) for k, arm in enumerate(arms) if arm.detection and arm.detection.status is BoardStatus.OK
     ]
 
 
 def _drop_inconsistent_sizes(rig: RigConfig, arms: list[ArmPose]) -> list[ArmPose]:
-    """Remove the poses of two arms if the prints of their boards cannot both have the sizes in the rig."""
+    """Drop two arms' poses if their prints cannot both have the rig's sizes."""
     for (k, one), (j, two) in itertools.combinations(_located_boards(arms), 2):
         ratio = _size_ratio(one, two, _T_board_in_world(rig, k), _T_board_in_world(rig, j))
         if ratio is None:
@@ -173,35 +168,28 @@ def _drop_inconsistent_sizes(rig: RigConfig, arms: list[ArmPose]) -> list[ArmPos
 
 
 def _size_ratio(one: BoardDetection, two: BoardDetection, T_one: Array, T_two: Array) -> float | None:
-    """Return the ratio of the second print's size to its size in the rig, relative to the first print.
+    """Return the second print's relative size if another size explains the boards' relative pose, else None.
 
-    A print smaller than in the rig appears farther away, so its board is displaced along the line of sight. No other
-    error displaces a board in this way.
-
-    Args:
-        one, two: boards with a pose.
-        T_one, T_two: the boards' poses (4, 4) in `world` according to the rig.
-
-    Returns:
-        None if the print sizes agree, or do not explain the boards' relative pose.
+    A smaller print appears farther away: only this error displaces a board along the line of sight. `T_one` and `T_two`
+    are poses (4, 4) in the rig's `world`.
     """
     assert one.T_board_in_cam is not None and two.T_board_in_cam is not None
     assert one.covariance is not None and two.covariance is not None
     assert one.shared_errors is not None and two.shared_errors is not None
     expected = one.T_board_in_cam @ (inverse(T_one) @ T_two)
     lever = expected[:3, 3] - one.T_board_in_cam[:3, 3]
-    # A small rotation w of the first board moves the second by w x lever.
+    # A rotation w moves the second board by w x lever.
     x, y, z = lever
     swung = np.column_stack([np.array([[0, z, -y], [-z, 0, x], [y, -x, 0]]), np.eye(3)])
     own_one: Array = one.covariance - one.shared_errors @ one.shared_errors.T
     own_two: Array = two.covariance - two.shared_errors @ two.shared_errors.T
     shared: Array = two.shared_errors[3:] - swung @ one.shared_errors
     noise = swung @ own_one @ swung.T + own_two[3:, 3:] + shared @ shared.T
-    # The rig's `margin`, the distance between the arms, is along world y.
+    # The margin is along world y.
     along = one.T_board_in_cam[:3, :3] @ T_one[:3, :3].T @ np.array([0.0, 1.0, 0.0])
     noise = noise + _POSITION_SIGMA**2 * np.eye(3) + _MARGIN_SIGMA**2 * np.outer(along, along)
     off = two.T_board_in_cam[:3, 3] - expected[:3, 3]
-    # Another size scales the vector from the camera to the board.
+    # Another size scales the vector from camera to board.
     way = two.T_board_in_cam[:3, 3]
     weighted = np.linalg.solve(noise, np.column_stack([off, way]))
     size_change = -float(way @ weighted[:, 0]) / float(way @ weighted[:, 1])
@@ -222,7 +210,6 @@ def _with_other_pose(arm: ArmPose, status: str, T_base_in_cam: Array) -> ArmPose
 
 
 def _recorded(rig: RigConfig, result: RigInPhoto, T_first_base_in_cam: Array) -> RigInPhoto:
-    """Return the result with the recorded pose for each arm without a pose from a board."""
     T_world_in_cam = T_first_base_in_cam @ inverse(rig.T_base_in_world(0))
     arms = tuple(
         arm if arm.located else _with_other_pose(arm, RECORDED, T_world_in_cam @ rig.T_base_in_world(k))
@@ -242,14 +229,13 @@ def _inconsistencies(arms: Sequence[ArmPose]) -> tuple[str, ...]:
 
 
 def _with_margin(rig: RigConfig, result: RigInPhoto) -> RigInPhoto:
-    """Return the result with the measured distance of the arms along world y, and a note if the rig's differs."""
     if len(result.arms) < 2 or not all(arm.located for arm in result.arms[:2]):
         return result
     one, two = result.arms[:2]
     assert one.T_base_in_cam is not None and two.T_base_in_cam is not None
     measured = inverse(one.T_base_in_cam) @ two.T_base_in_cam
     expected = inverse(rig.T_base_in_world(0)) @ rig.T_base_in_world(1)
-    # The margin is along world y, here in the first arm's frame.
+    # World y, in the first arm's frame.
     along = rig.T_base_in_world(0)[:3, :3].T @ np.array([0.0, 1.0, 0.0])
     margin = rig.margin + float(along @ (measured[:3, 3] - expected[:3, 3]))
     sigma = _margin_sigma(one, two, one.T_base_in_cam[:3, :3] @ along)
@@ -263,7 +249,7 @@ def _with_margin(rig: RigConfig, result: RigInPhoto) -> RigInPhoto:
 
 
 def _margin_sigma(one: ArmPose, two: ArmPose, direction: Array) -> float:
-    """Return the standard deviation (m) of two bases' distance along a direction (3,) of the camera frame."""
+    """Return the sigma (m) of two bases' distance along a direction (3,) of the camera frame."""
     variance, scales = 0.0, []
     for arm in (one, two):
         assert (
@@ -272,19 +258,18 @@ def _margin_sigma(one: ArmPose, two: ArmPose, direction: Array) -> float:
             and arm.detection.shared_errors is not None
         )
         assert arm.detection.T_board_in_cam is not None and arm.T_base_in_cam is not None
-        # A rotation of the board about its centre moves the base.
+        # A rotation of the board moves the base.
         lever = arm.T_base_in_cam[:3, 3] - arm.detection.T_board_in_cam[:3, 3]
         along = np.concatenate([np.cross(lever, direction), direction])
         shared = along @ arm.detection.shared_errors
         variance += float(along @ arm.detection.covariance @ along - shared @ shared)
         scales.append(shared)
-    # Errors of the lens and of the printer are the same for both boards, so only their difference counts.
+    # Lens and printer errors are common: only their difference counts.
     apart = scales[1] - scales[0]
     return math.sqrt(max(0.0, variance) + float(apart @ apart))
 
 
 def _pose_by_trusted_margin(rig: RigConfig, result: RigInPhoto, grey: NDArray[np.uint8]) -> RigInPhoto:
-    """Return the result with all arms at one pose of the whole rig, fitted to all located boards together."""
     seen = dict(_located_boards(result.arms))
     T_boards = [_T_board_in_world(rig, k) for k in seen]
     joint = locate_together(grey, result.lens.camera, list(seen.values()), T_boards)

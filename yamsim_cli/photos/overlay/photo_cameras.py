@@ -1,4 +1,4 @@
-"""Determine the camera of a photo: from a calibration file, from a recording, or by an estimate from the boards."""
+"""Determine a photo's camera: calibration file, recording, or estimate from boards."""
 
 from __future__ import annotations
 
@@ -16,34 +16,32 @@ from yamsim_cli.core.images.image_files import read_image, to_grey
 from ..fiducials.focal_length.focal_estimate import FocalEstimate, estimate_focal, find_outlines, known_focal
 from .photos import Photo
 
-_MAX_SEARCHED_PHOTOS = 40  # photos in which boards are searched to estimate a focal length
-_SUFFICIENT_PHOTOS = 8  # photos with a board, after which the search ends
+_MAX_SEARCHED_PHOTOS = 40  # to estimate a focal length
+_SUFFICIENT_PHOTOS = 8  # photos with a board that end the search
 
 
 @dataclass(frozen=True)
 class PhotoCamera:
-    """A camera model, and its source: "file" (calibration file), "episode" (recording) or "estimated" (from boards)."""
+    """A camera and its `source`: "file" (calibration), "episode" (recording) or "estimated" (from boards)."""
 
     focal: FocalEstimate
     source: str
 
     @classmethod
     def from_calibration(cls, camera: CameraModel, source: str) -> PhotoCamera:
-        """Wrap a calibrated camera model, with the source "file" or "episode"."""
+        """Wrap a calibrated camera with source "file" or "episode"."""
         return cls(known_focal(camera), source)
 
     @property
     def camera(self) -> CameraModel:
-        """The camera model, with the estimated focal length if the camera is not calibrated."""
+        """The camera model; an uncalibrated one has the estimated focal length."""
         return self.focal.camera
 
 
 class PhotoCameras:
-    """Determines the cameras of photos. Photos of one size from an unknown camera share one estimate.
+    """Determines cameras; photos of one size from an unknown camera share an estimate from `paths`.
 
-    Args:
-        paths: all photos from which a focal length may be estimated.
-        camera: calibration of all photos; None for each photo's recorded camera, or else an estimate from boards.
+    `camera` is the calibration of all photos; None for the recorded camera or an estimate.
     """
 
     def __init__(self, rig: RigConfig, paths: Sequence[Path], camera: CameraModel | None) -> None:
@@ -51,7 +49,7 @@ class PhotoCameras:
         self._estimated: dict[tuple[int, ...], PhotoCamera] = {}
 
     def camera_of(self, photo: Photo, image: Image) -> PhotoCamera:
-        """Return the camera of a photo, whose RGB image is (height, width, 3).
+        """Return the camera of a photo with RGB image (height, width, 3).
 
         Raises:
             ConfigError: the camera is calibrated for another image size.
@@ -81,12 +79,7 @@ class PhotoCameras:
 
 
 def unknown_lens(images: Iterable[Image], size: tuple[int, int], rig: RigConfig) -> PhotoCamera:
-    """Estimate an unknown camera from the boards in its photos.
-
-    Args:
-        images: RGB, all of one size.
-        size: height and width of the images, px.
-    """
+    """Estimate an unknown camera from boards in its RGB images, all of `size` (height, width), px."""
     boards = [arm.board.board for arm in rig.arms if arm.board]
     outlines, with_board = [], 0
     for image in itertools.islice(images, _MAX_SEARCHED_PHOTOS):

@@ -1,4 +1,4 @@
-"""Find the photos for an overlay in files, folders or recorded episodes, with their recorded cameras and joints."""
+"""Find photos in files, folders or recorded episodes, with recorded cameras and joints."""
 
 from __future__ import annotations
 
@@ -21,21 +21,20 @@ from .joint_files import ArmPostures, recorded_postures
 
 SUFFIXES = (".png", ".jpg", ".jpeg")
 
-# Suffixes of the pictures that yamsim writes for photos. Files with these suffixes are not photos.
+# Suffixes of pictures that yamsim writes beside photos.
 OVERLAY_ENDING = "_overlay.png"
 MASK_ENDING = "_mask.png"
 
 
 @dataclass(frozen=True)
 class Photo:
-    """One photo, with the camera, arm postures and camera pose as far as known.
+    """A photo, with what is known of camera, joints and pose.
 
     Attributes:
-        camera: the camera of the photo; None if not known.
-        postures: the postures of a rig's arms; None if not known, and the arms are shown at the home joints.
-        joints_source: source of the joints: "home", "file" or "episode".
-        T_base_in_cam: pose (4, 4) of the first arm's base in the camera frame; None if not recorded.
-        time: time of the photo, s; None if not known.
+        postures: of a rig's arms; None shows the home joints.
+        joints_source: "home", "file" or "episode".
+        T_base_in_cam: pose (4, 4) of the first arm's base in the camera frame.
+        time: s.
     """
 
     path: Path
@@ -47,7 +46,7 @@ class Photo:
 
 
 def find_photos(paths: Sequence[Path]) -> list[Path]:
-    """Return the photos at files and in folders, in order and once each, except overlays and masks in folders.
+    """Return photos in order and once each, without earlier outputs in folders.
 
     Raises:
         ResourceError: a path does not exist, is no PNG or JPEG, or a folder has none.
@@ -70,13 +69,12 @@ def find_photos(paths: Sequence[Path]) -> list[Path]:
 
 
 def _may_be_photo(path: Path) -> bool:
-    """Return whether a file in a folder is a photo, and not a hidden file or the output of an earlier run."""
     written = path.name.endswith((OVERLAY_ENDING, MASK_ENDING))
     return path.suffix.lower() in SUFFIXES and not path.name.startswith(".") and not written and path.is_file()
 
 
 def find_mask(masks: Path, photo: Path) -> Path:
-    """Return the mask of a photo: `masks` itself, or the file with the photo's name if `masks` is a folder.
+    """Return `masks`, or in a folder the file named as the photo.
 
     Raises:
         ResourceError: the folder has no mask for the photo.
@@ -90,7 +88,7 @@ def find_mask(masks: Path, photo: Path) -> Path:
 
 
 def recorded_photos(recordings: Sequence[Path], camera: str | None, rig: RigConfig) -> list[Photo]:
-    """Return one camera's photos in recordings, each an episode or a dataset. Raises as `episode_photos`."""
+    """Return one camera's photos in episodes or datasets. Raises as `episode_photos`."""
     episodes: list[Path] = []
     for path in recordings:
         within = [episode for _, episode in episode_directories(path)] if path.is_dir() else []
@@ -99,15 +97,12 @@ def recorded_photos(recordings: Sequence[Path], camera: str | None, rig: RigConf
 
 
 def chosen_camera(cameras: Sequence[str], camera: str | None) -> str:
-    """Return `camera` or, if it is None, the first name in `cameras` without "wrist", or else the first name."""
+    """Return `camera` or, if None, the first name without "wrist", else the first."""
     return camera or next((name for name in cameras if "wrist" not in name), cameras[0])
 
 
 def episode_photos(episode: Path, camera: str | None, rig: RigConfig) -> list[Photo]:
-    """Return a recorded episode's photos from one camera, with intrinsics, camera pose and arm joints.
-
-    Args:
-        camera: name of the camera; None for the first that is no wrist camera.
+    """Return an episode's photos from one camera, by default the first that is no wrist camera.
 
     Raises:
         DatasetError: the directory is no episode or has no pictures, or a frame is damaged.
@@ -148,7 +143,7 @@ def _frame_photo(episode: Path, camera: str, path: Path, rig: RigConfig) -> Phot
     except (TypeError, ValueError, DatasetError) as error:
         raise DatasetError(f"{lowdim}: cannot be used: {error}") from error
     if len(rig.arms) > 1:
-        # Recorded extrinsics are relative to the left arm's base. `Photo` needs the base of the rig's first arm.
+        # Recorded extrinsics are relative to the left arm's base, `Photo` to the first arm's.
         T_left_in_world = rig.T_base_in_world(rig.recording_order[0])
         T_cam_in_base = inverse(rig.T_base_in_world(0)) @ T_left_in_world @ T_cam_in_base
     height, width = read_image(path).shape[:2]
@@ -156,11 +151,9 @@ def _frame_photo(episode: Path, camera: str, path: Path, rig: RigConfig) -> Phot
 
 
 def camera_matrix(frame: Mapping[str, Any], key: str, camera: str) -> Array:
-    """Return a camera's "intrinsics" (3, 3) or "extrinsics" (4, 4: its pose in an arm's base) from a recorded frame.
+    """Return a camera's "intrinsics" (3, 3) or "extrinsics" (4, 4: pose in an arm's base).
 
-    Raises:
-        KeyError: the frame has no such matrix.
-        ValueError: the matrix has another shape or is not finite.
+    Raises KeyError without a matrix, and ValueError for a wrong shape or infinite values.
     """
     side = {"intrinsics": 3, "extrinsics": 4}[key]
     matrix = np.asarray(frame[key][camera], dtype=np.float64)
@@ -170,6 +163,6 @@ def camera_matrix(frame: Mapping[str, Any], key: str, camera: str) -> Array:
 
 
 def pinhole_camera(K: Array, width: int, height: int) -> CameraModel:
-    """Return a camera without distortion, from its matrix (3, 3) and image size, px."""
+    """Return an undistorted camera from its matrix (3, 3) and size, px."""
     (a, b, c), (d, e, f), _ = K.tolist()
     return CameraModel(width, height, ((a, b, c), (d, e, f), (0.0, 0.0, 1.0)))

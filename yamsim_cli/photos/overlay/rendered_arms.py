@@ -1,4 +1,4 @@
-"""Render a rig's arms as a camera sees them, each at its own base pose in the camera frame."""
+"""Render a rig's arms as a camera sees them, each at its own base pose."""
 
 from __future__ import annotations
 
@@ -28,19 +28,17 @@ from yamsim_cli.core.scene.compose import compose
 
 from ..lens_distortion import LensWarp
 
-_CAMERA = "photo"  # name of the camera in the MuJoCo scene
-_HIDDEN_GROUP = 5  # geom group that is not rendered
-_MAX_SUPERSAMPLED_SIDE = 1400  # px, up to which arms are rendered at double resolution: smooth edges in any OpenGL
-_MAX_SIDE = 8192  # px, largest side of a rendered picture
+_CAMERA = "photo"
+_HIDDEN_GROUP = 5
+_MAX_SUPERSAMPLED_SIDE = 1400  # px, up to which double resolution smooths edges in any OpenGL
+_MAX_SIDE = 8192  # px, longer side of a rendered picture
 
 
 @dataclass(frozen=True)
 class ArmPicture:
-    """Rendered arms as the real camera sees them.
+    """Arms as the real, distorted camera sees them.
 
-    Attributes:
-        colour: RGB (height, width, 3), with the lens distortion of the photo.
-        labels: (height, width): 0 for the background, k for the rig's k-th arm.
+    `colour` is RGB (height, width, 3), `labels` (height, width): 0 background, k the k-th arm.
     """
 
     colour: NDArray[np.uint8]
@@ -49,12 +47,9 @@ class ArmPicture:
 
 @dataclass(frozen=True)
 class PinholeArms:
-    """Rendered arms in an ideal pinhole picture, for geometry.
+    """Arms in an ideal pinhole picture with camera `intrinsics`.
 
-    Attributes:
-        labels: (height, width): 0 for the background, k for the rig's k-th arm.
-        depth: z (height, width) of the surface in the camera frame, m.
-        intrinsics: the camera of `labels` and `depth`.
+    `labels` (height, width): 0 background, k the k-th arm; `depth` is the surface's z in the camera frame, m.
     """
 
     labels: NDArray[np.uint8]
@@ -63,9 +58,7 @@ class PinholeArms:
 
 
 class ArmRenderer(Closable):
-    """Renders arms for photos of one camera. Close the renderer, or use it as a context manager.
-
-    The world frame of the rendered scene is the camera frame.
+    """Renders arms for photos of one camera. The rendered world frame is the camera frame.
 
     Raises:
         ConfigError: the camera's pictures are too large or too wide to render.
@@ -89,7 +82,7 @@ class ArmRenderer(Closable):
         spec = compose(blueprint, locations)
         for light in list(spec.lights):
             spec.delete(light)
-        # The photo's light is unknown. Light from the camera avoids wrong shadows, since it casts no visible ones.
+        # The photo's light is unknown; light from the camera casts no visible, wrong shadows.
         spec.visual.headlight.ambient = (0.35, 0.35, 0.35)
         spec.visual.headlight.diffuse = (0.6, 0.6, 0.6)
         self._model = compile_spec(spec)
@@ -103,12 +96,7 @@ class ArmRenderer(Closable):
         self._renderer = SceneRenderer(self._model, size)
 
     def pose(self, T_base_in_cam: Mapping[int, Array], postures: Sequence[ArmPosture]) -> None:
-        """Set the base poses and the joints of the arms for the next renderings.
-
-        Args:
-            T_base_in_cam: arm's index -> pose (4, 4). Other arms are hidden.
-            postures: the posture of every arm of the rig.
-        """
+        """Set base poses by arm index, (4, 4), and all arms' joints; other arms are hidden."""
         model, data = self._model, self._data
         for k, (arm, root) in enumerate(zip(self._rig.arms, self._roots, strict=True)):
             own = self._arm_of_geom[:-1] == k + 1
@@ -126,17 +114,17 @@ class ArmRenderer(Closable):
         self._labels = None
 
     def render(self) -> ArmPicture:
-        """Render colours and labels of the arms, with the lens distortion of the real camera."""
+        """Render colours and labels with lens distortion."""
         colour = self._warp.image(self._renderer.render(self._data, _CAMERA))
         return ArmPicture(colour, self._warp.image(self._ideal_labels(), nearest=True))
 
     def flat_labels(self) -> NDArray[np.uint8]:
-        """Render each pixel's arm without lens distortion or depth: 0 for the background, k for the k-th arm."""
+        """Render labels without lens distortion: 0 background, k the k-th arm."""
         step = self._warp.supersample
         return np.ascontiguousarray(self._ideal_labels()[::step, ::step])
 
     def pinhole_arms(self) -> PinholeArms:
-        """Render labels and depth of the arms, without lens distortion."""
+        """Render labels and depth without lens distortion."""
         step = self._warp.supersample
         depth = self._renderer.depth(self._data, _CAMERA)[::step, ::step]
         return PinholeArms(self.flat_labels(), np.ascontiguousarray(depth), self._warp.coarse)
@@ -147,7 +135,7 @@ class ArmRenderer(Closable):
         return self._labels
 
     def undistort(self, photo: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """Return the photo with its lens distortion removed, pixel by pixel aligned with `pinhole_arms`."""
+        """Undistort a photo, aligned with `pinhole_arms`."""
         return self._warp.undistort(photo)
 
     def close(self) -> None:
@@ -156,14 +144,14 @@ class ArmRenderer(Closable):
 
 
 class ArmRenderers(Closable):
-    """Creates an `ArmRenderer` for each camera model, and keeps only the last one open."""
+    """Creates an `ArmRenderer` per camera, and keeps only the last one open."""
 
     def __init__(self, rig: RigConfig, scene: SceneConfig, quality: RenderConfig, locations: Locations) -> None:
         self._parts = rig, scene, quality, locations
         self._last: tuple[CameraModel, ArmRenderer] | None = None
 
     def renderer_for(self, camera: CameraModel) -> ArmRenderer:
-        """Return the renderer for a camera model; the renderer of another camera is closed."""
+        """Return a camera's renderer; another camera's is closed."""
         if self._last is None or self._last[0] != camera:
             self.close()
             rig, scene, quality, locations = self._parts

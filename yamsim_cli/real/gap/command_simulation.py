@@ -1,4 +1,4 @@
-"""Simulate arms under recorded commands, for comparison with the measured motion."""
+"""Simulate arms under recorded commands, to compare with the measured motion."""
 
 from __future__ import annotations
 
@@ -13,31 +13,27 @@ from yamsim_cli.core.recorded_motion import ArmMotion, RecordedMotion
 from yamsim_cli.core.scene.compilation import physics_failure
 from yamsim_cli.core.scene.compiled import ArmAddresses, CompiledScene
 
-_CHECK_STEPS = 200  # physics steps between two checks for a breakdown of physics
-_START_SECONDS = 0.2  # s at the start of a recording; the errors in this time select one of several initial states
+_CHECK_STEPS = 200  # physics steps between checks for a breakdown
+_START_SECONDS = 0.2  # s; errors in this time select the initial state
 _MIN_IMPROVEMENT = 2.0  # factor by which another initial state must reduce the error of a start at rest
-_SLOPE_SAMPLES = 6  # samples from which the initial velocity is estimated
+_SLOPE_SAMPLES = 6  # samples for the initial velocity
 
 
 def simulate_commands(scene: CompiledScene, motion: RecordedMotion) -> RecordedMotion:
-    """Simulate the scene's arms under a motion's commands, from the first measured joints on.
+    """Simulate the scene's arms under a motion's commands.
 
-    A step uses the mean of the commands during the step, so that a command between two steps gives a drive the same
-    impulse. All steps have the same length, so the commands of a simulated recording reproduce the recording. Joints
-    are interpolated between steps.
-
-    The arms start at the measured joints, because friction lets a joint rest some milliradians beside its command.
-    They start at rest, or with the measured velocity if that start fits the first 0.2 s much better. Before the first
-    command acts on an arm with a command delay, the drives already follow the first command. They hold the start
-    instead if that fits much better.
+    A step uses the mean command during the step, so that a command between steps gives the same impulse. Equal steps
+    make a simulated recording's commands reproduce it. The arms start at the first measured joints, because friction
+    lets a joint rest some milliradians beside its command. They start at rest, or with the measured velocity if that
+    fits the first 0.2 s much better. Before the first delayed command acts, drives already follow it, or hold the start
+    if that fits much better.
 
     Args:
-        scene: the rig's scene from `scene.build.build_rig_scene`, which is simulated with its own timestep.
-        motion: motion with commands. Without commanded openings, fingers are commanded to the measured openings.
+        scene: from `scene.build.build_rig_scene`, simulated with its own timestep.
+        motion: with commands. Uncommanded fingers follow the measured openings.
 
     Returns:
-        The same samples with the simulated joints, openings and velocities. They are encoder readings without noise
-        and quantization. The same inputs give the same bits.
+        Encoder readings without noise and quantization at the same samples. The same inputs give the same bits.
 
     Raises:
         DatasetError: the motion has no commands, or its arms differ from the scene's.
@@ -68,7 +64,7 @@ def check_arms(scene: CompiledScene, motion: RecordedMotion) -> None:
     """Check that a scene's arms can follow a motion.
 
     Raises:
-        DatasetError: the motion's arms differ from the scene's, or commands or measured joints are missing.
+        DatasetError: the arms differ, or commands or measured joints are missing.
     """
     if len(motion.arms) != len(scene.arms):
         raise DatasetError(
@@ -90,7 +86,7 @@ def check_arms(scene: CompiledScene, motion: RecordedMotion) -> None:
 
 @dataclass(frozen=True)
 class _SimulatedRun:
-    """Simulated states: times (n,), s, and MuJoCo's positions (n, nq) and velocities (n, nv)."""
+    """Times (n,), s, and MuJoCo's positions (n, nq) and velocities (n, nv)."""
 
     times: Array
     qpos: Array
@@ -100,9 +96,9 @@ class _SimulatedRun:
 def _run(
     scene: CompiledScene, name: str, start: Array, speeds: Array, before: Array | None, ctrl: Array
 ) -> _SimulatedRun:
-    """Simulate one physics step per row of `ctrl` (n, nu), from positions `start` (nq,) and velocities `speeds` (nv,).
+    """Simulate a step per row of `ctrl` (n, nu), from `start` (nq,) and `speeds` (nv,).
 
-    Until the first row acts, drives with a command delay execute the commands `before` (nu,), or hold `start` if None.
+    Until the first row acts, drives with a command delay execute `before` (nu,), or hold `start` if None.
     """
     model, data = scene.model, mujoco.MjData(scene.model)
     scene.reset(data, start, commanded=before)
@@ -114,15 +110,14 @@ def _run(
         scene.step(data)
         qpos[k + 1], qvel[k + 1] = data.qpos, data.qvel
         if (k % _CHECK_STEPS == 0 or k == len(ctrl) - 1) and (text := physics_failure(data)):
-            # The time is computed from `k`, because MuJoCo has reset its own clock.
+            # MuJoCo has reset its own clock.
             raise SimulationError(f"{name}: physics broke down within {(k + 1) * model.opt.timestep:.3f} s: {text}")
     return _SimulatedRun(np.arange(len(ctrl) + 1) * model.opt.timestep, qpos, qvel)
 
 
 def _controls(scene: CompiledScene, motion: RecordedMotion) -> Array:
-    """Return MuJoCo's control inputs (n, nu) for each step."""
     timestep = float(scene.model.opt.timestep)
-    # The tolerance avoids a further step for a sample that rounding puts just after a step.
+    # Rounding may put a sample just after a step.
     steps = int(np.ceil(motion.duration / timestep - 1e-6))
     edges = np.arange(steps + 1, dtype=np.float64) * timestep
     ctrl = np.zeros((steps, scene.model.nu))
@@ -137,7 +132,7 @@ def _controls(scene: CompiledScene, motion: RecordedMotion) -> Array:
 
 
 def _means(times: Array, values: Array, edges: Array) -> Array:
-    """Return the means (n - 1, k) of `values` (m, k) between `edges` (n,). Each value holds from its time on."""
+    """Return means (n - 1, k) of `values` (m, k) between `edges` (n,). Each value holds from its time on."""
     sums = np.vstack([np.zeros(values.shape[1]), np.cumsum(values[:-1] * np.diff(times)[:, None], axis=0)])
     at = np.clip(np.searchsorted(times, edges, side="right") - 1, 0, None)
     integral = sums[at] + values[at] * (edges - times[at])[:, None]
@@ -149,10 +144,7 @@ def _means(times: Array, values: Array, edges: Array) -> Array:
 
 
 def forward_fill(values: Array, before: Array) -> Array:
-    """Replace each NaN in values (n, k) by the last finite value above it in its column.
-
-    A NaN in the first row becomes the first finite value in the same column of `before` (m, k).
-    """
+    """Replace NaN in values (n, k) by the last finite value above, in the first row by the first of `before` (m, k)."""
     filled = values.copy()
     if np.isfinite(values).all():
         return filled
@@ -165,14 +157,12 @@ def forward_fill(values: Array, before: Array) -> Array:
 
 
 def _first_known(rows: Array) -> Array:
-    """Return the first finite value of each column (k,), or NaN for a column without finite values."""
     finite = np.isfinite(rows)
     values: Array = np.where(finite.any(axis=0), rows[finite.argmax(axis=0), np.arange(rows.shape[1])], np.nan)
     return values
 
 
 def _commanded_openings(arm: ArmAddresses, logged: ArmMotion) -> Array:
-    """Return commanded, or else measured openings (n,), m, of an arm's fingers; closed if neither was recorded."""
     assert arm.fingers is not None, "asked of arms with fingers"
     closed = np.full((len(logged.joints), 1), arm.fingers.opening_limits[0])
     for openings in (logged.commanded_openings, logged.openings):
@@ -184,7 +174,6 @@ def _commanded_openings(arm: ArmAddresses, logged: ArmMotion) -> Array:
 
 
 def _start(scene: CompiledScene, motion: RecordedMotion) -> Array:
-    """Return MuJoCo's positions (nq,) with each joint and finger at its first measured position."""
     qpos: Array = scene.model.qpos0.copy()
     for arm, logged in zip(scene.arms, motion.arms, strict=True):
         qpos[arm.joint_qpos] = _first_known(logged.joints) - arm.encoder_offset
@@ -198,7 +187,6 @@ def _start(scene: CompiledScene, motion: RecordedMotion) -> Array:
 
 
 def _speeds(scene: CompiledScene, motion: RecordedMotion) -> Array:
-    """Return MuJoCo's velocities (nv,) at the start, measured or estimated from the first samples."""
     speeds = np.zeros(scene.model.nv)
     for arm, logged in zip(scene.arms, motion.arms, strict=True):
         if logged.velocities is not None and np.isfinite(logged.velocities[0]).all():
@@ -206,13 +194,12 @@ def _speeds(scene: CompiledScene, motion: RecordedMotion) -> Array:
             continue
         rows = np.flatnonzero(np.isfinite(logged.joints).all(axis=1))[:_SLOPE_SAMPLES]
         if len(rows) >= 3 and motion.times[rows[-1]] <= _START_SECONDS:
-            # The fit of a parabola separates the velocity from the acceleration.
+            # A parabola separates velocity from acceleration.
             speeds[arm.joint_dof] = np.polyfit(motion.times[rows], logged.joints[rows], 2)[1]
     return speeds
 
 
 def _start_error(scene: CompiledScene, motion: RecordedMotion, run: _SimulatedRun, first: int) -> float:
-    """Return the RMS difference, rad, between simulated and measured joints over the first `first` samples."""
     times = motion.times[:first]
     off = [
         _delayed_rows(arm, run, run.qpos[:, arm.joint_qpos], times) + arm.encoder_offset - logged.joints[:first]
@@ -223,7 +210,7 @@ def _start_error(scene: CompiledScene, motion: RecordedMotion, run: _SimulatedRu
 
 
 def _delayed_rows(arm: ArmAddresses, run: _SimulatedRun, rows: Array, times: Array) -> Array:
-    """Return rows (n, k) of a run, interpolated at times (m,), s, minus the arm's sensor delay: (m, k)."""
+    """Return rows (n, k) interpolated at times (m,), s, minus the sensor delay."""
     return np.column_stack([np.interp(times - arm.sensor_delay, run.times, column) for column in rows.T])
 
 
@@ -240,11 +227,7 @@ def _sampled(arm: ArmAddresses, logged: ArmMotion, run: _SimulatedRun, times: Ar
 
 
 def hand_poses(scene: CompiledScene, number: int, joints: Array) -> Array:
-    """Return poses (n, 4, 4) of `grasp_site` of arm `scene.arms[number]` in the arm's base, by forward kinematics.
-
-    Args:
-        joints: measured joint positions (n, dof), rad; rows with NaN give poses of NaN.
-    """
+    """Return poses (n, 4, 4) of `grasp_site` in the base of arm `number`, at joints (n, dof), rad; NaN gives NaN."""
     arm, data = scene.arms[number], mujoco.MjData(scene.model)
     site, T_world_in_base = data.site(f"{arm.prefix}grasp_site"), inverse(arm.T_base_in_world)
     poses = np.full((len(joints), 4, 4), np.nan)

@@ -1,4 +1,4 @@
-"""The sim-to-real gap of one motion: measured minus simulated joints under the same commands."""
+"""The sim-to-real gap of a motion: measured minus simulated joints under the same commands."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ from .joint_curves import (
     smooth_curves,
 )
 
-_MIN_SAMPLES = 10  # least number of measured samples for a gap
+_MIN_SAMPLES = 10
 
 
 @dataclass(frozen=True)
 class ErrorStats:
-    """RMS, 95th percentile and maximum of absolute errors, and the number of samples."""
+    """RMS, 95th percentile and maximum of absolute errors."""
 
     rms: float
     p95: float
@@ -48,12 +48,12 @@ class ErrorStats:
 
 @dataclass(frozen=True)
 class TrackingFigures:
-    """How a joint's position curve follows a reference curve. A figure is None if the motion does not determine it.
+    """How a joint follows a reference curve; None if undetermined.
 
     Attributes:
-        delay: delay of the curve after the reference, s.
-        sag: mean of curve minus reference while the joint rests, rad.
-        overshoot: overshoot beyond the value at rest, minus that of the reference, mean over the command's stops, rad.
+        delay: after the reference, s.
+        sag: mean of curve minus reference at rest, rad.
+        overshoot: beyond the value at rest, minus the reference's, mean over the command's stops, rad.
     """
 
     delay: float | None
@@ -63,14 +63,13 @@ class TrackingFigures:
 
 @dataclass(frozen=True)
 class JointGap:
-    """Differences between the measured and the simulated motion of a joint. Errors are measured minus simulated.
+    """The gap of a joint. Errors are measured minus simulated, rad.
 
     Attributes:
-        arm, name: side of the arm (`left`, `right` or empty), and name of the joint in the model.
-        error: errors of all samples, rad.
+        arm: `left`, `right` or empty.
         measured_vs_simulated: how the measured curve follows the simulated one.
-        measured, simulated: how the measured and the simulated curve follow the command.
-        phases: `MotionPhase` -> errors of the samples in that phase, rad; phases without samples are left out.
+        measured, simulated: how each curve follows the command.
+        phases: `MotionPhase` -> errors, only for phases that occur.
     """
 
     arm: str
@@ -84,14 +83,13 @@ class JointGap:
 
 @dataclass(frozen=True)
 class HandGap:
-    """Differences between measured and simulated hand poses, from forward kinematics, and between finger openings.
+    """The gap of a hand, by forward kinematics.
 
     Attributes:
-        arm: side of the arm: `left`, `right` or empty.
-        position: distances between measured and simulated hand, m.
-        rotation: angles between measured and simulated hand, rad.
-        delay: delay of the measured after the simulated hand, s; None if the motion does not determine the delay.
-        opening: measured minus simulated opening of one finger, m; None if no opening was measured.
+        arm: `left`, `right` or empty.
+        position, rotation: distances, m, and angles, rad.
+        delay: of the measured after the simulated hand, s; None if undetermined.
+        opening: measured minus simulated opening of one finger, m.
     """
 
     arm: str
@@ -106,10 +104,10 @@ class WorstError:
     """The largest error of any joint.
 
     Attributes:
-        frame: number of the measured sample, from 0: the frame of an episode, or the row of a file.
-        time: time of the sample, s after the first sample of the recording.
-        arm, joint: side of the arm, and name of the joint.
-        error: measured minus simulated position, rad.
+        frame: number of an episode's frame, or of a file's row, from 0.
+        time: s after the first sample.
+        arm: `left`, `right` or empty.
+        error: measured minus simulated, rad.
     """
 
     frame: int
@@ -121,17 +119,14 @@ class WorstError:
 
 @dataclass(frozen=True)
 class MotionGap:
-    """Sim-to-real gap of one motion.
+    """The sim-to-real gap of one motion.
 
     Attributes:
-        name: name of the motion.
-        seconds: length of the compared time, s.
-        error: errors of all joints, rad.
-        joints, hands: gaps of all joints and of all hands, the left arm's first.
-        phases: `MotionPhase` -> errors of all joints while they are in that phase, rad.
-        worst: the largest error of any joint.
-        motion, simulated: measured and simulated motion, at the same samples.
-        compared: mask of the compared samples (n,).
+        seconds: compared time.
+        error, phases: of all joints, rad, in total and by `MotionPhase`.
+        joints, hands: the left arm's first.
+        motion, simulated: measured and simulated, at the same samples.
+        compared: mask (n,) of compared samples.
     """
 
     name: str
@@ -147,13 +142,10 @@ class MotionGap:
 
 
 def measure_gap(scene: CompiledScene, motion: RecordedMotion, begin: float = 0.0, end: float = np.inf) -> MotionGap:
-    """Return the gap between a motion and the simulation of its commands.
-
-    The whole motion is simulated, from the first measured joints on. Only samples from `begin` to `end` are compared.
+    """Simulate a motion's commands, and compare samples from `begin` to `end`, s after the first.
 
     Args:
-        scene: scene of the rig alone, from `scene.build.build_rig_scene`.
-        begin, end: start and end of the compared time, s after the first sample of the motion.
+        scene: the rig alone, from `scene.build.build_rig_scene`.
 
     Raises:
         DatasetError: the arms differ from the scene's, commands are missing, or too few samples were measured.
@@ -191,7 +183,7 @@ def measure_gap(scene: CompiledScene, motion: RecordedMotion, begin: float = 0.0
 def _joint_gaps(
     scene: CompiledScene, arm: ArmAddresses, real: ArmMotion, made: ArmMotion, times: Array, counted: NDArray[np.bool_]
 ) -> tuple[list[JointGap], NDArray[np.int8]]:
-    """Return the gap of each joint of an arm, and the phases (n, dof) at compared samples, as indices of `PHASES`."""
+    """Return an arm's gaps, and phases (n, dof) of compared samples, as indices of `PHASES`."""
     assert real.commands is not None, "the simulation followed them"
     at, errors = times[counted], (real.joints - made.joints)[counted]
     # The command curve also uses commands between measured samples.
@@ -204,7 +196,7 @@ def _joint_gaps(
         apart = (second.values - first.values)[resting[:, k], k]
         stopped = list(find_command_stops(commanded, k))
         beyond = [overshoot(second.values[:, k], stop) for stop in stopped]
-        # If the reference is the command, its overshoot is 0.
+        # A command does not overshoot itself.
         already = [0.0 if first is commanded else overshoot(first.values[:, k], stop) for stop in stopped]
         return TrackingFigures(
             estimate_delay(first, second, k),
@@ -233,7 +225,6 @@ def _joint_name(scene: CompiledScene, arm: ArmAddresses, k: int) -> str:
 
 
 def _by_phase(errors: Array, labels: NDArray[np.int8]) -> dict[str, ErrorStats]:
-    """Return phase -> statistics of its errors. `labels` (n,) has each error's phase, an index of `PHASES`."""
     masks = {str(phase): labels == number for number, phase in enumerate(PHASES)}
     return {name: ErrorStats.from_errors(errors[mask]) for name, mask in masks.items() if mask.any()}
 
@@ -258,8 +249,8 @@ def _hand_gap(
 
 
 def _angles(ones: Array, others: Array) -> Array:
-    """Return the angles (n,), rad, between rotation matrices (n, 3, 3)."""
-    # The Frobenius distance is 2 sqrt(2) sin(angle / 2), which is exact for small angles too, unlike a cosine.
+    """Return angles (n,), rad, between rotations (n, 3, 3)."""
+    # The Frobenius distance, 2 sqrt(2) sin(angle / 2), is exact for small angles, unlike a cosine.
     apart = np.linalg.norm(ones - others, axis=(1, 2)) / (2 * np.sqrt(2))
     angles: Array = 2 * np.arcsin(np.clip(apart, 0, 1))
     return angles

@@ -1,4 +1,4 @@
-"""HTML page on the gap between recordings and their simulation: by joint, hand and phase, with curves and pictures."""
+"""HTML page on the gap between recordings and their simulation."""
 
 from __future__ import annotations
 
@@ -22,19 +22,18 @@ from yamsim_cli.core.markup import (
 )
 from yamsim_cli.core.plots import Values, plot_curves
 
-_UNKNOWN = "\N{EM DASH}"  # shown for a figure that the recordings do not determine
-_MIN_ERROR_SPAN = 0.2  # mrad, least range of the vertical axis in a plot of an error
+_UNKNOWN = "\N{EM DASH}"  # figures that the recordings do not determine
+_MIN_ERROR_SPAN = 0.2  # mrad, vertical range of an error plot
 
 
 @dataclass(frozen=True)
 class JointCurves:
-    """Commanded, measured and simulated positions of a joint over time.
+    """A joint's positions over time.
 
     Attributes:
-        name: name of the arm and the joint.
-        times: times of the samples (n,), s.
-        commanded, measured, simulated: positions (n,), rad; NaN where not measured.
-        mark: time of the worst error of all joints, s; None if another joint has the worst error.
+        times: (n,), s.
+        commanded, measured, simulated: (n,), rad; NaN where not measured.
+        mark: time of the worst error of all joints, s, if this joint has it.
     """
 
     name: str
@@ -47,7 +46,7 @@ class JointCurves:
 
 @dataclass(frozen=True)
 class CaptionedJpeg:
-    """A picture on the page: the bytes of a JPEG file, and its caption."""
+    """A JPEG and its caption."""
 
     caption: str
     jpeg: bytes
@@ -59,10 +58,10 @@ def gap_page(
     """Return the HTML page on a gap.
 
     Args:
-        report: figures of the gap as JSON data, from `gap.report.build_report`.
-        joints: curves of the recording with the worst error.
-        pictures: simulated arms over photos of the recordings, the worst first.
-        made: text of the page's footer.
+        report: from `gap.report.build_report`.
+        joints: of the recording with the worst error.
+        pictures: simulated arms over photos, the worst first.
+        made: text of the footer.
     """
     recordings = report["recordings"]
     several = len(recordings) > 1
@@ -207,7 +206,6 @@ def _row_name(row: Mapping[str, Any], name: str) -> str:
 
 
 def _errors(row: Mapping[str, Any]) -> list[str]:
-    """Return the table cells of a row's RMS error, 95th percentile and largest error, in mrad."""
     return [_mrad(row, key) for key in ("rms_rad", "p95_rad", "max_rad")]
 
 

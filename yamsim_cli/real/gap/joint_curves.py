@@ -1,4 +1,4 @@
-"""Joint curves on a uniform time grid: speeds, delays between curves, phases of motion, rest and stops."""
+"""Joint curves on a uniform time grid: speeds, delays, phases of motion, rest and stops."""
 
 from __future__ import annotations
 
@@ -11,30 +11,28 @@ from numpy.typing import NDArray
 
 from yamsim_cli.core.geometry.se3 import Array
 
-STEP = 0.002  # s, time between points of the grid
-_MIN_WINDOW, _MIN_SAMPLES = 0.12, 4  # least extent of a parabola whose slope is a speed, s and samples
+STEP = 0.002  # s, spacing of the grid
+_MIN_WINDOW, _MIN_SAMPLES = 0.12, 4  # s and samples of a parabola whose slope is a speed
 
-_MIN_DELAY, _MAX_DELAY = -0.1, 0.5  # s, range of delays; a delay at either end is rejected
-_MIN_CORRELATION = 0.5  # correlation of speeds below which no delay is determined
-_MIN_SPEED = 0.02  # RMS speed, rad/s or m/s, below which no delay is determined
+_MIN_DELAY, _MAX_DELAY = -0.1, 0.5  # s; delays at either end are rejected
+_MIN_CORRELATION = 0.5  # correlation of speeds; below, no delay is determined
+_MIN_SPEED = 0.02  # RMS, rad/s or m/s; below, no delay is determined
 
 _STILL_SPEED = 0.02  # rad/s; slower joints are still
-_CRUISING_RATE = 1.0  # 1/s; the speed of a cruising joint changes by less than this share of itself per s
-_SETTLING = 0.3  # s for which a joint must be still to count as at rest
-# A command stops if it moves by at least _MIN_MOVE (rad) within _MOVE_SECONDS (s) and then stays for _MIN_HOLD (s).
+_CRUISING_RATE = 1.0  # 1/s; a cruising joint's speed changes by less than this share per s
+_SETTLING = 0.3  # s of stillness before a joint is at rest
+# A command stops if it moves _MIN_MOVE (rad) within _MOVE_SECONDS (s), then stays _MIN_HOLD (s).
 _MIN_MOVE, _MOVE_SECONDS, _MIN_HOLD = 0.02, 0.3, 0.3
-_WATCHED, _END = 1.0, 0.1  # s after a stop for the overshoot, and s at the end of that time for the value at rest
+_WATCHED, _END = 1.0, 0.1  # s after a stop to measure overshoot, and s at their end for the value at rest
 
 
 @dataclass(frozen=True)
 class SmoothCurves:
-    """Curves on a uniform time grid, with derivatives from a parabola that is fitted around each time.
+    """Curves on a uniform grid, with derivatives of a parabola fitted around each time.
 
     Attributes:
-        times: times of the grid (n,), s.
-        values: values at these times (n, k).
-        speeds: first derivatives (n, k), per s.
-        accelerations: second derivatives (n, k), per s2.
+        times: (n,), s.
+        values: (n, k), with `speeds` and `accelerations` per s and s2.
         window: extent of each parabola, s.
     """
 
@@ -46,11 +44,11 @@ class SmoothCurves:
 
 
 def smooth_curves(times: Array, values: Array, *, steps: bool = False, like: Array | None = None) -> SmoothCurves:
-    """Resample values (m, k) at times (m,), s, on a uniform grid. Rows with a value that is not finite are ignored.
+    """Resample values (m, k) at times (m,), s, on a uniform grid, without rows that are not finite.
 
     Args:
-        steps: whether each value holds until the next one, as commands do, instead of linear interpolation.
-        like: times whose spacing determines the extent of the parabolas, to smooth two curves equally.
+        steps: values hold until the next, as commands do, instead of linear interpolation.
+        like: times whose spacing sets the parabolas' extent, to smooth two curves equally.
     """
     known = np.isfinite(values).all(axis=1)
     at, rows = times[known], values[known]
@@ -67,10 +65,9 @@ def smooth_curves(times: Array, values: Array, *, steps: bool = False, like: Arr
 
 
 def _derivatives(rows: Array, half: int) -> tuple[Array, Array]:
-    """Return first and second derivatives (n, k) of the parabolas that fit best over `half` rows to either side."""
     offsets = np.arange(-half, half + 1) * STEP
     _, slope, bend = np.linalg.pinv(np.vander(offsets, 3, increasing=True))
-    # Beyond each end, the curve is rotated by half a turn about the end, which keeps the slope at the end.
+    # Beyond an end, the curve is turned by half a turn, which keeps the slope.
     reach = np.clip(np.arange(half, 0, -1), 0, len(rows) - 1)
     before = 2 * rows[0] - rows[reach]
     after = 2 * rows[-1] - rows[-1 - reach[::-1]]
@@ -83,15 +80,9 @@ def _derivatives(rows: Array, half: int) -> tuple[Array, Array]:
 
 
 def estimate_delay(first: SmoothCurves, second: SmoothCurves, columns: slice | int) -> float | None:
-    """Return the delay of the second motion after the first, s, by the cross-correlation of their speeds.
+    """Return the delay of the second motion after the first, s, by cross-correlation of speeds.
 
-    Offsets and gains between the motions do not matter. The delay is interpolated between points of the time grid.
-
-    Args:
-        columns: columns of the values, such as one joint's.
-
-    Returns:
-        The delay, s; None if a motion is too slow or the correlation too low.
+    `columns` are joints. Offsets and gains do not matter. None if a motion is too slow or the correlation too low.
     """
     one, other = (np.atleast_2d(curves.speeds.T[columns]) for curves in (first, second))
     if min(np.sqrt(np.mean(one**2)), np.sqrt(np.mean(other**2))) < _MIN_SPEED:
@@ -110,7 +101,7 @@ def estimate_delay(first: SmoothCurves, second: SmoothCurves, columns: slice | i
 
 
 def _correlation(one: Array, other: Array, lag: int) -> float:
-    """Return the correlation, -1..1, of `one` (k, n) with `other` (k, n) moved `lag` steps earlier."""
+    """Return the correlation of `one` (k, n) with `other` (k, n) moved `lag` steps earlier."""
     n = one.shape[1]
     a, b = (one[:, : n - lag], other[:, lag:]) if lag >= 0 else (one[:, -lag:], other[:, : n + lag])
     scale = np.sqrt(np.vdot(a, a) * np.vdot(b, b))
@@ -118,7 +109,7 @@ def _correlation(one: Array, other: Array, lag: int) -> float:
 
 
 class MotionPhase(StrEnum):
-    """Phase of a joint's motion, by its speed and by the change of its speed."""
+    """Phase of a joint's motion, by speed and its change."""
 
     STILL = "still"
     ACCELERATING = "accelerating"
@@ -130,7 +121,7 @@ PHASES = tuple(MotionPhase)
 
 
 def motion_phases(measured: SmoothCurves, times: Array) -> NDArray[np.int8]:
-    """Return each joint's phase (n, dof) at times (n,), s, as an index into `PHASES`."""
+    """Return each joint's index into `PHASES` (n, dof) at times (n,), s."""
     speeds, bends = (
         np.column_stack([np.interp(times, measured.times, column) for column in rows.T])
         for rows in (measured.speeds, measured.accelerations)
@@ -145,7 +136,7 @@ def motion_phases(measured: SmoothCurves, times: Array) -> NDArray[np.int8]:
 
 
 def joints_at_rest(measured: SmoothCurves, commanded: SmoothCurves) -> NDArray[np.bool_]:
-    """Return the mask (n, dof) of grid times where neither a joint nor its command moved for the last 0.3 s."""
+    """Return the mask (n, dof) where neither joint nor command moved for the last 0.3 s."""
     still = (np.abs(measured.speeds) < _STILL_SPEED) & (np.abs(commanded.speeds) < _STILL_SPEED)
     moved = np.where(still, measured.times[0], measured.times[:, None])
     since = measured.times[:, None] - np.maximum.accumulate(moved, axis=0)
@@ -155,11 +146,9 @@ def joints_at_rest(measured: SmoothCurves, commanded: SmoothCurves) -> NDArray[n
 
 @dataclass(frozen=True)
 class CommandStop:
-    """A time span in which a joint's command has come to a stop.
+    """The span after a joint's command has stopped: grid indices for the overshoot, `end` exclusive.
 
-    Attributes:
-        begin, end: indices of the time grid between which overshoot is measured; `end` is exclusive.
-        direction: 1 if the command came from below, -1 if from above.
+    `direction` is 1 if the command came from below, -1 from above.
     """
 
     begin: int
@@ -168,7 +157,7 @@ class CommandStop:
 
 
 def find_command_stops(commanded: SmoothCurves, joint: int) -> Iterator[CommandStop]:
-    """Yield each stop of one joint's command: it moves by 0.02 rad or more, and then stays for 0.3 s or more."""
+    """Yield a command's stops: moves of at least 0.02 rad, then 0.3 s or more of rest."""
     step = float(commanded.times[1] - commanded.times[0]) if len(commanded.times) > 1 else 1.0
     moving = np.abs(commanded.speeds[:, joint]) >= _STILL_SPEED
     changes = np.flatnonzero(np.diff(moving.astype(np.int8)))
@@ -181,12 +170,12 @@ def find_command_stops(commanded: SmoothCurves, joint: int) -> Iterator[CommandS
         values = commanded.values[:, joint]
         moved = values[min(end, len(values) - 1)] - values[max(0, end - back)]
         if abs(moved) >= _MIN_MOVE:
-            # Smoothing delays a stop by half the extent of a parabola.
+            # Smoothing delays a stop by half a parabola.
             yield CommandStop(max(0, end - smeared), min(again, end + round(_WATCHED / step)), float(np.sign(moved)))
 
 
 def overshoot(values: Array, stop: CommandStop) -> float:
-    """Return the largest overshoot, at least 0, of values (n,) on the grid beyond their value at rest after a stop."""
+    """Return the largest overshoot, at least 0, of values (n,) beyond their rest after a stop."""
     watched = values[stop.begin : stop.end]
     rest = float(np.mean(watched[-max(1, round(_END / STEP)) :]))
     return max(0.0, float(np.max(stop.direction * (watched - rest))))

@@ -1,4 +1,4 @@
-"""Report on the sim-to-real gap of recordings: means with 95 % intervals, the check of a limit, and the page."""
+"""Report on recordings' sim-to-real gap: means with 95 % intervals, a limit, and the page."""
 
 from __future__ import annotations
 
@@ -17,36 +17,32 @@ from .gap_figures import ErrorStats, HandGap, JointGap, MotionGap, TrackingFigur
 from .gap_page import CaptionedJpeg, JointCurves, gap_page
 from .joint_curves import PHASES
 
-# Two-sided 95 % of Student's t distribution, by degrees of freedom from 1 on.
-# Source: NIST/SEMATECH e-Handbook of Statistical Methods, 1.3.6.7.2.
+# Student's t, two-sided 95 %, by degrees of freedom from 1. Source: NIST/SEMATECH e-Handbook of Statistical Methods,
+# 1.3.6.7.2.
 _T95 = (
     12.706, 4.303, 3.182, 2.776, 2.571, 2.447, 2.365, 2.306, 2.262, 2.228,
     2.201, 2.179, 2.160, 2.145, 2.131, 2.120, 2.110, 2.101, 2.093, 2.086,
     2.080, 2.074, 2.069, 2.064, 2.060, 2.056, 2.052, 2.048, 2.045, 2.042,
 )  # fmt: skip
-_Z95 = 1.959963984540054  # two-sided 95 % of the standard normal distribution
+_Z95 = 1.959963984540054  # standard normal, two-sided 95 %
 
 
 def mean_interval95(values: Sequence[float]) -> tuple[float, float] | None:
-    """Return the 95 % interval of the mean of normally distributed values, or None for fewer than two values."""
+    """Return the 95 % interval of normal values' mean; None for fewer than two."""
     n = len(values)
     if n < 2:
         return None
-    # Beyond the table: the first terms of the series of the quantile in 1 / n.
+    # Beyond the table: the quantile's series in 1 / n.
     t = _T95[n - 2] if n - 2 < len(_T95) else _Z95 * (1 + (_Z95**2 + 1) / (4 * (n - 1)))
     mean, half = float(np.mean(values)), t * float(np.std(values, ddof=1)) / math.sqrt(n)
     return mean - half, mean + half
 
 
 def build_report(gaps: Sequence[MotionGap], rig: str) -> dict[str, Any]:
-    """Return the gap as JSON data: means over the recordings, the worst error, and the figures of each recording.
+    """Return the gap as JSON data: means over recordings of the same arms, the worst error, and each recording.
 
-    A figure is the mean over the recordings that have it, or null if none has it. For the largest errors, the figure
-    is the maximum. `intervals` has the 95 % interval of a mean over two or more recordings. Errors are measured minus
-    simulated values, in rad and mm.
-
-    Args:
-        gaps: gaps of one or more recordings of the same arms.
+    For largest errors, the maximum replaces the mean; figures that no recording has are null. `intervals`
+    has 95 % intervals of means over two or more recordings. Errors are measured minus simulated, rad and mm.
     """
     worst = max(gaps, key=lambda gap: abs(gap.worst.error))
     return {
@@ -74,11 +70,7 @@ def build_report(gaps: Sequence[MotionGap], rig: str) -> dict[str, Any]:
 
 
 def require_gap_below(report: Mapping[str, Any], max_mrad: float | None) -> None:
-    """Check that no joint's RMS error exceeds a limit.
-
-    Args:
-        report: result of `build_report`.
-        max_mrad: largest allowed RMS error of a joint, mrad; None for no limit.
+    """Check each joint's RMS error in a report from `build_report`; None is no limit.
 
     Raises:
         SimulationError: a joint's error is larger.
@@ -96,15 +88,12 @@ def require_gap_below(report: Mapping[str, Any], max_mrad: float | None) -> None
 
 
 def display_name(row: Mapping[str, Any]) -> str:
-    """Return the displayed name of a joint or a hand, such as `left joint2` or `joint2`."""
+    """Return the name of a joint or a hand, such as `left joint2`."""
     return " ".join(part for part in (row["arm"], row.get("name", "hand")) if part)
 
 
 def _mean_figures(rows: Sequence[Any], figures: Callable[[Any], Mapping[str, float | None]]) -> dict[str, Any]:
-    """Compute the `figures` of each row, and return their means, with 95 % intervals under `intervals`.
-
-    Of figures with `max` in their names, the maximum is returned instead of the mean.
-    """
+    """Return means of the rows' `figures` with 95 % `intervals`; of names with `max`, maxima."""
     values = [figures(row) for row in rows]
     known = {key: [value for one in values if (value := one[key]) is not None] for key in values[0]}
     largest = {key for key in known if "max" in key.split("_")}
@@ -153,7 +142,6 @@ def _hands(rows: Sequence[HandGap]) -> dict[str, Any]:
 
 
 def _phases(rows: Sequence[Mapping[str, ErrorStats]]) -> list[dict[str, Any]]:
-    """Return the share of samples and the mean errors of each phase that occurs."""
     samples = sum(size.samples for row in rows for size in row.values())
     found = []
     for phase in map(str, PHASES):
@@ -177,14 +165,11 @@ def _worst(worst: WorstError) -> dict[str, Any]:
 def write_gap_page(
     report: Mapping[str, Any], gaps: Sequence[MotionGap], pictures: Sequence[CaptionedJpeg], path: Path
 ) -> None:
-    """Write the HTML page on a gap to `path`, with curves of the recording with the worst error.
-
-    An existing file is replaced.
+    """Write the HTML page on a gap to `path`, replacing a file, with curves of the recording with the worst error.
 
     Args:
-        report: result of `build_report`.
-        gaps: gaps from which the report was built.
-        pictures: pictures to show on the page, the worst first.
+        report: result of `build_report` from `gaps`.
+        pictures: the worst first.
 
     Raises:
         ResourceError: the file cannot be written.
@@ -194,7 +179,6 @@ def write_gap_page(
 
 
 def _joint_curves(gap: MotionGap) -> list[JointCurves]:
-    """Return the curves of each joint of a recording over the compared time."""
     found = []
     compared = np.flatnonzero(gap.compared)
     shown = slice(int(compared[0]), int(compared[-1]) + 1)

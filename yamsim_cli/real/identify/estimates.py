@@ -1,4 +1,4 @@
-"""Estimates of identified parameters with 95 % intervals, and the parameters that the logs do not determine."""
+"""Estimates of parameters with 95 % intervals, and parameters that the logs do not determine."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from yamsim_cli.core.geometry.se3 import Array
 from .parameter_fit import FitParameter, FitResult, parameter_value
 from .plant_model import TIMESTEP, ParametricArm
 
-# Field of `PlantParameters` -> its name in results, which has the unit.
+# `PlantParameters` field -> name in results, with unit.
 NAMES = {
     "delay": "delay_s",
     "friction": "friction_nm",
@@ -22,33 +22,30 @@ NAMES = {
     "offset": "offset_rad",
     "gravity": "gravity_factor",
 }
-# Half width that is added to each parameter's interval, because real physics differs from the model.
-_DELAY = 0.0006  # s, timestep of a controller
+# Added half widths of intervals, because real physics differs from the model.
+_DELAY = 0.0006  # s, a controller's timestep
 _FRICTION, _DAMPING, _ARMATURE = 0.03, 0.02, 0.05  # shares of the value: real friction may obey another law
-_FRICTION_AS_INERTIA = 0.05  # share of the friction torque that appears as inertia if real friction obeys another law
-_OFFSET = 0.0004  # rad, resolution of an encoder
-_GRAVITY = 0.003  # of the gravity factor, which has no unit
-_DETERMINED_SHARE = 0.7  # a parameter is determined if its interval is narrower than this share of the prior's
-# Half widths of the intervals, as shares of the value, above which an identification is refused.
+_FRICTION_AS_INERTIA = 0.05  # share of the friction torque that appears as inertia under another friction law
+_OFFSET = 0.0004  # rad, an encoder's resolution
+_GRAVITY = 0.003
+_DETERMINED_SHARE = 0.7  # share of the prior's interval; a determined parameter's interval is narrower
+# Shares of the value; wider intervals refuse an identification.
 _MAX_HALF_WIDTHS = {"friction": 0.5, "damping": 0.6}
 
-# s, length of a block of the logs. Errors within a block are correlated, because friction holds a joint beside its
-# target until the joint reverses.
+# s, block of the logs with correlated errors: friction holds a joint beside its target until it reverses.
 _BLOCK = 2.5
-_MIN_BLOCKS = 6  # least number of blocks into which the logs are divided
+_MIN_BLOCKS = 6
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """A parameter's value and its 95 % interval.
+    """A parameter's value, in the unit of its name, and 95 % interval.
 
     Attributes:
-        joint: name of the joint; empty for parameters of the whole arm.
-        name: name of the parameter with its unit, such as `friction_nm`; a value of `NAMES`.
-        value: estimated value, in the unit of its name.
-        low, high: bounds of the 95 % interval.
-        model_value: value in the arm's model before the identification.
-        is_determined: whether the logs determine the parameter.
+        joint: empty for the whole arm.
+        name: with unit, such as `friction_nm`; a value of `NAMES`.
+        model_value: before the identification.
+        is_determined: by the logs.
     """
 
     joint: str
@@ -60,7 +57,7 @@ class Estimate:
     is_determined: bool
 
     def to_json_data(self) -> dict[str, Any]:
-        """Return the estimate as JSON data."""
+        """Return JSON data."""
         return {
             "value": self.value,
             "low": self.low,
@@ -71,7 +68,7 @@ class Estimate:
 
 
 def estimate_parameters(plant: ParametricArm, fitted: FitResult) -> list[Estimate]:
-    """Return the value and the interval of each fitted parameter in `NAMES`, the delay first, then joint by joint."""
+    """Return estimates of the fitted parameters in `NAMES`, the delay first, then by joint."""
     found = []
     for parameter, half in zip(fitted.parameters, half_widths(fitted), strict=True):
         if parameter.name not in NAMES:
@@ -87,11 +84,10 @@ def estimate_parameters(plant: ParametricArm, fitted: FitResult) -> list[Estimat
 
 
 def half_widths(fitted: FitResult) -> Array:
-    """Return half the width of each parameter's 95 % interval (k,), in the parameter's unit.
+    """Return half widths of 95 % intervals (k,), in parameter units.
 
-    The widths are the Huber-White estimate for clusters: errors within a block of the logs may be correlated, and
-    errors of different blocks are independent. Errors that the model cannot explain, such as those of another friction
-    law, differ between blocks and widen the interval as noise does.
+    Huber-White estimate for clusters: errors may be correlated within a block of the logs, not between blocks. Errors
+    that the model cannot explain differ between blocks and widen the interval as noise does.
     """
     weighted = fitted.slopes * fitted.weights[None, :, None]
     errors = fitted.errors * fitted.weights
@@ -103,7 +99,7 @@ def half_widths(fitted: FitResult) -> Array:
     blocks = max(_MIN_BLOCKS, round(span / _BLOCK))
     number = np.clip(((fitted.times - fitted.times[0]) / span * blocks).astype(int), 0, blocks - 1)
     scores = np.array([np.einsum("ijk,ij->k", weighted[number == k], errors[number == k]) for k in range(blocks)])
-    # The prior counts as one additional block.
+    # The prior counts as one block.
     spread = scores.T @ scores * blocks / (blocks - 1) + precision
     deviation = np.sqrt(np.diag(inverse @ spread @ inverse)) * scale
     found: Array = _student(blocks - 1) * deviation
@@ -111,9 +107,9 @@ def half_widths(fitted: FitResult) -> Array:
 
 
 def _student(freedom: int) -> float:
-    """Return the 97.5 % quantile of Student's t distribution, for 5 degrees of freedom and more.
+    """Return Student's 97.5 % quantile for 5 degrees of freedom or more.
 
-    Source: the first terms of the Cornish-Fisher expansion, Abramowitz and Stegun 26.7.5.
+    Source: first terms of the Cornish-Fisher expansion, Abramowitz and Stegun 26.7.5.
     """
     z = 1.959964
     terms = (z**3 + z) / 4, (5 * z**5 + 16 * z**3 + 3 * z) / 96, (3 * z**7 + 19 * z**5 + 17 * z**3 - 15 * z) / 384
@@ -131,8 +127,7 @@ def _min_half_width(plant: ParametricArm, fitted: FitResult, parameter: FitParam
         case "damping":
             return _DAMPING * damped
         case "armature":
-            # The instant within a timestep at which the real controller applies damping is unknown. An error of this
-            # instant appears as inertia.
+            # When in a timestep the real controller applies damping is unknown; an error appears as inertia.
             law = _FRICTION_AS_INERTIA * float(fitted.values.friction[k]) / max(float(fitted.accelerations[k]), 1e-3)
             return _ARMATURE * size + damped * TIMESTEP / 4 + law
         case "offset":
@@ -144,7 +139,7 @@ def require_determined(plant: ParametricArm, found: list[Estimate], name: str) -
     """Refuse logs that do not determine a joint's friction or damping.
 
     Raises:
-        DatasetError: a joint is badly excited; the message gives advice on the recording.
+        DatasetError: a joint is badly excited; the message gives advice.
     """
     for number, joint in enumerate(plant.robot.joint_names):
         of_joint = {each.name: each for each in found if each.joint == joint}
@@ -163,10 +158,9 @@ def require_determined(plant: ParametricArm, found: list[Estimate], name: str) -
 
 
 def describe_undetermined(found: list[Estimate], gripper: bool) -> list[str]:
-    """Return one sentence for each quantity that these logs do not determine, or that no such log can determine.
+    """Return a sentence per quantity that these logs, or any such logs, do not determine.
 
-    Args:
-        gripper: whether the logs hold the gripper's opening, or the arm has no gripper.
+    `gripper`: the logs hold its opening, or the arm has none.
     """
     lines = [
         f"{each.joint or 'the arm'}: {each.name} stays near the model's {each.model_value:.3g}: the log holds it to "

@@ -1,4 +1,4 @@
-"""Generate and write collision-free motions whose logs determine all identifiable parameters of an arm."""
+"""Generate collision-free motions whose logs determine an arm's identifiable parameters."""
 
 from __future__ import annotations
 
@@ -26,33 +26,32 @@ from ..recordings.csv_file import TIME, csv_columns, encode_csv
 from .plant_model import ParametricArm
 
 _RATE = 100  # commands per s
-_MAX_SPEED, _MAX_TORQUE = 0.5, 0.5  # largest shares of the motors' maximum speed and torque in a motion
-_MAX_TRIES = 20  # motions that are tried, each in a smaller joint range
+_MAX_SPEED, _MAX_TORQUE = 0.5, 0.5  # shares of the motors' maxima
+_MAX_TRIES = 20  # motions, each in a smaller joint range
 
-# Sum of sines of each joint: number of sines, lowest frequency, and range of the highest frequency, Hz.
+# Sum of sines per joint: number, lowest frequency, and range of the highest, Hz.
 _SINES, _MIN_FREQUENCY, _HIGHEST_FREQUENCY = 8, 0.1, (2.0, 5.0)
-_FREQUENCY_PER_TURN = 2.0  # highest frequency of a joint's sines, Hz, per turn/s of its motor's maximum speed
-# The amplitude of a sine is proportional to frequency ** -exponent. The exponents are those of the slowest and of the
-# fastest joints. The fastest joints have a small inertia, which only fast sines excite.
+_FREQUENCY_PER_TURN = 2.0  # highest frequency, Hz, per turn/s of the motor's maximum speed
+# Amplitude is frequency ** -exponent, of the slowest and the fastest joints: the fastest have small inertias, which
+# only fast sines excite.
 _AMPLITUDE_EXPONENTS = (0.8, 0.4)
-# Length of a cycle of the motion, s, and share of the sines in a cycle. Slow sweeps fill the rest of each cycle, so
-# that each third of the motion has both: identification fits two thirds and tests the result on the last third.
+# s, a cycle of the motion, and its share of sines. Slow sweeps fill the rest, so that each third of the motion has
+# both: identification fits two thirds and tests on the last.
 _CYCLE, _SINE_SHARE = 20.0, 0.6
-_SWEEP_SPEEDS, _SWEEP_REST = (0.05, 0.5), 0.4  # speeds of slow sweeps, rad/s, and the rest after each sweep, s
-_RAMP = 2.0  # s, in which the amplitude of the sines rises, and falls again
+_SWEEP_SPEEDS, _SWEEP_REST = (0.05, 0.5), 0.4  # rad/s, and s after each sweep
+_RAMP = 2.0  # s, rise and fall of the sines' amplitude
 
-# Least distance of the arm to the table and other arms, and between parts of the arm, m. The second may be small,
-# because the collision boxes are larger than the parts.
+# m, to table and other arms, and between parts of the arm: small, because collision boxes are larger than the parts.
 _DISTANCE, _SELF_DISTANCE = 0.03, 0.003
-_JOINT_MARGIN = 0.15  # rad, distance of joints from their limits
-_MAX_HALF_RANGE, _MIN_HALF_RANGE = 0.9, 0.2  # rad, largest and least swing of a joint to either side
-_MIDDLES, _SAMPLES = 60, 60  # postures tried as the middle of the range, and postures checked around each of them
-_SHRINK_FACTOR = 0.85  # factor by which a joint range with a collision shrinks
+_JOINT_MARGIN = 0.15  # rad, to the joint limits
+_MAX_HALF_RANGE, _MIN_HALF_RANGE = 0.9, 0.2  # rad, to either side
+_MIDDLES, _SAMPLES = 60, 60  # postures tried as the range's middle, and postures checked around each
+_SHRINK_FACTOR = 0.85  # factor on a joint range with a collision
 
 
 @dataclass(frozen=True)
 class JointRange:
-    """A range of joint positions: its middle (dof,) and its extent to either side (dof,), rad."""
+    """Middle (dof,) and extent to either side (dof,), rad."""
 
     middle: Array
     half_range: Array
@@ -60,13 +59,13 @@ class JointRange:
 
 @dataclass(frozen=True)
 class Excitation:
-    """A motion that excites all identifiable parameters of an arm.
+    """A motion that excites an arm's identifiable parameters.
 
     Attributes:
-        times: times of the commands (n,), s.
-        commands: commanded joint positions (n, dof), rad. The arm must start at the first command, and ends there.
+        times: (n,), s.
+        commands: joints (n, dof), rad. The arm starts and ends at the first.
         box: range of the commands.
-        speed, torque: largest share of the motor's maximum speed and torque that any joint needs, 0..1.
+        speed, torque: largest share of a motor's maximum, 0..1.
     """
 
     times: Array
@@ -79,13 +78,10 @@ class Excitation:
 def excite(
     rig: RigConfig, number: int, scene: SceneConfig, locations: Locations, seconds: float, seed: int
 ) -> Excitation:
-    """Return a motion of arm `rig.arms[number]` that swings all joints, fast and slowly, around one posture.
-
-    Args:
-        seconds: length of the motion, s.
+    """Return a motion of arm `rig.arms[number]`, for `seconds`, that swings all joints, fast and slowly.
 
     Raises:
-        SimulationError: no collision-free motion within the limits of the motors was found.
+        SimulationError: no collision-free motion within the motors' limits was found.
     """
     rng = np.random.default_rng([seed, number])
     room, plant = CollisionSpace(rig, number, scene, locations), ParametricArm(rig.arms[number])
@@ -110,7 +106,7 @@ def excite(
 
 
 def commands_csv(rig: RigConfig, number: int, found: Excitation) -> bytes:
-    """Return a CSV file of the commands to all arms: arm `number` follows `found`, other arms stay at home."""
+    """Return commands to all arms as CSV: other arms stay at home."""
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
     writer.writerow([name for name in csv_columns(rig) if name == TIME or name.startswith("command_")])
@@ -120,10 +116,7 @@ def commands_csv(rig: RigConfig, number: int, found: Excitation) -> bytes:
 
 
 def log_csv(rig: RigConfig, number: int, found: Excitation, surroundings: SceneConfig, locations: Locations) -> bytes:
-    """Simulate the motion `found` of arm `number` while other arms stay at home, and return a CSV file.
-
-    The file has the commands and the encoder readings of all arms, without noise and quantization.
-    """
+    """Simulate a motion; return commands and encoder readings of all arms as CSV, without noise and quantization."""
     commands, arms = _commands(rig, number, found), []
     for rows, k in zip(commands, rig.recording_order, strict=True):
         arm, dof = rig.arms[k], rig.arms[k].robot.dof
@@ -142,7 +135,7 @@ def log_csv(rig: RigConfig, number: int, found: Excitation, surroundings: SceneC
 
 
 def _commands(rig: RigConfig, number: int, found: Excitation) -> list[Array]:
-    """Return the commands (n, drives) to each arm in `rig.recording_order`: joints, rad, and the opening, m."""
+    """Return commands (n, drives) per arm in `rig.recording_order`, rad and m."""
     count, arms = len(found.times), []
     for k in rig.recording_order:
         robot = rig.arms[k].robot
@@ -154,11 +147,9 @@ def _commands(rig: RigConfig, number: int, found: Excitation) -> list[Array]:
 
 
 def _normalized_trajectory(times: Array, half: float, motor: float, rng: np.random.Generator) -> Array:
-    """Return a joint's position in its range over time (n,), -1..1. The motion starts and ends at 0, the middle.
+    """Return a joint's position in its range (n,), -1..1, which starts and ends at 0.
 
-    Args:
-        half: half of the joint's range, rad.
-        motor: largest speed of the motor, rad/s.
+    `half` is the half range, rad, and `motor` the largest speed, rad/s.
     """
     fastest = float(np.clip(_FREQUENCY_PER_TURN * motor / (2 * np.pi), *_HIGHEST_FREQUENCY))
     cycles = max(1, round(times[-1] / _CYCLE))
@@ -177,7 +168,6 @@ def _normalized_trajectory(times: Array, half: float, motor: float, rng: np.rand
 
 
 def _sines(times: Array, fastest: float, rng: np.random.Generator) -> Array:
-    """Return a sum of sines with random frequencies and phases (n,), -1..1."""
     edges = np.geomspace(_MIN_FREQUENCY, fastest, _SINES + 1)
     frequencies = rng.uniform(edges[:-1], edges[1:])
     sizes = frequencies ** -np.interp(fastest, _HIGHEST_FREQUENCY, _AMPLITUDE_EXPONENTS)
@@ -187,10 +177,7 @@ def _sines(times: Array, fastest: float, rng: np.random.Generator) -> Array:
 
 
 def _slow_sweeps(start: float, end: float, half: float, rng: np.random.Generator) -> Callable[[Array], Array]:
-    """Return a function from times (n,), s, to positions (n,), -1..1, that move slowly to both sides in turn.
-
-    The joint rests after each sweep. It is at 0 at `start` and at `end`.
-    """
+    """Return times (n,), s, -> positions (n,), -1..1, that sweep slowly to both sides, from 0 to 0."""
     knots, places, now, side = [start], [0.0], start, float(rng.choice([-1, 1]))
     while True:
         place, speed = side * rng.uniform(0.3, 1.0), np.exp(rng.uniform(*np.log(_SWEEP_SPEEDS)))
@@ -222,7 +209,6 @@ def _smooth(share: Array) -> Array:
 
 
 def _torques(plant: ParametricArm, times: Array, joints: Array) -> Array:
-    """Return the drive torques (n, dof), N m, that a motion needs."""
     data, found = mujoco.MjData(plant.model), np.empty(joints.shape)
     speeds = np.gradient(joints, times, axis=0)
     accelerations = np.gradient(speeds, times, axis=0)
@@ -234,7 +220,7 @@ def _torques(plant: ParametricArm, times: Array, joints: Array) -> Array:
 
 
 class CollisionSpace:
-    """Checks which postures of arm `rig.arms[number]` are too near to the table, other arms or the arm itself."""
+    """Checks whether an arm is too near to the table, other arms or itself."""
 
     def __init__(self, rig: RigConfig, number: int, scene: SceneConfig, locations: Locations) -> None:
         arm = rig.arms[number]
@@ -259,17 +245,17 @@ class CollisionSpace:
         self._range, self._name = arm.robot.joint_range, arm.name
 
     def is_colliding(self, joints: Array) -> bool:
-        """Whether the arm at joint positions (dof,), rad, is too near to the table, another arm or itself."""
+        """Whether joints (dof,), rad, are too near."""
         self._data.qpos[self._qpos] = joints
         mujoco.mj_kinematics(self._model, self._data)
         mujoco.mj_collision(self._model, self._data)
         geoms, distance = self._data.contact.geom, self._data.contact.dist
         near = distance < np.where(self._own_geoms[geoms].all(axis=1), _SELF_DISTANCE, _DISTANCE)
-        # The parts of a hand are near each other in every posture, so their contacts do not count.
+        # A hand's parts are always near each other.
         return bool((near & self._moving_geoms[geoms].any(axis=1) & ~self._hand_geoms[geoms].all(axis=1)).any())
 
     def widest_range(self, rng: np.random.Generator) -> JointRange:
-        """Try random joint ranges, and return the widest range in which no sampled posture collides.
+        """Return the widest of random joint ranges in which no sampled posture collides.
 
         Raises:
             SimulationError: no range is wide enough.
@@ -291,7 +277,7 @@ class CollisionSpace:
 
     def _clear_box(self, middle: Array, half: Array, rng: np.random.Generator) -> JointRange | None:
         sides = rng.uniform(-1, 1, (_SAMPLES, len(middle)))
-        # Every second posture is a corner of the range.
+        # Every second posture is a corner.
         sides[::2] = np.sign(sides[::2])
         while half.min() >= _MIN_HALF_RANGE:
             if not any(self.is_colliding(middle + half * side) for side in sides):

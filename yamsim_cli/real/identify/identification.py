@@ -1,4 +1,4 @@
-"""Identify the parameters of arms from logs, and refuse logs that do not determine them."""
+"""Identify arms' parameters from logs, and refuse logs that do not determine them."""
 
 from __future__ import annotations
 
@@ -19,10 +19,9 @@ from .estimates import Estimate, describe_undetermined, estimate_parameters, req
 from .parameter_fit import all_parameters, compared_samples, fit_parameters
 from .plant_model import ArmLog, LogSimulation, ParametricArm, PlantParameters
 
-_HELD_OUT = 1 / 3  # share of each log that tests the fit instead of being fitted, if no other motions test the fit
-_RUNS_PER_PARAMETER = 5  # approximate number of simulations per parameter, for the progress bar
-# Faults that make a log unusable. The fault of a joint that stands still is missing, because `check_usable` reports it
-# with advice on the recording.
+_HELD_OUT = 1 / 3  # share of each log that tests the fit if no other motions do
+_RUNS_PER_PARAMETER = 5  # approximate, for the progress bar
+# Faults of unusable logs. `check_usable` reports joints that stand still, with advice.
 _GRAVE_FAULTS = (
     MotionFault.TIME_UNIT,
     MotionFault.GAP,
@@ -32,26 +31,25 @@ _GRAVE_FAULTS = (
     MotionFault.SWAPPED_ARMS,
 )
 
-# Least motion of each joint that determines the joint's parameters.
-_MIN_SECONDS = 10.0  # s, total length of the logs
-_MIN_SPAN = 0.1  # rad, range of the joint's motion
-_MIN_REVERSALS = 4  # reversals of the joint's motion
-_MIN_SPEED = 0.15  # rad/s that a joint must reach in the share _FAST_SHARE of the logs
-_FAST_SHARE = 0.05  # share of the logs' time
-_REVERSAL_DISTANCE = 0.02  # rad that a joint moves back before a reversal counts
-_SPEED_PERIOD = 0.1  # s, interval over which a speed is computed
+# Motion of each joint that determines its parameters.
+_MIN_SECONDS = 10.0  # s, all logs
+_MIN_SPAN = 0.1  # rad
+_MIN_REVERSALS = 4
+_MIN_SPEED = 0.15  # rad/s, to be reached in the share _FAST_SHARE of the time
+_FAST_SHARE = 0.05
+_REVERSAL_DISTANCE = 0.02  # rad back before a reversal counts
+_SPEED_PERIOD = 0.1  # s
 _REMEDY = "`yamsim excite` writes a motion that shows all of it"
 
 
 @dataclass(frozen=True)
 class HeldOutError:
-    """RMS error of simulated joint positions on motions that the fit did not use.
+    """RMS error, rad, on motions that the fit did not use.
 
     Attributes:
         source: names of the motions.
-        seconds: total length of the motions, s.
-        rms_before, rms_after: RMS error with the original model and with the identified parameters, rad.
-        joints: name of a joint -> (rms_before, rms_after) of this joint, rad.
+        rms_before, rms_after: with the original model and the identified parameters.
+        joints: name -> (rms_before, rms_after).
     """
 
     source: str
@@ -62,11 +60,11 @@ class HeldOutError:
 
     @property
     def reduction(self) -> float:
-        """Relative reduction of the error by the identification, 0..1; negative if the error grew."""
+        """Relative reduction of the error, 0..1; negative if it grew."""
         return 1 - self.rms_after / self.rms_before if self.rms_before else 0.0
 
     def to_json_data(self) -> dict[str, Any]:
-        """Return the error as JSON data."""
+        """Return JSON data."""
         joints = {name: {"before_rad": one, "after_rad": other} for name, (one, other) in self.joints.items()}
         return {
             "source": self.source,
@@ -80,15 +78,13 @@ class HeldOutError:
 
 @dataclass(frozen=True)
 class IdentificationResult:
-    """Result of the identification of one arm.
+    """The identification of one arm.
 
     Attributes:
-        arm: name of the arm in the rig.
         side: `left` or `right`; empty for a single arm.
-        dynamics: identified parameters, as a named revision of the arm's model that rigs can use.
-        estimates: estimates of all parameters.
-        undetermined: one sentence for each quantity that the logs do not determine.
-        fitted_rms: RMS of the errors that remain after the fit, rad.
+        dynamics: a named revision of the arm's model that rigs can use.
+        undetermined: one sentence per quantity.
+        fitted_rms: remaining error of the fit, rad.
         gap: error on motions that the fit did not use.
     """
 
@@ -109,13 +105,13 @@ def identify(
     side: str | None = None,
     step: Callable[[str, int, int], None] = lambda arm, done, total: None,
 ) -> list[IdentificationResult]:
-    """Identify each arm of a rig, or the arm on one side, and return the results, the left arm first.
+    """Identify all arms, or the arm on one side, the left arm first.
 
     Args:
-        held_out: motions that test the fit; if empty, the last third of each motion tests the fit and is not fitted.
-        revision: name for the identified parameters, by which rigs refer to this revision of the arm's model.
-        side: `left` or `right` to identify only the arm on that side; None for all arms.
-        step: called with the arm's name, the number of finished simulations, and their approximate total.
+        held_out: motions that test the fit; if empty, the last third of each motion does.
+        revision: name of this revision of the arm's model.
+        side: `left`, `right`, or None.
+        step: called with the arm's name, finished simulations, and their approximate total.
 
     Raises:
         DatasetError: a motion has no commands, has grave faults, or does not excite a joint.
@@ -190,7 +186,7 @@ def _held_out_gap(plant: ParametricArm, values: PlantParameters, logs: Sequence[
 
 
 def revised_dynamics(plant: ParametricArm, was: Dynamics, found: Sequence[Estimate]) -> Dynamics:
-    """Return the dynamics `was` with the estimated values. Parameters that the logs do not determine stay unchanged."""
+    """Return `was` with the determined estimates."""
     known = {(each.joint, each.name): each.value if each.is_determined else each.model_value for each in found}
     joints = {}
     for k, name in enumerate(plant.robot.joint_names):
@@ -204,7 +200,7 @@ def revised_dynamics(plant: ParametricArm, was: Dynamics, found: Sequence[Estima
             offset_rad=_round(known[name, "offset_rad"]),
             gravity_factor=_round(known[name, "gravity_factor"]),
         )
-    # The logs determine only the sum of command delay and sensor delay, so the command delay gets all of it.
+    # The logs determine only the sum of both delays.
     delays = {"command_delay_ms": _round(1000 * known["", "delay_s"]), "sensor_delay_ms": 0.0}
     return was.model_copy(update={"joints": joints, **delays})
 
@@ -218,11 +214,7 @@ def _rms(errors: Array) -> float:
 
 
 def check_usable(logs: Sequence[ArmLog], names: Sequence[str], side: str = "") -> None:
-    """Refuse logs in which the motion of a joint does not determine its parameters.
-
-    Args:
-        names: names of the joints.
-        side: side of the arm; empty for a single arm.
+    """Refuse logs in which a joint's motion does not determine its parameters.
 
     Raises:
         DatasetError: the logs are too short, or a joint moves too little, reverses too rarely, or is always slow.
@@ -236,7 +228,7 @@ def check_usable(logs: Sequence[ArmLog], names: Sequence[str], side: str = "") -
         )
     measured = [(log, rows) for log in logs if (rows := np.isfinite(log.joints).all(axis=1)).sum() > 2]
     for k, name in enumerate(names):
-        # Commands are checked too: the other joints may shake a joint whose command is constant.
+        # Commands are checked too: other joints may shake a joint.
         for paths in (
             [(log.times[rows], log.joints[rows, k]) for log, rows in measured],
             [(log.times, log.commands[:, k]) for log, _ in measured],
@@ -246,11 +238,7 @@ def check_usable(logs: Sequence[ArmLog], names: Sequence[str], side: str = "") -
 
 
 def _too_little_motion(paths: Sequence[tuple[Array, Array]]) -> str | None:
-    """Return why a joint's motion does not determine its parameters, with advice; None if the motion suffices.
-
-    Args:
-        paths: times (n,), s, and positions (n,), rad, of the joint in each log.
-    """
+    """Return why motions (n,), rad, at times (n,), s, do not suffice, with advice."""
     span = max((float(np.ptp(path)) for _, path in paths), default=0.0)
     if span < _MIN_SPAN:
         return (
@@ -274,7 +262,6 @@ def _too_little_motion(paths: Sequence[tuple[Array, Array]]) -> str | None:
 
 
 def _count_reversals(path: Array) -> int:
-    """Return the number of reversals of a joint. Movements below `_REVERSAL_DISTANCE` do not count."""
     turns, direction, furthest = 0, 0, float(path[0])
     for place in path:
         if direction == 0:

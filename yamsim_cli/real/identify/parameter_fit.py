@@ -1,4 +1,4 @@
-"""Fit the parameters of an arm to its logs."""
+"""Fit an arm's parameters to its logs."""
 
 from __future__ import annotations
 
@@ -16,13 +16,12 @@ from yamsim_cli.core.geometry.se3 import Array
 
 from .plant_model import FINE_TIMESTEP, ArmLog, LogSimulation, ParametricArm, PlantParameters
 
-_SKIPPED_START = 0.5  # s at the start of a log that are not compared, as speed and friction are unknown there
-_MIN_ERROR = 1e-4  # rad, lower bound of a joint's RMS error, whose inverse is the weight of the joint's errors
-_ACCELERATION_PERIOD = 0.04  # s between the positions from which accelerations are computed
-_MAX_STEPS, _MAX_FINE_STEPS = 6, 4  # largest numbers of fit steps: with TIMESTEP, then with FINE_TIMESTEP
-_DELAYS = tuple(0.01 * k for k in range(11))  # s; the fit starts from the best of these, as a wrong delay makes it fail
-# A fit has converged when a step changes each parameter by less than _MIN_STEP of its scale. A step that reduces the
-# cost by less than the share _MIN_GAIN also ends the fit.
+_SKIPPED_START = 0.5  # s of a log, in which speed and friction are unknown
+_MIN_ERROR = 1e-4  # rad, of a joint's RMS error, whose inverse is its weight
+_ACCELERATION_PERIOD = 0.04  # s, between positions that give an acceleration
+_MAX_STEPS, _MAX_FINE_STEPS = 6, 4  # fit steps with TIMESTEP, then with FINE_TIMESTEP
+_DELAYS = tuple(0.01 * k for k in range(11))  # s; the fit starts from the best, since a wrong delay makes it fail
+# A fit ends when a step changes each parameter by less than this share of its scale, or the cost by this share.
 _MIN_STEP, _MIN_GAIN = 0.01, 1e-3
 
 
@@ -32,10 +31,9 @@ class FitParameter:
 
     Attributes:
         name: field of `PlantParameters`.
-        joint: number of the joint; None for the delay, which all joints share.
-        scale: size of a step that noticeably changes the motion.
-        prior_sigma: standard deviation of the prior, whose mean is the model's value.
-        minimum, maximum: bounds of the value.
+        joint: None for the delay, which all joints share.
+        scale: a step that noticeably changes the motion.
+        prior_sigma: of the prior, whose mean is the model's value.
     """
 
     name: str
@@ -47,7 +45,7 @@ class FitParameter:
 
 
 def all_parameters(plant: ParametricArm) -> list[FitParameter]:
-    """Return all parameters that the fit varies for an arm."""
+    """Return the parameters to fit for an arm."""
     found = [FitParameter("delay", None, 0.005, 0.1, 0.0)]
     for k in range(len(plant.kp)):
         most, kv, armature = plant.max_torque[k], plant.kv[k], plant.values.armature[k]
@@ -63,13 +61,13 @@ def all_parameters(plant: ParametricArm) -> list[FitParameter]:
 
 
 def parameter_value(values: PlantParameters, parameter: FitParameter) -> float:
-    """Return the value of `parameter` in `values`, in the unit of `PlantParameters`."""
+    """Return a parameter's value in the unit of `PlantParameters`."""
     found = getattr(values, parameter.name)
     return float(found if parameter.joint is None else found[parameter.joint])
 
 
 def replace_value(values: PlantParameters, parameter: FitParameter, number: float) -> PlantParameters:
-    """Return a copy of `values` with `parameter` set to `number`."""
+    """Return a copy with `parameter` set to `number`."""
     if parameter.joint is None:
         return replace(values, delay=number)
     changed: Array = getattr(values, parameter.name).copy()
@@ -79,8 +77,6 @@ def replace_value(values: PlantParameters, parameter: FitParameter, number: floa
 
 
 class _LinearizedFit:
-    """Errors, cost and derivatives of the least-squares problem at given parameter values."""
-
     def __init__(self, problem: _Problem, values: PlantParameters) -> None:
         self._problem, self.values = problem, values
         self.errors = problem.errors(values)
@@ -88,7 +84,7 @@ class _LinearizedFit:
 
     @functools.cached_property
     def slopes(self) -> Array:
-        """Change of the errors (samples, dof, parameters) when each parameter grows by its scale."""
+        """Change of errors (samples, dof, parameters) per parameter scale."""
         found = np.empty((*self.errors.shape, len(self._problem.parameters)))
         for k, parameter in enumerate(self._problem.parameters):
             moved = replace_value(self.values, parameter, parameter_value(self.values, parameter) + parameter.scale)
@@ -105,11 +101,9 @@ class _LinearizedFit:
 
 
 class _Problem(LeastSquares[PlantParameters, _LinearizedFit]):
-    """Least-squares problem: find the parameters with which the simulated arm moves as in its logs.
+    """Find the parameters with which the simulated arm moves as in its logs.
 
-    Args:
-        weights: weights of the joints' errors (dof,), 1/rad.
-        step: called before each simulation of the logs.
+    `weights` (dof,), 1/rad, are of the joints' errors; `step` is called before each simulation.
     """
 
     def __init__(
@@ -122,24 +116,21 @@ class _Problem(LeastSquares[PlantParameters, _LinearizedFit]):
         self._runs, self._step = runs, step
 
     def errors(self, values: PlantParameters) -> Array:
-        """Simulate all logs, and return simulated minus measured joints (samples, dof), rad, of compared samples."""
+        """Return simulated minus measured joints (samples, dof), rad."""
         self._step()
         return np.concatenate([(run.simulate(values) - run.log.joints)[compared_samples(run)] for run in self._runs])
 
     def prior(self, values: PlantParameters) -> Array:
-        """Return the distance of each parameter from the mean of its prior, in standard deviations (k,)."""
         return np.array(
             [(parameter_value(values, p) - parameter_value(self._centre, p)) / p.prior_sigma for p in self.parameters]
         )
 
     def normal(self, slopes: Array) -> Array:
-        """Return the matrix of the normal equations (k, k), for slopes (samples, dof, k)."""
         flat = (slopes * self.weights[None, :, None]).reshape(-1, slopes.shape[-1])
         found: Array = flat.T @ flat + np.diag(self._precision)
         return found
 
     def gradient(self, slopes: Array, errors: Array, values: PlantParameters) -> Array:
-        """Return the right-hand side of the normal equations (k,)."""
         pulled = np.einsum("ijk,ij->k", slopes, errors * self.weights**2)
         found: Array = -pulled - np.sqrt(self._precision) * self.prior(values)
         return found
@@ -159,23 +150,21 @@ class _Problem(LeastSquares[PlantParameters, _LinearizedFit]):
 
 
 def compared_samples(run: LogSimulation) -> NDArray[np.bool_]:
-    """Return the mask (n,) of a log's samples that a fit compares: those with measured joints, without the start."""
+    """Return the mask (n,) of samples with measured joints, without the start."""
     found: NDArray[np.bool_] = run.read & (run.log.times >= min(_SKIPPED_START, run.log.seconds / 10))
     return found
 
 
 @dataclass(frozen=True)
 class FitResult:
-    """Result of a fit.
+    """The result of a fit.
 
     Attributes:
-        values: fitted values.
-        parameters: varied parameters.
         errors: simulated minus measured joints (samples, dof), rad.
-        slopes: change of the errors (samples, dof, parameters) when each parameter grows by its scale.
-        weights: weights of the joints' errors (dof,), 1/rad.
-        times: times of the samples (samples,), s, as if the logs were recorded one after another.
-        accelerations: RMS acceleration of each joint in the logs (dof,), rad/s2.
+        slopes: change of errors (samples, dof, parameters) per parameter scale.
+        weights: of the joints' errors (dof,), 1/rad.
+        times: (samples,), s, as if logs followed each other.
+        accelerations: RMS of each joint (dof,), rad/s2.
     """
 
     values: PlantParameters
@@ -188,13 +177,10 @@ class FitResult:
 
 
 def fit_parameters(arm: ArmConfig, logs: Sequence[ArmLog], step: Callable[[], None] = lambda: None) -> FitResult:
-    """Fit the parameters of an arm to its logs.
+    """Fit an arm's parameters to its logs; `step` is called before each simulation.
 
-    The fit first uses `TIMESTEP`, the physics timestep of tasks, which biases inertia and delay. It then continues
-    with the shorter `FINE_TIMESTEP`, but reuses the derivatives of the first part.
-
-    Args:
-        step: called before each simulation of the logs.
+    `TIMESTEP`, the tasks' timestep, biases inertia and delay, so a fit with `FINE_TIMESTEP` follows, with the same
+    derivatives.
     """
     plant, fine = ParametricArm(arm), ParametricArm(arm, FINE_TIMESTEP)
     runs, fine_runs = [LogSimulation(plant, log) for log in logs], [LogSimulation(fine, log) for log in logs]
@@ -221,7 +207,6 @@ def fit_parameters(arm: ArmConfig, logs: Sequence[ArmLog], step: Callable[[], No
 
 
 def _accelerations(logs: Sequence[ArmLog]) -> Array:
-    """Return the RMS acceleration of each joint (dof,), rad/s2, from quantized encoder positions."""
     squares = []
     for log in logs:
         known = np.isfinite(log.joints).all(axis=1)

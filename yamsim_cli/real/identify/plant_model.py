@@ -1,4 +1,4 @@
-"""Simulation of one arm under recorded commands, with parameters that a fit varies."""
+"""Simulate one arm under recorded commands, with parameters that a fit varies."""
 
 from __future__ import annotations
 
@@ -15,28 +15,28 @@ from yamsim_cli.core.recorded_motion import ArmMotion, RecordedMotion
 from yamsim_cli.core.robots.dynamics import Dynamics
 from yamsim_cli.core.scene.arm_model import arm_spec
 
-TIMESTEP, FINE_TIMESTEP = 0.002, 0.0005  # s, physics timesteps: of tasks, and one too short to bias a fit
+TIMESTEP, FINE_TIMESTEP = 0.002, 0.0005  # s: of tasks, and one too short to bias a fit
 
-_MIN_INERTIA = 2e-4  # kg m2, lower bound of a joint's armature plus half the inertia of the links that it moves
-_POSES = 64  # random poses from which the least inertia of a joint's links is computed
+_MIN_INERTIA = 2e-4  # kg m2, armature plus half the moved links' inertia
+_POSES = 64  # random poses
 _DEFAULT_FRICTION_SPEED = 0.005  # rad/s, prior mean of `PlantParameters.friction_velocity`
-_GRAVITY_PERIOD = 0.01  # s between computations of the gravity torques
-_MIN_FRICTION, _MIN_FRICTION_SPEED = 1e-6, 1e-5  # N m and rad/s; keep the solver's parameters finite
+_GRAVITY_PERIOD = 0.01  # s between computations of gravity torques
+_MIN_FRICTION, _MIN_FRICTION_SPEED = 1e-6, 1e-5  # N m and rad/s; keep the solver finite
 
 
 @dataclass(frozen=True)
 class PlantParameters:
-    """Parameters of an arm's motion. All except the delay have one value per joint, (dof,).
+    """Parameters of an arm's motion, per joint (dof,) except the delay.
 
     Attributes:
-        delay: time from a command until it acts, s.
+        delay: from a command until it acts, s.
         friction: Coulomb friction, N m.
-        damping: passive damping in addition to the drive's, N m s/rad; negative values reduce the drive's damping.
-        armature: inertia of the motor at the joint, kg m2.
-        offset: measured position when the drive holds the joint at 0, rad.
-        gravity: factor of the joint's gravity torque in the gravity compensation.
-        friction_velocity: speed at which friction reaches its full value, rad/s. Real friction does not reverse at
-            once when a joint stops, so a fit with the value 0 finds too little friction.
+        damping: added to the drive's, N m s/rad; may be negative.
+        armature: motor inertia at the joint, kg m2.
+        offset: measured position when the drive holds 0, rad.
+        gravity: factor of gravity torque in the gravity compensation.
+        friction_velocity: speed of full friction, rad/s. Real friction does not reverse at once when a joint stops:
+            with 0, a fit finds too little friction.
     """
 
     delay: float
@@ -50,13 +50,12 @@ class PlantParameters:
 
 @dataclass(frozen=True)
 class ArmLog:
-    """Commands and measurements of one arm.
+    """An arm's commands and measurements.
 
     Attributes:
-        name: name of the motion.
-        times: times of the samples (n,), s.
-        commands, joints: commanded and measured positions (n, dof), rad; joints are NaN where not measured.
-        openings: commanded openings of the gripper, or else the measured ones (n,), m; None if neither was recorded.
+        times: (n,), s.
+        commands, joints: (n, dof), rad; joints are NaN where not measured.
+        openings: commanded, or else measured (n,), m.
     """
 
     name: str
@@ -67,7 +66,7 @@ class ArmLog:
 
     @classmethod
     def from_motion(cls, motion: RecordedMotion, arm: ArmMotion) -> ArmLog:
-        """Return the log of an arm of a motion; the arm must have commands."""
+        """Return the log of a motion's arm, which must have commands."""
         assert arm.commands is not None, "motions without commands are refused before"
         known = (one for one in (arm.commanded_openings, arm.openings) if one is not None and np.isfinite(one).any())
         openings = next(known, None)
@@ -75,7 +74,7 @@ class ArmLog:
         return cls(motion.name, motion.times, _forward_fill(arm.commands), arm.joints, filled)
 
     def slice_time(self, start: float, end: float) -> ArmLog:
-        """Return the part between two times, s, with times that begin at 0."""
+        """Return the part between two times, s, which then starts at 0."""
         kept = (self.times >= start) & (self.times <= end)
         openings = None if self.openings is None else self.openings[kept]
         times = self.times[kept]
@@ -83,18 +82,17 @@ class ArmLog:
 
     @property
     def seconds(self) -> float:
-        """Time of the last sample, s."""
+        """Time of the last sample."""
         return float(self.times[-1])
 
 
 class ParametricArm:
-    """A model of one arm without contacts, whose parameters can be replaced.
+    """An arm without contacts, whose parameters can be replaced.
 
     Attributes:
-        values: parameters of the unchanged model.
-        kp, kv: gains of the joints' drives (dof,), N m/rad and N m s/rad.
-        max_torque: largest torques of the drives (dof,), N m.
-        timestep: physics timestep, s.
+        values: of the unchanged model.
+        kp, kv: drive gains (dof,), N m/rad and N m s/rad.
+        max_torque: of the drives (dof,), N m.
     """
 
     def __init__(self, arm: ArmConfig, timestep: float = TIMESTEP) -> None:
@@ -116,27 +114,27 @@ class ParametricArm:
         self.values = _values_of(model, self.dof, robot.joint_names, arm.dynamics)
 
     def plain_model(self, values: PlantParameters) -> mujoco.MjModel:
-        """Return the arm's model with these values of friction, armature and damping, as tasks simulate the arm.
+        """Return the model with this friction, armature and damping, as tasks simulate it.
 
-        Delay, offsets and gravity factors are not part of a MuJoCo model; `LogSimulation.simulate` applies them.
+        `LogSimulation.simulate` applies delay, offsets and gravity factors.
         """
         model, drives = copy.copy(self.model), self.drives
         model.dof_frictionloss[self.dof] = values.friction
         model.dof_armature[self.dof] = values.armature
         model.dof_damping[self.dof] = np.maximum(values.damping, 0)
         model.actuator_biasprm[drives, 2] = -(self.kv + np.minimum(values.damping, 0))
-        # `mj_setConst` derives the stiffness of friction from the inertia.
+        # Friction stiffness is derived from inertia.
         mujoco.mj_setConst(model, mujoco.MjData(model))
         return model
 
     def fitted_model(self, values: PlantParameters) -> mujoco.MjModel:
-        """Return `plain_model` with armatures corrected for the timestep and friction that rises with the speed."""
+        """Return `plain_model` with armatures corrected for the timestep, and friction rising with speed."""
         model = self.plain_model(values)
-        # The integrator evaluates damping at the end of a step. Uncorrected, a fit would find too little inertia.
+        # Damping at the end of a step would make a fit find too little inertia.
         taken = values.armature - (self.kv + values.damping) * self.timestep / 2
         model.dof_armature[self.dof] = np.maximum(taken, _MIN_INERTIA - self._links / 2)
-        # MuJoCo's friction is -(a + b v) / r up to its full value. With b = 1 / timestep, friction is a damping of
-        # b / r. The implicit step keeps this damping stable at any strength.
+        # MuJoCo's friction is -(a + b v) / r up to its full value: with b = 1 / timestep, a damping of b / r, which the
+        # implicit step keeps stable.
         b = 1 / self.timestep
         r = b * np.maximum(values.friction_velocity, _MIN_FRICTION_SPEED) / np.maximum(values.friction, _MIN_FRICTION)
         impedance = 1 / (1 + r / model.dof_invweight0[self.dof])
@@ -145,7 +143,7 @@ class ParametricArm:
         return model
 
     def gravity_torques(self, joints: Array) -> Array:
-        """Return the torques of the gravity compensation (n, dof), N m, at joint positions (n, dof), rad."""
+        """Return gravity compensation torques (n, dof), N m, at joints (n, dof), rad."""
         data, found = mujoco.MjData(self.model), np.empty(joints.shape)
         for k, row in enumerate(joints):
             data.qpos[self.qpos] = row
@@ -156,11 +154,7 @@ class ParametricArm:
 
 
 class LogSimulation:
-    """Simulates an arm under the commands of one log, with any parameter values.
-
-    Attributes:
-        read: mask of the samples with measured joints (n,).
-    """
+    """Simulates an arm under one log's commands; `read` (n,) masks samples with measured joints."""
 
     def __init__(self, plant: ParametricArm, log: ArmLog) -> None:
         self.plant, self.log = plant, log
@@ -179,11 +173,7 @@ class LogSimulation:
         self._data = mujoco.MjData(plant.model)
 
     def simulate(self, values: PlantParameters, *, plain: bool = False) -> Array:
-        """Return the simulated encoder readings at the log's times (n, dof), rad.
-
-        Args:
-            plain: use `ParametricArm.plain_model`, as tasks do, instead of `fitted_model`, as the fit does.
-        """
+        """Return simulated encoder readings (n, dof), rad; `plain` uses `plain_model`, as tasks do."""
         plant, log = self.plant, self.log
         model = plant.plain_model(values) if plain else plant.fitted_model(values)
         controls = np.zeros((1, self._steps, model.nu + model.nv))
@@ -203,8 +193,8 @@ class LogSimulation:
         return read + values.offset
 
     def _delayed(self, delay: float) -> Array:
-        """Return the mean command (steps, dof), rad, during each physics step, if commands act `delay` s late."""
-        # A drive applies the command of the beginning of a step, so the mean is centered on that time.
+        """Return mean commands (steps, dof), rad, per physics step, `delay` s late."""
+        # A drive applies the command at a step's beginning, so the mean is centred there.
         when, log = self._grid - self.plant.timestep / 2 - delay, self.log
         columns = []
         for first, last, total in zip(self._clipped[0], self._clipped[-1], self._integral.T, strict=True):
@@ -227,7 +217,7 @@ class LogSimulation:
 
 
 def _forward_fill(commands: Array) -> Array:
-    """Replace each NaN in commands (n, dof) by the last number before it in its column, or else by the first number."""
+    """Replace NaN in commands (n, dof) by the last number before it, or else the first."""
     filled = commands.copy()
     for column in filled.T:
         known = np.flatnonzero(np.isfinite(column))
@@ -249,10 +239,7 @@ def _values_of(model: mujoco.MjModel, dof: Array, names: tuple[str, ...], dynami
 
 
 def _link_inertias(model: mujoco.MjModel, qpos: Array, dof: Array, ranges: Array) -> Array:
-    """Return the least inertia (dof,), kg m2, that the links have at each joint in random poses, without armature.
-
-    The other joints can move freely.
-    """
+    """Return the links' least inertia (dof,), kg m2, in random poses, other joints free."""
     data, full = mujoco.MjData(model), np.empty((model.nv, model.nv))
     rng = np.random.default_rng(0)
     least = np.full(len(dof), np.inf)

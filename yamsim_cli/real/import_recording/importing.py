@@ -1,4 +1,4 @@
-"""Import recordings of real arms into a dataset of yamsim's format, with corrections that the user states."""
+"""Import recordings of real arms into a dataset, with the user's corrections."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ from ..recordings.motion_faults import MotionFault, MotionProblem, find_faults, 
 from ..recordings.motion_reading import detect_format, format_reader
 from ..recordings.recording import Recording, Samples
 
-# Fault for which an import is refused -> flag that corrects the fault. An episode's record lists all other faults.
+# Fault that refuses an import -> flag that corrects it. An episode's record lists other faults.
 _CORRECTED_BY = {
     MotionFault.DEGREES: "--degrees",
     MotionFault.SWAPPED_ARMS: "--swap-arms",
@@ -51,13 +51,13 @@ _CORRECTED_BY = {
 
 @dataclass(frozen=True)
 class Corrections:
-    """Corrections of recordings with missing or wrong metadata.
+    """Corrections of missing or wrong metadata.
 
     Attributes:
-        degrees: whether joints are in degrees.
-        swap_arms: whether the measurements of the two arms are swapped.
-        gripper: unit of the gripper openings; None for the usual unit of the recording's format.
-        mirrored: which openings are recorded with 0 for open and the largest value for closed; None for none.
+        degrees: joints are in degrees.
+        swap_arms: the two arms' measurements are swapped.
+        gripper: unit of openings; None for the format's usual unit.
+        mirrored: openings recorded as 0 for open.
     """
 
     degrees: bool = False
@@ -71,13 +71,11 @@ class ImportRequest:
     """Parameters of an import.
 
     Attributes:
-        sources: files and folders to import.
-        rig: rig (arms and cameras) with which the recordings were made.
-        format: format of all sources; None detects the format of each source.
-        mapping: config or YAML file that assigns columns to joints; None selects one that fits.
-        corrections: corrections of wrong units, swapped arms and mirrored grippers.
-        out: directory of the written dataset.
-        mode: whether a directory that is not empty is an error, is continued, or is replaced.
+        sources: files and folders.
+        format: None detects it.
+        mapping: config or YAML file of columns; None selects one that fits.
+        out: directory of the dataset.
+        mode: whether a non-empty directory is an error, is continued, or is replaced.
     """
 
     sources: Sequence[Path]
@@ -94,11 +92,10 @@ class ImportReport:
     """Result of an import.
 
     Attributes:
-        path: directory of the dataset.
-        episodes, frames: number of written episodes and frames.
-        kept: number of episodes that existed before the import and were not written again.
-        problems: name of the episode -> faults of the episode.
-        moved_aside: path to which an older dataset was moved; None if no dataset was moved.
+        path: of the dataset.
+        episodes, frames: written.
+        kept: episodes that existed before.
+        moved_aside: path of a moved older dataset.
     """
 
     path: Path
@@ -109,7 +106,7 @@ class ImportReport:
     moved_aside: Path | None = None
 
     def to_json_data(self) -> dict[str, Any]:
-        """Return the report as JSON data."""
+        """Return JSON data."""
         return {
             "path": str(self.path),
             "source": "real",
@@ -122,13 +119,13 @@ class ImportReport:
 
 
 def import_recordings(request: ImportRequest, locations: Locations, progress: Progress) -> ImportReport:
-    """Write recordings as episodes of a dataset and return a report.
+    """Write recordings as episodes of a dataset.
 
-    Each episode directory is published atomically. A resumed import keeps existing episodes.
+    Episode directories are published atomically. A resumed import keeps existing episodes.
 
     Raises:
         DatasetError: a recording cannot be read, or has a fault that a flag corrects.
-        UsageError: the mode does not allow a directory that is not empty, or `swap_arms` is set for a single arm.
+        UsageError: the mode does not allow a non-empty directory, or `swap_arms` is set for a single arm.
         ConfigError: the dataset to resume has another rig, format or unit.
         ResourceError: a file cannot be written, or a library is not installed.
     """
@@ -160,7 +157,6 @@ def import_recordings(request: ImportRequest, locations: Locations, progress: Pr
 
 
 def _recordings(path: Path, request: ImportRequest, locations: Locations) -> Iterator[tuple[str, Recording]]:
-    """Yield the format and each corrected recording of a file or a folder."""
     name = request.format or detect_format(path)
     for recording in format_reader(name)(path, request.rig, request.mapping, locations):
         made = _apply_corrections(recording, request.corrections, request.rig)
@@ -202,7 +198,6 @@ def _full_opening(rig: RigConfig, arm: int, unit: GripperUnit) -> float:
 
 
 def _mirror_openings(arm: ArmMotion, full: float, which: str) -> ArmMotion:
-    """Return an arm's motion with the openings that `which` selects subtracted from `full`, the fully open value."""
     measured, commanded = arm.openings, arm.commanded_openings
     if measured is not None and which != "commanded":
         measured = full - measured
@@ -269,7 +264,7 @@ def _publish(number: int, name: str, recording: Recording, request: ImportReques
 
 
 def _problems(motion: RecordedMotion, recording: Recording, rig: RigConfig) -> Iterator[MotionProblem]:
-    """Yield the faults of the motion. If the motion has no gaps, also yield the gaps of each camera."""
+    """Yield a motion's faults and, without gaps, each camera's."""
     yield from find_faults(motion, rig)
     if not any(find_gaps(motion.times)):
         for camera, pictures in recording.pictures.items():
@@ -277,13 +272,12 @@ def _problems(motion: RecordedMotion, recording: Recording, rig: RigConfig) -> I
 
 
 def _frame_samples(motion: RecordedMotion, recording: Recording) -> Samples:
-    """Return the samples that become frames: those of the camera with the most images, or all without cameras."""
+    """Return samples that become frames: of the camera with the most images, or all without cameras."""
     seen = [pictures.samples for pictures in recording.pictures.values()]
     return max(seen, key=len) if seen else np.arange(len(motion.times), dtype=np.int64)
 
 
 def _jpegs(recording: Recording, camera: str, samples: Samples) -> Iterator[bytes]:
-    """Yield a camera's latest image at each of the samples."""
     pictures = recording.pictures[camera]
     images, number, data = pictures.read(), -1, b""
     for wanted in np.clip(np.searchsorted(pictures.samples, samples, side="right") - 1, 0, None):
@@ -295,11 +289,11 @@ def _jpegs(recording: Recording, camera: str, samples: Samples) -> Iterator[byte
 
 
 def _frame(motion: RecordedMotion, recording: Recording, sample: int) -> dict[str, Any]:
-    """Return the frame of a dataset for one sample of a motion, without keys for values that were not recorded."""
+    """Return a dataset's frame, without keys for values that were not recorded."""
     arms = motion.arms
     frame: dict[str, Any] = {"joints": _row([(arm.joints, arm.openings) for arm in arms], sample)}
     frame["timestamp"] = float(motion.times[sample])
-    # A row of commands needs the commands of all drives that were measured.
+    # A row of commands needs those of all measured drives.
     if all(arm.commands is not None and (arm.openings is None or arm.commanded_openings is not None) for arm in arms):
         commands = [(arm.commands, None if arm.openings is None else arm.commanded_openings) for arm in arms]
         frame["ctrl"] = _row(commands, sample)

@@ -1,4 +1,4 @@
-"""Motors of an arm and its gripper, read from the `can.yaml` files in their model folders."""
+"""Motors of an arm and its gripper, from `can.yaml` in their model folders."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ class JointMotor(Config):
     """The motor of a joint.
 
     Attributes:
-        id: CAN identifier of the motor.
-        kind: motor kind, a key of `motor.KINDS`.
-        direction: 1 if the motor turns in the joint's direction, -1 if it turns the other way.
-        load: factor by which the simulation scales the gravity torque of the joint.
+        id: CAN identifier.
+        kind: key of `motor.KINDS`.
+        direction: 1 if the motor turns in the joint's direction, else -1.
+        load: factor of the joint's gravity torque in the simulation.
     """
 
     id: Number
@@ -51,13 +51,13 @@ class GripperCanConfig(Config):
     """A gripper's motor, which moves both fingers.
 
     Attributes:
-        id: CAN identifier of the motor.
-        kind: motor kind, a key of `motor.KINDS`.
-        closed, opened: shaft angles with closed and with fully opened fingers, rad.
-        stroke: travel of one finger from closed to opened, m.
-        armature: inertia of the rotor at the shaft, kg m2.
+        id: CAN identifier.
+        kind: key of `motor.KINDS`.
+        closed, opened: shaft angles, rad.
+        stroke: travel of one finger, m.
+        armature: rotor inertia at the shaft, kg m2.
         friction: Coulomb friction at the shaft, N m.
-        kp, kd: gains of the drive, N m/rad and N m s/rad.
+        kp, kd: of the drive, N m/rad and N m s/rad.
     """
 
     id: Number
@@ -78,18 +78,14 @@ class GripperCanConfig(Config):
 
 @dataclass(frozen=True)
 class CanConfig:
-    """All motors of an arm and its gripper. `gripper` is None for a gripper without fingers."""
+    """All motors; `gripper` is None without fingers."""
 
     arm: ArmCanConfig
     gripper: GripperCanConfig | None
 
 
 def load_can_config(model: str, gripper: str | None, joints: int, locations: Locations) -> CanConfig:
-    """Read the motors of an arm and of its gripper from the `can.yaml` files in their model folders.
-
-    Args:
-        model, gripper: folder names of the two models; `gripper` is None for a gripper without fingers.
-        joints: number of joints of the arm.
+    """Read the motors of an arm and its gripper from their model folders `model` and `gripper`.
 
     Raises:
         ConfigError: a file is missing or invalid, the number of motors is wrong, or two motors share an identifier.

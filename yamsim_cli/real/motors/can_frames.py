@@ -5,32 +5,32 @@ from __future__ import annotations
 import struct
 from typing import NamedTuple
 
-# Linux `struct can_frame`: identifier with flags, length, three bytes of padding, data. yamsim's sockets use it too.
+# Linux `struct can_frame`: identifier with flags, length, three bytes of padding, data.
 _CAN_FRAME = struct.Struct("=IB3x8s")
 FRAME_BYTES = _CAN_FRAME.size
-_FLAGS = 0xE0000000  # flag bits of extended, remote and error frames, which motors ignore
-_MAX_DATA_BYTES = 8  # largest number of data bytes in a CAN frame
+_FLAGS = 0xE0000000  # extended, remote and error frames, which motors ignore
+_MAX_DATA_BYTES = 8
 
-TO_ALL = 0x7FF  # identifier of register and status frames, which all motors receive; the data names one motor
-# Last byte of a special command; its other seven bytes are 0xFF. Source: DAMIAO's DM-J43 manual, "MIT mode".
+TO_ALL = 0x7FF  # register and status frames, which all motors receive; the data names one motor
+# Last byte of a special command, after seven bytes 0xFF. Source: DAMIAO's DM-J43 manual, "MIT mode".
 CLEAR_ERROR, ENABLE, DISABLE, SET_ZERO = 0xFB, 0xFC, 0xFD, 0xFE
-# Third byte of a frame to TO_ALL: access to a register, or request of the status. Source: DAMIAO's DM-J43 manual.
+# Third byte of a frame to TO_ALL: register access or status request. Source: DAMIAO's DM-J43 manual.
 READ, WRITE, SAVE, REFRESH = 0x33, 0x55, 0xAA, 0xCC
-# Largest gains kp and kd in a MIT frame, N m/rad and N m s/rad, of all emulated motors. Source: DAMIAO's DM-J43 manual.
+# N m/rad and N m s/rad, in MIT frames of all emulated motors. Source: DAMIAO's DM-J43 manual.
 KP_MAX, KD_MAX = 500.0, 5.0
 
 
 class CanFrame(NamedTuple):
-    """A CAN frame: an 11-bit identifier and up to 8 bytes of data."""
+    """An 11-bit identifier and up to 8 bytes of data."""
 
     id: int
     data: bytes
 
 
 class MitCommand(NamedTuple):
-    """Command in a motor's MIT mode. At position p and velocity v, the motor gives the following torque.
+    """MIT mode command: at position p and velocity v, rad and rad/s, a motor gives a torque, N m.
 
-    The torque is `kp (position - p) + kd (velocity - v) + torque`, in rad, rad/s and N m.
+    It is `kp (position - p) + kd (velocity - v) + torque`.
     """
 
     position: float
@@ -41,7 +41,7 @@ class MitCommand(NamedTuple):
 
 
 class MotorRange(NamedTuple):
-    """Largest position (rad), velocity (rad/s) and torque (N m) in a motor's frames: its PMAX, VMAX and TMAX."""
+    """Largest position (rad), velocity (rad/s) and torque (N m) in a motor's frames: PMAX, VMAX, TMAX."""
 
     position: float
     velocity: float
@@ -49,7 +49,7 @@ class MotorRange(NamedTuple):
 
 
 def parse_frame(wire: bytes) -> CanFrame | None:
-    """Decode the 16 bytes of a frame from a socket. Return None for a frame that motors ignore."""
+    """Decode 16 bytes; None for a frame that motors ignore."""
     identifier, length, data = _CAN_FRAME.unpack(wire)
     if identifier & _FLAGS or identifier > TO_ALL or length > _MAX_DATA_BYTES:
         return None
@@ -57,29 +57,29 @@ def parse_frame(wire: bytes) -> CanFrame | None:
 
 
 def to_wire(frame: CanFrame) -> bytes:
-    """Encode a frame as the 16 bytes that are sent on a socket."""
+    """Encode as 16 bytes."""
     return _CAN_FRAME.pack(frame.id, len(frame.data), frame.data)
 
 
 def special_command(data: bytes) -> int | None:
-    """Return ENABLE, DISABLE, SET_ZERO or CLEAR_ERROR, or None if the data is no special command."""
+    """Return ENABLE, DISABLE, SET_ZERO or CLEAR_ERROR; None for other data."""
     if len(data) == _MAX_DATA_BYTES and data[:7] == b"\xff" * 7 and CLEAR_ERROR <= data[7] <= SET_ZERO:
         return data[7]
     return None
 
 
 def quantize(value: float, maximum: float, bits: int) -> int:
-    """Clip a value to -maximum..maximum and return it as an unsigned number of `bits` bits."""
+    """Clip a value to -maximum..maximum, as an unsigned number of `bits` bits."""
     return int((min(max(value, -maximum), maximum) + maximum) * ((1 << bits) - 1) / (2 * maximum))
 
 
 def dequantize(number: int, maximum: float, bits: int) -> float:
-    """Return the value of a quantized number: the inverse of `quantize`, to within one quantization step."""
+    """Invert `quantize`, to within one step."""
     return number * 2 * maximum / ((1 << bits) - 1) - maximum
 
 
 def read_mit(data: bytes, scale: MotorRange) -> MitCommand:
-    """Decode the 8 data bytes of a frame in MIT mode. `scale` has the ranges of the motor."""
+    """Decode a MIT frame's 8 bytes by the motor's ranges."""
     bits = int.from_bytes(data, "big")
     return MitCommand(
         position=dequantize(bits >> 48, scale.position, 16),
@@ -99,13 +99,13 @@ def feedback_bytes(
     celsius: tuple[float, float],
     scale: MotorRange,
 ) -> bytes:
-    """Return the 8 data bytes of a motor's feedback frame.
+    """Return a feedback frame's 8 bytes.
 
     Args:
-        motor: identifier of the motor; the frame has its lowest four bits.
-        status: 0 for disabled, 1 for enabled, 8 and more for an error.
-        position, velocity, torque: state of the shaft, rad, rad/s and N m.
-        celsius: temperatures of the driver and of the rotor, degrees Celsius.
+        motor: identifier; the frame has its lowest four bits.
+        status: 0 disabled, 1 enabled, 8 and more an error.
+        position, velocity, torque: of the shaft, rad, rad/s and N m.
+        celsius: of driver and rotor.
     """
     bits = (status & 0xF) << 4 | motor & 0xF
     bits = bits << 16 | quantize(position, scale.position, 16)

@@ -1,4 +1,4 @@
-"""Emulated DAMIAO motors: kinds, registers, answers to CAN frames, and the control law."""
+"""Emulated DAMIAO motors: kinds, registers, answers to CAN frames, control law."""
 
 from __future__ import annotations
 
@@ -10,47 +10,47 @@ from enum import IntEnum
 from . import can_frames as frames
 from .can_frames import CanFrame, MitCommand, MotorRange
 
-AMBIENT = 25.0  # degrees Celsius, temperature of the air around a motor
-# K, steady temperature rise of a rotor at rated torque. With the default limit of 100 degrees Celsius, a motor gives
-# its rated torque without limit, and 1.2 times that for minutes. An assumption: no figures are published.
+AMBIENT = 25.0  # degrees Celsius, around a motor
+# K, steady rise of a rotor at rated torque. At the default limit of 100 degrees Celsius, it gives rated torque without
+# limit, and 1.2 times that for minutes. An assumption: no figures are published.
 _RATED_RISE = 55.0
-_THERMAL_SECONDS = 300.0  # s, thermal time constant of the rotor. An assumption: no figure is published
-_DRIVER_SHARE = 0.5  # temperature rise of the driver as a share of the rotor's. An assumption
-# Degrees Celsius, limit of the driver; a register has the rotor's limit. Source: DAMIAO's DM-J43 manual, "protections".
+_THERMAL_SECONDS = 300.0  # s, time constant of the rotor. An assumption: no figure is published
+_DRIVER_SHARE = 0.5  # driver's temperature rise over the rotor's. An assumption
+# Degrees Celsius; a register has the rotor's limit. Source: DAMIAO's DM-J43 manual, "protections".
 _DRIVER_LIMIT = 120.0
-_REST = MitCommand(0.0, 0.0, 0.0, 0.0, 0.0)  # command without torque
+_REST = MitCommand(0.0, 0.0, 0.0, 0.0, 0.0)
 
-# Numbers of the registers that affect the emulated motor. Source: DAMIAO's manual.
+# Registers that affect the emulated motor. Source: DAMIAO's manual.
 OT_VALUE, MST_ID, ESC_ID, TIMEOUT, CTRL_MODE, GR, PMAX, VMAX, TMAX, XOUT = 2, 7, 8, 9, 10, 20, 21, 22, 23, 81
-ROTOR_POSITION = 80  # register of the rotor's angle before the gear, rad
-MIT_MODE = 1  # value of CTRL_MODE in which the motor executes a `MitCommand`
+ROTOR_POSITION = 80  # rotor angle before the gear, rad
+MIT_MODE = 1  # CTRL_MODE that executes a `MitCommand`
 
-# Registers that hold an integer; all others hold a float32. Source: DAMIAO's manual.
+# All other registers hold a float32. Source: DAMIAO's manual.
 _INTEGER_REGISTERS = frozenset({7, 8, 9, 10, 13, 14, 15, 16, 35, 36})
-# Registers that can be written. Source: DAMIAO's manual.
+# Source: DAMIAO's manual.
 _WRITABLE = frozenset({*range(11), *range(21, 36)})
-_POSITIVE = frozenset({PMAX, VMAX, TMAX})  # must be positive and finite: `quantize` divides by their values
-_LARGEST_ID = 0x7FE  # largest CAN identifier that a register accepts
-_VERSION = 0x53494D  # "SIM" in ASCII: the version registers identify a simulated motor
-# Register -> factory value: protections (V, degrees Celsius, A), and gains of control loops that MIT mode does not use.
+_POSITIVE = frozenset({PMAX, VMAX, TMAX})  # positive and finite: `quantize` divides by them
+_LARGEST_ID = 0x7FE
+_VERSION = 0x53494D  # "SIM" in ASCII: identifies a simulated motor
+# Register -> factory value: protections (V, degrees Celsius, A), gains of loops that MIT mode does not use.
 _FACTORY = {
     0: 15.0, 1: 0.0, OT_VALUE: 100.0, 3: 0.98, 4: 2.0, 5: -2.0, 6: 600.0, 11: 0.0, 12: 0.0, 13: _VERSION, 14: _VERSION,
     16: 14, 17: 0.0, 18: 0.0, 19: 0.0, 24: 1000.0, 25: 0.0, 26: 0.0, 27: 0.0, 28: 0.0, 29: 32.0, 30: 1.0, 31: 4.0,
     32: 0.0, 33: 0.0, 34: 0.0, 35: 4, 36: 0, 50: 0.0, 51: 0.0, 52: 0.0, 53: 0.0, 54: 0.0, 55: 1.0,
 }  # fmt: skip
-# 400 ms, in units of _TIMEOUT_UNIT. Source: the maker's SDK 1.3.6, README and `motor_config_tool/set_timeout.py`
+# 400 ms. Source: the maker's SDK 1.3.6, README and `motor_config_tool/set_timeout.py`
 _FACTORY_TIMEOUT = 8000
-_TIMEOUT_UNIT = 50e-6  # s per unit of the TIMEOUT register
+_TIMEOUT_UNIT = 50e-6  # s per unit of TIMEOUT
 
 
 @dataclass(frozen=True)
 class MotorKind:
-    """Data of a DAMIAO motor type.
+    """A DAMIAO motor type.
 
     Attributes:
-        name: name in the maker's SDK.
-        scale: ranges of the values in its frames. Source: `motor_drivers/utils.py` in the maker's SDK 1.3.6.
-        gear: gear ratio; programs read its register to identify the motor type. Source: the file of `scale`.
+        name: in the maker's SDK.
+        scale: of values in frames. Source: `motor_drivers/utils.py` in the maker's SDK 1.3.6.
+        gear: ratio, by which programs identify the type. Source: the file of `scale`.
         rated: continuous torque, N m. Source: DAMIAO's tables.
     """
 
@@ -61,7 +61,7 @@ class MotorKind:
 
     @property
     def heating(self) -> float:
-        """Temperature rise of the rotor that a constant torque finally causes, per squared torque, K/(N m)2."""
+        """Final temperature rise of the rotor per squared torque, K/(N m)2."""
         return _RATED_RISE / self.rated**2
 
 
@@ -77,11 +77,7 @@ KINDS = {
 
 
 class Registers:
-    """Registers of a motor: the current values, and the saved values that a restart restores.
-
-    Args:
-        motor: CAN identifier of the motor; its answers have the identifier `motor + 16`.
-    """
+    """A motor's registers, current and saved; a motor answers with identifier `motor + 16`."""
 
     def __init__(self, kind: MotorKind, motor: int) -> None:
         own = {MST_ID: motor + 16, ESC_ID: motor, TIMEOUT: _FACTORY_TIMEOUT, CTRL_MODE: MIT_MODE, GR: kind.gear}
@@ -93,18 +89,18 @@ class Registers:
         return self._values[register]
 
     def set_reported(self, register: int, value: float) -> None:
-        """Set a read-only register from the simulation."""
+        """Set a read-only register."""
         self._values[register] = value
 
     def read(self, register: int) -> bytes | None:
-        """Return the four bytes of a register, or None for an unknown register."""
+        """Return a register's four bytes; None if unknown."""
         value = self._values.get(register)
         if value is None:
             return None
         return struct.pack("<I", int(value)) if register in _INTEGER_REGISTERS else struct.pack("<f", value)
 
     def write(self, register: int, data: bytes) -> bytes | None:
-        """Set a register from four bytes and return its bytes. An invalid value leaves the register unchanged."""
+        """Write four bytes and return the register's; invalid values are ignored."""
         if register in _WRITABLE:
             value = float(struct.unpack("<I" if register in _INTEGER_REGISTERS else "<f", data)[0])
             if self._is_valid(register, value):
@@ -112,14 +108,14 @@ class Registers:
         return self.read(register)
 
     def save(self, register: int) -> bool:
-        """Save the value of a register across restarts. Return False for a register that cannot be saved."""
+        """Keep a value across restarts; False if it cannot be saved."""
         if register not in _WRITABLE:
             return False
         self._saved[register] = self._values[register]
         return True
 
     def restart(self) -> None:
-        """Restore the saved values, as a power cycle does."""
+        """Restore saved values, as a power cycle does."""
         self._values = dict(self._saved)
 
     def _is_valid(self, register: int, value: float) -> bool:
@@ -133,7 +129,7 @@ class Registers:
 
 
 class Status(IntEnum):
-    """Status of a motor in each answer. Source: DAMIAO's manual, "feedback frame"."""
+    """A motor's status in each answer. Source: DAMIAO's manual, "feedback frame"."""
 
     DISABLED = 0x0
     ENABLED = 0x1
@@ -143,14 +139,14 @@ class Status(IntEnum):
 
 
 class Motor:
-    """A motor on a bus, without physics and sockets. Positions are those of the output shaft, in its direction of turn.
+    """A motor without physics and sockets; positions are the output shaft's.
 
     Attributes:
         number: initial CAN identifier, by which faults name the motor.
-        position, velocity, torque: state of the shaft, set by the simulation, rad, rad/s and N m.
-        celsius: temperature of the rotor, degrees Celsius.
-        is_unplugged: whether the motor is unplugged: a lost motor ignores all frames and gives no torque.
-        control_law_changed: whether `control_law` may have changed since a caller last set this flag to False.
+        position, velocity, torque: of the shaft, set by the simulation, rad, rad/s and N m.
+        celsius: of the rotor.
+        is_unplugged: a lost motor ignores frames and gives no torque.
+        control_law_changed: since a caller last cleared this flag.
     """
 
     def __init__(self, number: int, kind: MotorKind) -> None:
@@ -174,16 +170,16 @@ class Motor:
 
     @property
     def max_torque(self) -> float:
-        """Largest torque that the motor gives, N m: the smaller one of its register TMAX and its kind's limit."""
+        """Largest torque, N m: the smaller of TMAX and its kind's limit."""
         return min(self._scale.torque, self.kind.scale.torque)
 
     @property
     def driver_celsius(self) -> float:
-        """Temperature of the driver's transistors, degrees Celsius."""
+        """Temperature of the driver's transistors."""
         return AMBIENT + _DRIVER_SHARE * (self.celsius - AMBIENT)
 
     def control_law(self) -> tuple[float, float, float]:
-        """Return (kp, kd, constant). The torque is `constant - kp position - kd velocity`, N m, up to `max_torque`."""
+        """Return (kp, kd, constant): the torque is `constant - kp position - kd velocity`, N m, up to `max_torque`."""
         if self.status is not Status.ENABLED or self.is_unplugged:
             return 0.0, 0.0, 0.0
         command = self._command
@@ -191,7 +187,7 @@ class Motor:
         return command.kp, command.kd, constant
 
     def receive(self, frame: CanFrame, now: float) -> CanFrame | None:
-        """Receive a frame at time `now`, s. Return the answer, or None if the motor does not answer."""
+        """Return the answer to a frame at time `now`, s, if any."""
         if self.is_unplugged:
             return None
         if frame.id == frames.TO_ALL:
@@ -202,7 +198,7 @@ class Motor:
         if order is None:
             if self.registers[CTRL_MODE] != MIT_MODE:
                 return None
-            # A motor that is not enabled answers a command but does not execute it.
+            # A motor that is not enabled answers but does not execute.
             self._command = frames.read_mit(frame.data, self._scale) if self.status is Status.ENABLED else _REST
         else:
             self._handle_special(order)
@@ -211,9 +207,9 @@ class Motor:
         return self._answer()
 
     def drive(self, command: MitCommand, now: float) -> None:
-        """Enable a disabled motor and apply a command at time `now`, s. A motor in an error state stays there.
+        """Enable a disabled motor and apply a command at time `now`, s, unless it is in an error state.
 
-        The commanded position is that of the shaft, regardless of a zero that SET_ZERO has set.
+        Positions disregard a zero set by SET_ZERO.
         """
         if self.is_unplugged:
             return
@@ -225,10 +221,7 @@ class Motor:
         self.control_law_changed = True
 
     def advance(self, now: float, seconds: float) -> None:
-        """Advance by `seconds` to time `now`, s: update the temperature, and detect errors.
-
-        An enabled motor enters an error state if it is too hot, or received no frame within its timeout.
-        """
+        """Advance by `seconds` to `now`, s: heat up, and enter an error state if too hot or past the timeout."""
         rise = self.kind.heating * self.torque**2
         self.celsius += (AMBIENT + rise - self.celsius) * min(1.0, seconds / _THERMAL_SECONDS)
         if self.status is not Status.ENABLED:
@@ -247,7 +240,7 @@ class Motor:
         self.control_law_changed = True
 
     def power_on(self) -> None:
-        """Restore the power. The motor is then disabled and has its saved registers."""
+        """Restore power: the motor is disabled, with saved registers."""
         self.is_unplugged = False
         self.registers.restart()
         self._update_range()
@@ -265,7 +258,6 @@ class Motor:
         elif order == frames.SET_ZERO:
             self._zero = self.position
         elif order == frames.DISABLE:
-            # An error stays until CLEAR_ERROR.
             self._command = _REST
             if self.status is Status.ENABLED:
                 self.status = Status.DISABLED
@@ -279,7 +271,6 @@ class Motor:
         return CanFrame(int(self.registers[MST_ID]), data)
 
     def _handle_register_frame(self, data: bytes) -> CanFrame | None:
-        """Answer a frame to TO_ALL: access to a register, or a request for the status."""
         if len(data) < 4 or int.from_bytes(data[:2], "little") != self.answers_to:
             return None
         access, register = data[2], data[3]
@@ -293,7 +284,7 @@ class Motor:
             value = self.registers.write(register, data[4:8])
             self._update_range()
         elif access == frames.SAVE:
-            # An enabled motor does not save registers. The answer is a short frame.
+            # An enabled motor does not save. The answer is a short frame.
             saved = self.status is not Status.ENABLED and self.registers.save(register)
             return self._register_answer(bytes([frames.SAVE, saved]))
         else:
@@ -301,7 +292,7 @@ class Motor:
         return None if value is None else self._register_answer(bytes([access, register]) + value)
 
     def _register_answer(self, content: bytes) -> CanFrame:
-        # A newly written identifier applies at once.
+        # A new identifier applies at once.
         return CanFrame(int(self.registers[MST_ID]), self.answers_to.to_bytes(2, "little") + content)
 
     def _update_range(self) -> None:

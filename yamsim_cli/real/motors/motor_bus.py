@@ -1,4 +1,4 @@
-"""A simulated CAN bus with motors and injected faults: lost and hot motors, dropped frames, a stuck gripper."""
+"""A simulated CAN bus with motors and injected faults."""
 
 from __future__ import annotations
 
@@ -12,29 +12,27 @@ from yamsim_cli.core.errors import UsageError
 from .can_frames import CanFrame
 from .motor import Motor
 
-_UPDATE_SECONDS = 0.01  # s between updates of temperatures, timeouts and faults
+_UPDATE_SECONDS = 0.01  # s
 
 LOST, HOT, DROP, STUCK = "lost", "hot", "drop", "stuck"
-# Kind of fault -> keys that only this kind accepts in a `--fault` flag. Every kind also accepts the keys in _COMMON.
+# Fault -> its own keys in a `--fault` flag, besides _COMMON.
 _KEYS = {LOST: ("motor",), HOT: ("motor", "celsius"), DROP: ("share",), STUCK: ()}
 _COMMON = ("channel", "at", "for")
-# Key -> least and largest valid value; `at` and `for` are in s, `celsius` in degrees Celsius.
+# Valid values; `at` and `for` in s, `celsius` in degrees Celsius.
 _RANGES = {"motor": (1, 15), "at": (0, 86_400), "for": (0, 86_400), "celsius": (0, 250), "share": (0, 1)}
 _EXAMPLE = "lost:motor=3,at=5,for=2"
 
 
 @dataclass(frozen=True)
 class BusFault:
-    """A fault to inject into a bus, and the time at which it occurs.
+    """A fault to inject into a bus.
 
     Attributes:
         kind: LOST, HOT, DROP or STUCK.
-        channel: name of the bus; empty for all buses.
-        motor: number of the lost or hot motor.
-        at: start of the fault in simulation time, s.
-        seconds: duration of the fault, s.
-        celsius: temperature of a hot rotor, degrees Celsius.
-        share: share of the frames that are dropped, in each direction.
+        channel: empty for all buses.
+        at, seconds: start and duration in simulation time.
+        celsius: of a hot rotor.
+        share: of dropped frames, in each direction.
     """
 
     kind: str
@@ -47,10 +45,10 @@ class BusFault:
 
 
 def parse_fault(text: str) -> BusFault:
-    """Parse the text of a `--fault` flag, such as `lost:motor=3,at=5,for=2`.
+    """Parse a `--fault` flag, such as `lost:motor=3,at=5,for=2`.
 
     Raises:
-        UsageError: the text is invalid; the message lists the valid values.
+        UsageError: the text is invalid; the message lists valid values.
     """
     kind, _, rest = text.partition(":")
     if kind not in _KEYS:
@@ -82,15 +80,14 @@ def _number(text: str, key: str, value: str) -> float:
 
 
 class MotorBus:
-    """Simulated CAN bus that passes frames to its motors and injects faults. All times are simulation time, s.
+    """A CAN bus with motors and faults. Times are simulation time, s.
 
     Attributes:
-        channel: name of the bus, such as `can0`.
-        stuck: whether the gripper is stuck.
-        frames_received, dropped: number of received frames, and of frames dropped in either direction.
+        stuck: the gripper is stuck.
+        frames_received, dropped: frames, dropped in either direction.
 
     Args:
-        seed: seed of the random choice of dropped frames.
+        seed: of the choice of dropped frames.
     """
 
     def __init__(self, channel: str, motors: Sequence[Motor], faults: Sequence[BusFault] = (), seed: int = 0) -> None:
@@ -104,7 +101,7 @@ class MotorBus:
         self._drop_share = 0.0
 
     def send(self, frame: CanFrame, now: float) -> list[CanFrame]:
-        """Send a frame to all motors and return their answers, without frames that a fault drops."""
+        """Send a frame to all motors; return answers that no fault drops."""
         self.frames_received += 1
         if self._drops_frame():
             return []
@@ -112,7 +109,7 @@ class MotorBus:
         return [answer for answer in answers if not self._drops_frame()]
 
     def advance_to(self, now: float) -> None:
-        """Advance the time to `now`, s: update temperatures and timeouts, and begin and end faults."""
+        """Advance to `now`, s: update motors, and begin and end faults."""
         if (seconds := now - self._updated) < _UPDATE_SECONDS:
             return
         self._updated = now

@@ -1,4 +1,4 @@
-"""Namings of columns: configs that say which column of another program's recording is which joint or gripper."""
+"""Namings: configs that say which column of another program's recording is which joint or gripper."""
 
 from __future__ import annotations
 
@@ -16,30 +16,26 @@ from yamsim_cli.core.recorded_motion import ArmMotion
 
 from .recording import motion_sides
 
-KIND = "recordings"  # folder of the namings in configs/
+KIND = "recordings"  # folder of namings in configs/
 
 
 def candidate_namings(mapping: str | None, locations: Locations) -> list[RecordingNames]:
-    """Return the naming `mapping`, or if None, all namings of `configs/recordings/` in the order of their names."""
+    """Return the naming `mapping`, or if None, all of `configs/recordings/`."""
     names = locations.config_names(KIND) if mapping is None else [mapping]
     return [load_config(RecordingNames, KIND, name, locations) for name in names]
 
 
 def arm_keys(rig: RigConfig) -> list[str]:
-    """Return each arm's key in a naming, the left arm's first: `left` and `right`, or `only` for a single arm."""
+    """Return arm keys in a naming: `left` and `right`, or `only`."""
     return [side or "only" for side in motion_sides(rig)]
 
 
 def find_naming(
     columns: Sequence[str], rig: RigConfig, mapping: str | None, source: str, locations: Locations
 ) -> RecordingNames:
-    """Return the naming `mapping`, or if None, the first naming that fits the columns of a recording and the rig.
+    """Return the naming `mapping`, or if None, the first that fits columns and rig.
 
-    Namings of `configs/recordings/` are tried first, then the names of the rig's drives and joints.
-
-    Args:
-        columns: names of the recording's columns.
-        source: name of the recording, for error messages.
+    `configs/recordings/` comes first, then the rig's names of drives and joints.
 
     Raises:
         ConfigError: `mapping` does not exist or does not fit.
@@ -64,10 +60,7 @@ def find_naming(
 def named_arms(
     names: RecordingNames, rig: RigConfig, measured: Mapping[str, Array], commanded: Mapping[str, Array] | None
 ) -> tuple[ArmMotion, ...]:
-    """Return the motion of each arm, the left arm's first, from columns (n,) that a naming assigns to the arms.
-
-    Openings keep the unit of the naming. `commanded` is None if the recording has no commands.
-    """
+    """Return each arm's motion, the left first, from named columns (n,); openings keep their unit."""
     motions = []
     for side, key in zip(motion_sides(rig), arm_keys(rig), strict=True):
         joints, gripper = names.arms[key].joints, names.arms[key].gripper
@@ -84,12 +77,11 @@ def named_arms(
 
 
 def arm_columns(arm: ArmNames) -> tuple[str, ...]:
-    """Return the names of the columns of an arm's joints, and last of its gripper if it has one."""
+    """Return the columns of an arm's joints, and last of any gripper."""
     return arm.joints if arm.gripper is None else (*arm.joints, arm.gripper)
 
 
 def _missing(names: RecordingNames, columns: Sequence[str], rig: RigConfig) -> str | None:
-    """Return a text on the first arm, joint or column that the rig needs but `names` or `columns` lack, else None."""
     keys = arm_keys(rig)
     if set(keys) != set(names.arms):
         return " and ".join(f"arm {key!r} in it" for key in keys)
@@ -104,7 +96,7 @@ def _missing(names: RecordingNames, columns: Sequence[str], rig: RigConfig) -> s
 
 
 def _drive_names(rig: RigConfig) -> list[RecordingNames]:
-    """Return the namings of yamsim's exports: by drives and by joints, with the side as prefix for two arms."""
+    """Return the namings of yamsim's exports, with the side as prefix for two arms."""
     by_drive, by_joint = {}, {}
     for side, key, k in zip(motion_sides(rig), arm_keys(rig), rig.recording_order, strict=True):
         robot, prefix = rig.arms[k].robot, f"{side}_" if side else ""

@@ -1,4 +1,4 @@
-"""Read and write motions as CSV: a header and one row per sample, in s, rad, and m of one finger's opening.
+"""Read and write motions as CSV: a row per sample, in s, rad, and m of one finger's opening.
 
 Columns are `t`, `command_joint1`, `position_gripper` and so on, or `position_left_joint3` for two arms.
 """
@@ -24,11 +24,11 @@ TIME = "t"
 _COMMAND, _POSITION, _VELOCITY = "command", "position", "velocity"
 _GRIPPER = "gripper"
 
-_MAX_BYTES = 1 << 30  # largest size of a file; three hours at 250 Hz are 0.6 GB
+_MAX_BYTES = 1 << 30  # three hours at 250 Hz are 0.6 GB
 
 
 def csv_columns(rig: RigConfig) -> list[str]:
-    """Return the column names of a CSV file that yamsim writes: time, all commands, and all measured positions."""
+    """Return the columns that yamsim writes: time, all commands, all measured positions."""
     robots = [rig.arms[k].robot for k in rig.recording_order]
     return [
         TIME,
@@ -42,7 +42,7 @@ def csv_columns(rig: RigConfig) -> list[str]:
 
 
 def read_csv(path: Path, rig: RigConfig) -> RecordedMotion:
-    """Read the motion of a rig's arms from a CSV file. Columns with other names are ignored.
+    """Read the motion of a rig's arms; other columns are ignored.
 
     Raises:
         DatasetError: the file cannot be read, lacks columns, or has an invalid row.
@@ -66,12 +66,7 @@ def read_csv(path: Path, rig: RigConfig) -> RecordedMotion:
 
 
 def encode_csv(rig: RigConfig, times: Sequence[float] | Array, columns: Array) -> bytes:
-    """Encode a motion as a CSV file, from which `read_csv` restores exactly the same numbers.
-
-    Args:
-        times: times of the samples (n,), s.
-        columns: values (n, m), in the order of `csv_columns` after the first column.
-    """
+    """Encode times (n,), s, and columns (n, m), in the order of `csv_columns`, without loss for `read_csv`."""
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
     writer.writerow(csv_columns(rig))
@@ -119,11 +114,6 @@ def _rows(path: Path, names: Sequence[str], lines: Iterator[list[str]]) -> Itera
 
 
 def _arm_motions(columns: Mapping[str, Array], rig: RigConfig, path: Path) -> tuple[ArmMotion, ...]:
-    """Return each arm's motion, the left arm's first, from columns (n,) of a CSV file. Other columns are ignored.
-
-    Raises:
-        DatasetError: a joint has no position, or only some joints have a command.
-    """
     columns = {_usual_name(name, motion_sides(rig)): values for name, values in columns.items()}
     motions = []
     for side, k in zip(motion_sides(rig), rig.recording_order, strict=True):
@@ -152,7 +142,7 @@ def _column(kind: str, side: str, joint: str) -> str:
 
 
 def _usual_name(name: str, arms: Sequence[str]) -> str:
-    """Return names such as `left_command_joint1` as `command_left_joint1`, and all other names unchanged."""
+    """Return `left_command_joint1` as `command_left_joint1`; other names stay."""
     side, _, rest = name.partition("_")
     kind, _, joint = rest.partition("_")
     return _column(kind, side, joint) if side in arms and kind in (_COMMAND, _POSITION, _VELOCITY) else name
@@ -161,7 +151,6 @@ def _usual_name(name: str, arms: Sequence[str]) -> str:
 def _joint_columns(
     columns: Mapping[str, Array], kind: str, side: str, joints: Sequence[str], path: Path
 ) -> Array | None:
-    """Return the columns of the joints (n, dof), or None if no joint has a column."""
     names = [_column(kind, side, joint) for joint in joints]
     missing = [name for name in names if name not in columns]
     if len(missing) == len(names):

@@ -1,7 +1,7 @@
-"""Read LeRobot datasets of YAM arms, versions 2.0 to 3.0: rows in Parquet, images in MP4 or in the rows.
+"""Read LeRobot datasets of YAM arms, versions 2.0 to 3.0: Parquet rows, images in MP4 or in the rows.
 
-Source: lerobot 0.4.4 and 0.6.1. `meta/info.json` has `codebase_version`, `video_path` and `features`. Version 2 has one
-Parquet file and one MP4 per episode. Version 3 has several episodes per file, listed in `meta/episodes/`.
+Source: lerobot 0.4.4 and 0.6.1. `meta/info.json` has `codebase_version`, `video_path` and `features`. Version 2 has a
+Parquet file and an MP4 per episode; version 3 several episodes per file, listed in `meta/episodes/`.
 """
 
 from __future__ import annotations
@@ -35,59 +35,46 @@ from .recording import JPEG_QUALITY, CameraImages, Recording, times_from_seconds
 
 INFO = "meta/info.json"
 _STATE, _ACTION, _PICTURE = "observation.state", "action", "observation.images."
-# Added by yamsim's export of real recordings: the recorded times, and the unit of the grippers.
+# Added by yamsim's export of real recordings: recorded times, and the grippers' unit.
 _OWN_TIME, _OWN_FILE, _OWN_UNIT = "recorded_time", "meta/yamsim.json", "gripper"
 _JPEG_START = b"\xff\xd8"
-_MAX_JSONL_BYTES = 1 << 26  # largest size of a JSON lines file
+_MAX_JSONL_BYTES = 1 << 26
 
-# Fields of `video_path` in lerobot 0.4.4 and 0.6.1: the first three in version 2, the first and the last two in 3.
+# Fields of `video_path` in lerobot 0.4.4 and 0.6.1: the first three in version 2, the first and last two in 3.
 _FIELDS = ("video_key", "episode_chunk", "episode_index", "chunk_index", "file_index")
-_FORMAT_SPEC = re.compile(r"(0?[1-9]?d)?")  # number padded to at most 9 digits; wider padding could fill the memory
+_FORMAT_SPEC = re.compile(r"(0?[1-9]?d)?")  # padded to at most 9 digits; wider padding could fill the memory
 _MAX_PATTERN_LENGTH = 1000  # characters of `video_path`; file paths have at most 4096 bytes
-_MAX_FPS = 10_000.0  # frames per second, far above the rate of any camera
-_MAX_NUMBER = 1_000_000_000  # largest number in a path, and largest number of episodes in a chunk
-_CHUNK_SIZE = 1000  # episodes in a chunk, if a dataset of version 2 states no `chunks_size`. Source: lerobot 0.4.4
+_MAX_FPS = 10_000.0  # far above any camera's rate
+_MAX_NUMBER = 1_000_000_000  # largest number in a path, and of episodes in a chunk
+_CHUNK_SIZE = 1000  # episodes, if a version 2 dataset states no `chunks_size`. Source: lerobot 0.4.4
 
 
 @dataclass(frozen=True)
 class VideoPaths:
-    """Finds the video files of a LeRobot dataset from the path pattern in its `meta/info.json`.
-
-    Attributes:
-        path: folder of the dataset.
-        info: unchecked content of its `meta/info.json`.
-    """
+    """Finds a dataset's videos by the pattern in its unchecked `meta/info.json`."""
 
     path: Path
     info: Mapping[str, Any]
 
     @property
     def fps(self) -> float:
-        """Frames per second.
-
-        Raises:
-            DatasetError: `fps` is missing or not a positive number.
-        """
+        """Frames per second. Raises `DatasetError` if `fps` is missing or not positive."""
         fps = self.info.get("fps")
         if not _is_number(fps) or not 0 < fps <= _MAX_FPS:
             raise self._invalid("fps", f"a number above 0, at most {_MAX_FPS:g} frames per second")
         return float(fps)
 
     def check(self) -> None:
-        """Check the values of `info.json` that describe videos: frame rate, path pattern and chunk size.
-
-        Raises:
-            DatasetError: a value is missing or invalid.
-        """
+        """Check frame rate, path pattern and chunk size. Raises `DatasetError` if a value is missing or invalid."""
         _ = self.fps, self._pattern, self._chunk_size
 
     def locate(self, key: str, number: int, row: Mapping[str, Any] | None) -> tuple[Path, float]:
-        """Return the file with a camera's video of an episode, and the time at which the episode begins in it, s.
+        """Return the file with a camera's video, and the time at which the episode begins in it, s.
 
         Args:
-            key: name of the camera's feature, such as `observation.images.wrist`.
-            number: number of the episode.
-            row: row of the episode in `meta/episodes/` of version 3; None for version 2.
+            key: such as `observation.images.wrist`.
+            number: of the episode.
+            row: of version 3's `meta/episodes/`.
 
         Raises:
             DatasetError: `info.json` or the row is invalid, or the file lies outside the dataset.
@@ -155,8 +142,6 @@ def _short(value: object) -> str:
 
 @dataclass(frozen=True)
 class _Dataset:
-    """A dataset's folder, the content of its `info.json`, and the user's rig and naming of columns (`mapping`)."""
-
     path: Path
     info: Mapping[str, Any]
     rig: RigConfig
@@ -168,7 +153,7 @@ class _Dataset:
         return VideoPaths(self.path, self.info)
 
     def feature_names(self, key: str, width: int) -> list[str]:
-        """Return the column names of a feature. Some programs nest the list in another list or a dictionary."""
+        """Return a feature's columns. Some programs nest the list in a list or a dictionary."""
         names = self.info["features"].get(key, {}).get("names")
         if isinstance(names, dict):
             names = next(iter(names.values()), None)
@@ -180,7 +165,6 @@ class _Dataset:
 
     @property
     def gripper(self) -> GripperUnit | None:
-        """Unit of the grippers if yamsim wrote the dataset, else None."""
         try:
             content = json.loads((self.path / _OWN_FILE).read_bytes())
         except (OSError, ValueError):
@@ -189,7 +173,7 @@ class _Dataset:
         return unit if unit in get_args(GripperUnit) else None
 
     def cameras(self, kind: str) -> list[str]:
-        """Return the features of the cameras whose dtype is `kind`: `video`, or `image` for an image in each row."""
+        """Return cameras of dtype `kind`: `video`, or `image` for an image per row."""
         return [
             key
             for key, feature in self.info["features"].items()
@@ -198,10 +182,7 @@ class _Dataset:
 
 
 def read_lerobot(path: Path, rig: RigConfig, mapping: str | None, locations: Locations) -> list[Recording]:
-    """Return the episodes of a LeRobot dataset.
-
-    Args:
-        mapping: config in `configs/recordings/` or YAML file that assigns columns to joints; None to find one.
+    """Return a LeRobot dataset's episodes; `mapping` is a config or YAML file of columns, None to find one.
 
     Raises:
         DatasetError: the dataset is damaged or has an unsupported version, or no naming fits.
@@ -246,7 +227,7 @@ def _recording(
     if _ACTION in table:
         actions = _rows(table, _ACTION, name)
         by_name = dict(zip(dataset.feature_names(_ACTION, actions.shape[1]), actions.T, strict=True))
-        # An action with other columns, such as poses of hands, has no commands of drives.
+        # Actions with other columns, such as hand poses, are no drive commands.
         if all(column in by_name for arm in names.arms.values() for column in arm_columns(arm)):
             commanded = by_name
     times = times_from_seconds(np.ravel(np.asarray(table.get(_OWN_TIME, table["timestamp"]), dtype=np.float64)), name)
@@ -281,7 +262,7 @@ def _rows(table: Mapping[str, Any], key: str, name: str) -> Array:
 
 
 def _episodes(path: Path) -> Iterator[tuple[int, dict[str, Any]]]:
-    """Yield the number and columns of each episode. In version 3, an episode may continue in the next file."""
+    """Yield episodes, which version 3 may continue in the next file."""
     unfinished: tuple[int, dict[str, list[Any]]] | None = None
     for file in sorted((path / "data").glob("chunk-*/*.parquet")):
         table = _table(file)
@@ -312,7 +293,6 @@ def _table(file: Path) -> dict[str, Any]:
 
 
 def _tasks(path: Path) -> dict[int, str]:
-    """Return the text of each task, by the number of the task."""
     parquet = path / "meta/tasks.parquet"
     if parquet.is_file():
         table = _table(parquet)
@@ -323,7 +303,7 @@ def _tasks(path: Path) -> dict[int, str]:
 
 
 def _episode_rows(path: Path, version: str) -> dict[int, dict[str, Any]]:
-    """Return number of an episode -> its metadata in `meta/`: its length and, in version 3, where its videos are."""
+    """Return episode -> its length and, in version 3, where its videos are."""
     if not version.startswith("v3"):
         rows = _json_lines(path / "meta/episodes.jsonl")
         return {row["episode_index"]: row for row in rows if isinstance(row.get("episode_index"), int)}
@@ -337,7 +317,6 @@ def _episode_rows(path: Path, version: str) -> dict[int, dict[str, Any]]:
 
 
 def _json_lines(file: Path) -> list[dict[str, Any]]:
-    """Return the dictionaries in a JSON lines file, or no dictionaries if the file is missing."""
     if not file.is_file():
         return []
     try:
@@ -352,7 +331,6 @@ def _json_lines(file: Path) -> list[dict[str, Any]]:
 def _video_jpegs(
     videos: VideoPaths, key: str, number: int, row: Mapping[str, Any] | None, frames: int
 ) -> Iterator[bytes]:
-    """Yield the frames of an episode's video as JPEG."""
     file, begin = videos.locate(key, number, row)
     count = 0
     for image in read_video_frames(file, begin, frames, 0.5 / videos.fps):
@@ -365,7 +343,6 @@ def _video_jpegs(
 
 
 def _row_jpegs(rows: Sequence[Any], source: str) -> Iterator[bytes]:
-    """Yield the PNG or JPEG images of rows as JPEG."""
     for k, row in enumerate(rows):
         data = row.get("bytes") if isinstance(row, dict) else None
         image = decode_image(data) if isinstance(data, bytes) else None

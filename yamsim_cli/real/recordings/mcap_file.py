@@ -1,4 +1,4 @@
-"""Read MCAP files with joints of arms in protobuf or JSON messages, such as the episodes of ABC-130k."""
+"""Read MCAP files with joints in protobuf or JSON messages, such as ABC-130k episodes."""
 
 from __future__ import annotations
 
@@ -22,18 +22,17 @@ from yamsim_cli.core.recorded_motion import ArmMotion, RecordedMotion
 from .column_names import KIND, arm_keys, candidate_namings
 from .recording import JPEG_QUALITY, CameraImages, Recording, Samples, motion_sides, times_from_nanoseconds
 
-_MAX_MESSAGES = 5_000_000  # largest number of messages in a file
-# s; a topic may start this much later, and end this much earlier, than the topic of the first arm's state. A later
-# start is an error, and an earlier end is reported as a problem.
+_MAX_MESSAGES = 5_000_000
+# s, relative to the first arm's state. A later start of a topic is an error, an earlier end a problem.
 _LATEST_START = _EARLIEST_END = 1.0
 
-Rows = list[tuple[int, Array]]  # time (ns) and values of each message of a topic
+Rows = list[tuple[int, Array]]  # time (ns) and values of a topic's messages
 
 
 def read_mcap(path: Path, rig: RigConfig, mapping: str | None, locations: Locations) -> list[Recording]:
-    """Read the one recording in an MCAP file, and return it in a list.
+    """Return the one recording of an MCAP file.
 
-    The samples are the messages of the first arm's state. Each other topic gives its last value before each sample.
+    Samples are the first arm's state messages; other topics give their last value before each.
 
     Raises:
         DatasetError: the file is damaged or cut off, or no naming fits its topics.
@@ -93,7 +92,6 @@ def _arms(
 
 
 def _early_ends(rows: Mapping[str, Rows], stamps: Samples) -> Iterator[str]:
-    """Yield a line of text for each topic that ends more than `_EARLIEST_END` s before the last of `stamps`, ns."""
     for topic, messages in sorted(rows.items()):
         if messages and (early := (stamps[-1] - messages[-1][0]) * 1e-9) > _EARLIEST_END:
             yield f"{topic} ends {early:.1f} s before the arm's state, and keeps its last value: was it cut off?"
@@ -115,7 +113,7 @@ def _naming(
 
 
 def _last_values(rows: Rows, stamps: Samples, width: int, source: str) -> Array:
-    """Return the last value (n, width) of a topic before each of the time stamps (n,), ns."""
+    """Return a topic's last values (n, width) before time stamps (n,), ns."""
     if not rows:
         raise DatasetError(f"{source}: holds no message")
     when = np.array([time for time, _ in rows], dtype=np.int64)
@@ -133,7 +131,6 @@ def _last_values(rows: Rows, stamps: Samples, width: int, source: str) -> Array:
 
 
 def _images(path: Path, topic: str, stamps: Samples) -> CameraImages:
-    """Return the images of a camera, each assigned to the last sample before the image."""
     when = [time for _, time, _ in _messages(path, {topic}, decoded=False)]
     after = np.searchsorted(stamps, np.array(when, dtype=np.int64), side="right")
     kept, first = np.unique(np.clip(after - 1, 0, None).astype(np.int64), return_index=True)
@@ -157,14 +154,13 @@ def _numbers(message: Any, field: str, topic: str, path: Path) -> Array:
 
 
 def _field(message: Any, name: str) -> Any:
-    """Return a field of a decoded message. Dots in `name` separate nested fields."""
     for part in name.split("."):
         message = message.get(part) if isinstance(message, dict) else getattr(message, part, None)
     return message
 
 
 def _messages(path: Path, topics: set[str], *, decoded: bool = True) -> Iterator[tuple[str, int, Any]]:
-    """Yield topic, time (ns) and content of each message, in the order of time. The content is None if not decoded."""
+    """Yield topic, time (ns) and content (None if not decoded), in order of time."""
     with _OpenedMcap(path) as reader:
         made = reader.iter_decoded_messages if decoded else reader.iter_messages
         for count, found in enumerate(made(topics=sorted(topics))):
@@ -174,7 +170,7 @@ def _messages(path: Path, topics: set[str], *, decoded: bool = True) -> Iterator
 
 
 class _OpenedMcap:
-    """Context manager for an MCAP file with protobuf and JSON decoders. Errors of mcap become `DatasetError`."""
+    """Opens an MCAP file with protobuf and JSON decoders. Errors of mcap become `DatasetError`."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -199,7 +195,5 @@ class _OpenedMcap:
 
 
 class _JsonDecoders:
-    """mcap's decoder factory for JSON messages."""
-
     def decoder_for(self, encoding: str, schema: Any) -> Any:
         return json.loads if encoding == "json" else None

@@ -1,4 +1,4 @@
-"""Find faults of recorded motions: gaps, wrong units, swapped arms, and mirrored grippers."""
+"""Find faults of recorded motions: gaps, wrong units, swapped arms, mirrored grippers."""
 
 from __future__ import annotations
 
@@ -17,25 +17,25 @@ from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.core.recorded_motion import ArmMotion, RecordedMotion
 from yamsim_cli.core.robots.robot import Robot
 
-# A pause between samples is a gap if it exceeds both limits: a multiple of the median pause, and a time, s.
+# A gap exceeds both a multiple of the median pause, and a time, s.
 _GAP_FACTOR, _GAP_SECONDS = 5.0, 0.1
-_LIMIT_TOLERANCE = 0.1  # rad beyond a joint limit; arms are calibrated to a degree or two
+_LIMIT_TOLERANCE = 0.1  # rad; arms are calibrated to a degree or two
 _MAX_ANGLE = 2 * math.pi  # rad; no joint turns farther, so larger values are degrees
-_PERIOD = QuantityBounds("s", 1e-5, 0.5)  # median time between samples, 100 kHz to 2 Hz; times in ms exceed the range
-_MIN_MOTION = 0.05  # rad; a smaller change counts as noise
-_SWAPPED_FACTOR = 3.0  # arms are swapped if each arm's commands fit the other arm's joints by this factor better
-_OPENING_FACTOR = 1.1  # openings above this multiple of the fingers' range are not in metres
-# A joint is frozen if its measurement stays constant for this time, s, while its command moves by this angle, rad.
+_PERIOD = QuantityBounds("s", 1e-5, 0.5)  # median step, 100 kHz to 2 Hz; times in ms exceed it
+_MIN_MOTION = 0.05  # rad; smaller changes are noise
+_SWAPPED_FACTOR = 3.0  # commands that fit the other arm's joints by this factor better are swapped
+_OPENING_FACTOR = 1.1  # multiple of the fingers' range; larger openings are not in metres
+# A joint is frozen if its measurement rests this long, s, while its command moves this far, rad.
 _FROZEN_SECONDS, _FROZEN_COMMAND = 1.0, 0.1
-_MIRRORED = -0.5  # correlation of openings with commanded openings below which one of them is mirrored
-_MIN_OPENING = 0.2  # share of the fingers' range; motions below this are too small for a correlation
-# Fingers stall if they stand still for this time, s, at this distance from their command, as a share of their range.
+_MIRRORED = -0.5  # correlation of openings with commands, below which one is mirrored
+_MIN_OPENING = 0.2  # share of the fingers' range; smaller motions have no correlation
+# Fingers stall if they rest this long, s, this far from their command, shares of their range.
 _STALL_SECONDS, _STALL_DISTANCE = 0.5, 0.2
-_STILL_SPEED = 0.2  # shares of the range per s; slower fingers stand still; noise of an encoder is half of this speed
+_STILL_SPEED = 0.2  # shares of the range per s; slower fingers rest; encoder noise is half of it
 
 
 class MotionFault(StrEnum):
-    """Kind of a fault that a recorded motion can have, such as gaps, degrees instead of rad, or swapped arms."""
+    """A fault of a recorded motion."""
 
     GAP = "gap"
     DEGREES = "degrees"
@@ -54,13 +54,7 @@ _WRONG_UNITS = (MotionFault.DEGREES, MotionFault.TIME_UNIT)
 
 @dataclass(frozen=True)
 class MotionProblem:
-    """A fault that was found in a motion.
-
-    Attributes:
-        fault: kind of the fault.
-        text: one line with the joint, the value and advice.
-        time: time at which the fault begins, s; None if the fault concerns the whole motion.
-    """
+    """A fault with a line of text: joint, value and advice. `time` is its beginning, s; None for the whole motion."""
 
     fault: MotionFault
     text: str
@@ -82,7 +76,7 @@ def find_faults(motion: RecordedMotion, rig: RigConfig) -> list[MotionProblem]:
 
 
 def require_units(name: str, problems: Iterable[MotionProblem]) -> None:
-    """Check that times are in s and joints in rad, from the problems that `find_faults` found in a recording.
+    """Check that times are in s and joints in rad, by the result of `find_faults`.
 
     Raises:
         DatasetError: a problem is a wrong unit.
@@ -103,11 +97,7 @@ def _time_unit(times: Array) -> Iterator[MotionProblem]:
 
 
 def find_gaps(times: Array, what: str = "nothing was recorded") -> Iterator[MotionProblem]:
-    """Yield the gaps between recorded times (n,), s.
-
-    Args:
-        what: first words of each gap's text; the text goes on with the length of the gap.
-    """
+    """Yield gaps between times (n,), s; each text has `what` and the gap's length."""
     if len(times) < 2:
         return
     pauses = np.diff(times)
@@ -148,7 +138,7 @@ def _too_fast(times: Array, arm: ArmMotion, robot: Robot) -> Iterator[MotionProb
     when, joints = times[known], arm.joints[known]
     speeds = np.abs(np.diff(joints, axis=0)) / np.diff(when)[:, None]
     for k, joint in enumerate(robot.joints):
-        # Encoder noise gives high speeds between two samples, so small changes do not count.
+        # Encoder noise between two samples is fast but small.
         fast = (speeds[:, k] > joint.reported_rad_s) & (np.abs(np.diff(joints[:, k])) > _MIN_MOTION)
         if fast.any():
             at = int(np.argmax(fast))
@@ -195,7 +185,7 @@ def _gripper(times: Array, arm: ArmMotion, robot: Robot) -> Iterator[MotionProbl
 
 
 def _mirrored_gripper(name: str, times: Array, measured: Array, commanded: Array) -> Iterator[MotionProblem]:
-    """Yield a fault if openings (n,), as shares of the fingers' range, seem to be counted from the other end."""
+    """Yield a fault if openings (n,), shares of the range, seem counted from the other end."""
     if (
         min(np.ptp(commanded), np.ptp(measured)) > _MIN_OPENING
         and (r := float(np.corrcoef(commanded, measured)[0, 1])) < _MIRRORED
@@ -211,7 +201,7 @@ def _mirrored_gripper(name: str, times: Array, measured: Array, commanded: Array
 
 
 def _first_stall(times: Array, measured: Array, commanded: Array) -> float | None:
-    """Return the time, s, at which fingers first stall while opening; None if they never do, or stall while closing."""
+    """Return when fingers first stall while opening, s; None if never, or if they stall while closing."""
     ahead = measured - commanded
     still = np.abs(np.gradient(measured, times)) < _STILL_SPEED
     stalls = np.where(still & (np.abs(ahead) > _STALL_DISTANCE), np.sign(ahead), 0)

@@ -1,4 +1,4 @@
-"""Read motions from yamsim's episodes and datasets, and from recordings of other programs in all known formats."""
+"""Read motions from yamsim's episodes and datasets, and from recordings in all known formats."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from .mcap_file import read_mcap
 from .raiden_files import ROBOT_DATA, read_lowdim, read_raiden_raw
 from .recording import Recording, split_arms
 
-# Function that reads the recordings at a path. Arguments: path, rig, naming of columns (None to find one), locations.
+# Arguments: path, rig, naming of columns (None to find one), locations.
 Reader = Callable[[Path, RigConfig, str | None, Locations], list[Recording]]
 
 _READERS: Mapping[str, Reader] = {
@@ -37,10 +37,10 @@ _BY_ENDING = {".csv": "csv", ".mcap": "mcap", ".npz": "raiden_raw"}
 
 
 def detect_format(path: Path) -> str:
-    """Return the name of the format of a file or a folder.
+    """Return a file's or folder's format.
 
     Raises:
-        DatasetError: the path does not exist, its format is unknown, or the path is a dataset of yamsim's.
+        DatasetError: the path does not exist, its format is unknown, or it is a dataset of yamsim's.
     """
     if not path.exists():
         raise DatasetError(f"{path} does not exist")
@@ -62,11 +62,7 @@ def detect_format(path: Path) -> str:
 
 
 def format_reader(name: str) -> Reader:
-    """Return the function that reads recordings of the format `name`, such as `csv`.
-
-    Raises:
-        UsageError: no format has that name.
-    """
+    """Return the reader of a format, such as `csv`. Raises `UsageError` if no format has that name."""
     if name not in _READERS:
         raise UsageError(f"--format {name!r} is not valid; {suggest(name, _READERS)}")
     return _READERS[name]
@@ -75,10 +71,7 @@ def format_reader(name: str) -> Reader:
 def read_motions(
     recordings: Sequence[Path], rig: RigConfig, locations: Locations, mapping: str | None = None
 ) -> list[RecordedMotion]:
-    """Return the motions of recordings, in order, with all samples. A dataset gives one motion for each episode.
-
-    Args:
-        mapping: config or YAML file that assigns columns to joints; None to find one that fits.
+    """Return recordings' motions in order, one per episode; `mapping` is a config or YAML file of columns.
 
     Raises:
         DatasetError: a recording is missing, unreadable or damaged, or does not fit the rig.
@@ -98,10 +91,9 @@ def read_motions(
 
 
 def read_episode(episode: RecordedEpisode, rig: RigConfig) -> RecordedMotion:
-    """Return the motion of a simulated or imported episode.
+    """Return an episode's motion.
 
-    A simulated episode has a sample for each control tick, with joints of NaN at ticks between frames. An imported
-    episode has a sample for each frame.
+    A simulated one has a sample per control tick, joints being NaN between frames; an imported one a sample per frame.
 
     Raises:
         DatasetError: the episode is damaged or does not fit the rig.
@@ -134,12 +126,11 @@ def read_episode(episode: RecordedEpisode, rig: RigConfig) -> RecordedMotion:
 def _per_tick_samples(
     times: Array, joints: Array, frames: list[dict[str, Any]], rig: RigConfig
 ) -> tuple[Array, Array, Array]:
-    """Return times (n,), measured joints and commands (n, arms, drives), with a sample for each control tick."""
     order = np.concatenate([np.arange(rig.drives) + arm * rig.drives for arm in rig.recording_order])
     starts, commands, measured = [], [], []
     for k, frame in enumerate(frames):
         ticks = np.asarray(frame["sim_ctrl"], dtype=np.float64)
-        # The last frame may have fewer ticks than the frames before. Its ticks have the same length.
+        # The last frame may have fewer ticks, of the same length.
         if k + 1 < len(times):
             tick = (times[k + 1] - times[k]) / len(ticks)
         starts += list(times[k] + tick * np.arange(len(ticks)))

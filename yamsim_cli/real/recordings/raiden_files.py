@@ -1,11 +1,11 @@
 """Read recordings of raiden and the lab's fork: raw `robot_data.npz`, and folders with `rgb/` and `lowdim/`.
 
-A raw recording has `timestamps` in ns at about 100 Hz, and `follower_l_joint_pos_7d` and `follower_l_joint_cmd` (n, 7).
-These are six joints in rad and the gripper as a share, from 0 (closed) to 1 (open). `follower_r` has the same keys.
+A raw recording has `timestamps` in ns at about 100 Hz, and `follower_l_joint_pos_7d` and `follower_l_joint_cmd` (n, 7):
+six joints in rad and the gripper, 0 (closed) to 1 (open). `follower_r` has the same keys.
 
-A frame of a folder is a pickle with `joints` and optional `action_joints` (7,) or (14,). The left arm comes first, and
-each arm's gripper last. raiden's converter writes grippers as shares, and times to `rgb/<camera>/timestamps.npy`, ns.
-The lab's fork writes grippers in metres, and `timestamp`, s.
+A folder's frame is a pickle with `joints` and optional `action_joints` (7,) or (14,), left arm first, each gripper
+last. raiden's converter writes grippers as shares, and times to `rgb/<camera>/timestamps.npy`, ns; the lab's fork
+writes metres, and `timestamp`, s.
 
 Source: TRI-ML/raiden 2353b10, `recorder.py` and `converter.py`.
 """
@@ -45,18 +45,18 @@ from .recording import (
 
 ROBOT_DATA = "robot_data.npz"
 
-_FOLLOWERS = {"left": "follower_l", "right": "follower_r"}  # side of an arm -> prefix of its arrays in a raw recording
+_FOLLOWERS = {"left": "follower_l", "right": "follower_r"}  # side -> prefix in a raw recording
 _METADATA = "metadata.json"
 _TIMESTAMPS = "timestamps.npy"
 _JPEG = (".jpg", ".jpeg")
 _PICTURES = (*_JPEG, ".png")
-_MAX_RAW_BYTES = 1 << 30  # largest size of a raw recording; a larger file is no recording of one task
-_MAX_FRAME_BYTES = 1 << 20  # largest size of a frame's pickle
-_SHARE_FACTOR = 1.5  # openings above this multiple of the fingers' range are shares, not metres
+_MAX_RAW_BYTES = 1 << 30  # a larger file is no recording of one task
+_MAX_FRAME_BYTES = 1 << 20
+_SHARE_FACTOR = 1.5  # multiple of the fingers' range; larger openings are shares, not metres
 
 
 def read_raiden_raw(path: Path, rig: RigConfig) -> list[Recording]:
-    """Read the one recording in a `robot_data.npz`, or in its folder, and return it in a list. Videos are not read.
+    """Read the one recording of a `robot_data.npz`, or of its folder, without videos.
 
     Raises:
         DatasetError: the file cannot be read, is damaged, or lacks an arm of the rig.
@@ -110,10 +110,10 @@ def _raw_rows(arrays: Mapping[str, NDArray[np.generic]], key: str, shape: tuple[
 
 
 def read_lowdim(path: Path, rig: RigConfig) -> list[Recording]:
-    """Read recordings with `lowdim/` and `rgb/`: the recording in the folder, or one in each of its subfolders.
+    """Read recordings with `lowdim/` and `rgb/`, in the folder or its subfolders.
 
     Raises:
-        DatasetError: the folder has no recording, or a recording is damaged or does not fit the rig.
+        DatasetError: the folder has no recording, or one is damaged or does not fit the rig.
     """
     folders = (
         [path] if (path / "lowdim").is_dir() else sorted(one for one in path.iterdir() if (one / "lowdim").is_dir())
@@ -148,13 +148,12 @@ def _lowdim_recording(folder: Path, rig: RigConfig) -> Recording:
 
 
 def _text(value: object) -> str:
-    """Return a text, the first of an array of texts, or an empty text for any other value."""
     texts = np.asarray("" if value is None else value).ravel()
     return str(texts[0]) if len(texts) and texts.dtype.kind == "U" else ""
 
 
 def _numbered_files(folder: Path, endings: Sequence[str]) -> list[Path]:
-    """Return the files whose names are numbers, in order. A missing number raises a DatasetError."""
+    """Return files named by numbers, in order. A missing number raises a DatasetError."""
     files = sorted(
         (file for file in folder.iterdir() if file.suffix.lower() in endings and file.stem.isdecimal()),
         key=lambda file: int(file.stem),
@@ -177,7 +176,6 @@ def _frame(file: Path) -> dict[str, Any]:
 
 
 def _frame_rows(frames: Sequence[dict[str, Any]], key: str, files: Sequence[Path], rig: RigConfig) -> Array:
-    """Return the values of `key` in each frame as an array (frames, arms, drives)."""
     arms, drives = len(rig.arms), rig.drives
     rows = []
     for frame, file in zip(frames, files, strict=True):
@@ -186,8 +184,7 @@ def _frame_rows(frames: Sequence[dict[str, Any]], key: str, files: Sequence[Path
         except (KeyError, TypeError, ValueError):
             raise DatasetError(f"{file}: has no numbers under {key!r}, but {', '.join(map(str, frame))}") from None
         if arms == 1 and len(row) == 2 * drives:
-            # The file has values of two arms and the rig has one: take the half of the rig's arm. An arm that is not
-            # on the left takes the left half if the right half is 0.
+            # Two arms, but the rig has one: an arm that is not on the left takes the left half only if the right is 0.
             row = row[:drives] if rig.arms[0].side == "left" or not np.any(row[drives:]) else row[drives:]
         if len(row) != arms * drives or not np.isfinite(row).all():
             raise DatasetError(
@@ -199,14 +196,13 @@ def _frame_rows(frames: Sequence[dict[str, Any]], key: str, files: Sequence[Path
 
 
 def _gripper_unit(folder: Path, joints: Array, rig: RigConfig) -> GripperUnit:
-    """Return `share` if raiden's converter wrote the folder or openings exceed the fingers' range, else `metres`."""
+    """Return `share` if raiden's converter wrote the folder or openings exceed the range, else `metres`."""
     fingers = [rig.arms[k].robot.fingers for k in rig.recording_order]
     widest = max((one.range[1] for one in fingers if one), default=0.0)
     return "share" if (folder / _METADATA).exists() or joints[..., -1].max() > _SHARE_FACTOR * widest else "metres"
 
 
 def _camera_files(folder: Path, frames: int) -> dict[str, list[Path]]:
-    """Return the image files of each camera, one for each frame."""
     found: dict[str, list[Path]] = {}
     for camera in sorted((folder / "rgb").iterdir()) if (folder / "rgb").is_dir() else []:
         files = _numbered_files(camera, _PICTURES) if camera.is_dir() else []
@@ -245,9 +241,9 @@ def _matrix(frame: dict[str, Any], key: str, camera: str, side: int) -> Array | 
 
 
 def _poses(frames: Sequence[dict[str, Any]], camera: str) -> Array | None:
-    """Return a camera's pose (n, 4, 4) in each frame, or None if a frame has none or all poses are the identity.
+    """Return a camera's poses (n, 4, 4), if all frames have one.
 
-    raiden's converter writes identities for a camera whose pose is unknown.
+    raiden's converter writes identities for unknown poses.
     """
     poses = [_matrix(frame, "extrinsics", camera, 4) for frame in frames]
     known = np.array([T for T in poses if T is not None])
@@ -255,7 +251,6 @@ def _poses(frames: Sequence[dict[str, Any]], camera: str) -> Array | None:
 
 
 def _jpegs(files: Sequence[Path]) -> Iterator[bytes]:
-    """Yield the images as JPEG. JPEG files are not encoded again."""
     for file in files:
         try:
             if file.suffix.lower() in _JPEG:
@@ -267,7 +262,6 @@ def _jpegs(files: Sequence[Path]) -> Iterator[bytes]:
 
 
 def _prompt(directory: Path) -> str:
-    """Return the instruction from `metadata.json`, or an empty text if the file has none."""
     metadata = _metadata(directory)
     language = metadata.get("language")
     keys = ("task_instruction", "instruction", "task_name")
@@ -276,7 +270,6 @@ def _prompt(directory: Path) -> str:
 
 
 def _problems(directory: Path, frames: int | None = None) -> tuple[str, ...]:
-    """Return the faults that `metadata.json` reports. If given, `frames` is the number of frames found."""
     metadata, file = _metadata(directory), directory / _METADATA
     problems = []
     if metadata.get("complete") is False:

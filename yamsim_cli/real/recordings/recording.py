@@ -1,4 +1,4 @@
-"""Recordings made by other programs: the motion of arms, and the images of cameras."""
+"""Recordings of other programs: arms' motion and cameras' images."""
 
 from __future__ import annotations
 
@@ -18,17 +18,12 @@ from yamsim_cli.core.recorded_motion import ArmMotion, RecordedMotion
 
 Samples = NDArray[np.int64]  # sample numbers, or times in ns
 
-JPEG_QUALITY = 95  # quality of images that are re-encoded as JPEG: hardly any loss
+JPEG_QUALITY = 95  # hardly any loss
 
 
 @dataclass(frozen=True)
 class CameraImages:
-    """JPEG images of one camera.
-
-    Attributes:
-        samples: increasing numbers (k,) of the motion's samples that have an image.
-        read: function that yields one JPEG for each of these samples, in order.
-    """
+    """JPEG images of one camera: `read` yields one for each of the increasing `samples` (k,)."""
 
     samples: Samples
     read: Callable[[], Iterator[bytes]]
@@ -36,19 +31,18 @@ class CameraImages:
 
 @dataclass(frozen=True)
 class Recording:
-    """A recording made by another program.
+    """A recording of another program.
 
     Attributes:
-        motion: motion of the arms, with joints in rad and gripper openings in the unit `gripper`.
-        gripper: unit of the openings: m of one finger, share that is open, or share that is closed.
-        pictures: camera -> its images.
-        prompt: instruction of the task; empty if not recorded.
-        intrinsics: camera -> K (3, 3), for cameras whose K is known.
-        extrinsics: camera -> its pose (n, 4, 4) in the base at each sample, for cameras whose pose is known.
-        problems: texts on faults that the recording itself reports.
+        motion: joints in rad, openings in the unit `gripper`.
+        gripper: m of one finger, share that is open, or share that is closed.
+        prompt: the task's instruction, or empty.
+        intrinsics: camera -> K (3, 3), where known.
+        extrinsics: camera -> pose (n, 4, 4) in the base at each sample, where known.
+        problems: faults that the recording itself reports.
 
     Raises:
-        DatasetError: the name of a camera is invalid as the name of a folder.
+        DatasetError: a camera's name is invalid as a folder.
     """
 
     motion: RecordedMotion
@@ -68,7 +62,7 @@ class Recording:
                 )
 
     def in_metres(self, rig: RigConfig) -> RecordedMotion:
-        """Return the motion with gripper openings converted to m of one finger."""
+        """Return the motion with openings in m of one finger."""
         if self.gripper == "metres":
             return self.motion
         arms = []
@@ -86,17 +80,14 @@ class Recording:
 
 
 def motion_sides(rig: RigConfig) -> tuple[str, ...]:
-    """Return `left` and `right`, the sides of a rig's two arms, or one empty text for a single arm."""
+    """Return `left` and `right`, or one empty text for a single arm."""
     return tuple(rig.arms[k].side for k in rig.recording_order) if len(rig.arms) > 1 else ("",)
 
 
 def split_arms(
     joints: Array, commands: Array | None, rig: RigConfig, velocities: Array | None = None
 ) -> tuple[ArmMotion, ...]:
-    """Split joints and commands (n, arms, drives), with the gripper last, into a motion per arm.
-
-    Velocities have the same shape. Gripper openings keep their unit.
-    """
+    """Split arrays (n, arms, drives), gripper last, into a motion per arm; openings keep their unit."""
     motions = []
     for k, (side, number) in enumerate(zip(motion_sides(rig), rig.recording_order, strict=True)):
         robot = rig.arms[number].robot
@@ -115,23 +106,23 @@ def split_arms(
 
 
 def times_from_nanoseconds(stamps: ArrayLike, source: str) -> Array:
-    """Convert time stamps (n,), ns, to times (n,), s, that start at 0.
+    """Convert time stamps (n,), ns, to times (n,), s, from 0.
 
     Raises:
-        DatasetError: the time stamps are not integers (n,); further causes are those of `times_from_seconds`.
+        DatasetError: they are not integers (n,); or as `times_from_seconds`.
     """
     values = np.asarray(stamps)
     if values.ndim != 1 or values.dtype.kind not in "iu":
         raise DatasetError(f"{source}: timestamps are {values.dtype} {values.shape}; valid: whole numbers (n,), ns")
-    # Subtract before the conversion, because a float does not hold the 19 digits of a time stamp.
+    # A float does not hold the 19 digits of a time stamp.
     return times_from_seconds((values - values[:1]).astype(np.float64) * 1e-9, source)
 
 
 def times_from_seconds(times: Array, source: str) -> Array:
-    """Subtract the first of the times (n,), s, and return times (n,), s, that start at 0.
+    """Shift times (n,), s, to start at 0.
 
     Raises:
-        DatasetError: there are fewer than two times, or the times do not increase.
+        DatasetError: there are fewer than two times, or they do not increase.
     """
     if len(times) < 2:
         raise DatasetError(f"{source}: has {len(times)} samples; a motion needs two at least")

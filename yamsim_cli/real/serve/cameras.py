@@ -1,7 +1,7 @@
-"""Server of camera images on a Unix socket. A message has the JSON's length (4 bytes), JSON, and raw image bytes.
+"""Serve camera images on a Unix socket; `yamsim_cli.camera_reader` is the client.
 
-`yamsim_cli.camera_reader` is the client. A client requests `cameras`, or the `picture` of one camera with a number
-`after`. The server answers as soon as it has an image with a larger number.
+A message has the JSON's length (4 bytes), JSON, and raw image bytes. Clients request `cameras`, or a camera's `picture`
+with a number `after`, and get an image as soon as one has a larger number.
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ from typing import Any
 from .render_process import CameraFrames, RenderProcess
 from .socket_servers import CAMERA_SOCKET, ClientConnection, UnixServer
 
-_MAX_REQUEST_BYTES = 4096  # largest length of a request; a client with a longer request is disconnected
-_READ_BYTES = 4096  # largest number of bytes per read from a client
+_MAX_REQUEST_BYTES = 4096  # clients with longer requests are disconnected
+_READ_BYTES = 4096
 
 
 class _InvalidRequestError(ValueError):
@@ -22,7 +22,7 @@ class _InvalidRequestError(ValueError):
 
 
 class CameraServer(UnixServer):
-    """Unix server that sends camera images to clients. The caller must close the server. No method blocks.
+    """Sends camera images to clients. The caller closes the server; no method blocks.
 
     Raises:
         ResourceError: another program serves cameras in the folder, or the socket cannot be made.
@@ -31,16 +31,16 @@ class CameraServer(UnixServer):
     def __init__(self, folder: Path, source: RenderProcess) -> None:
         self._source = source
         super().__init__(folder / CAMERA_SOCKET, _READ_BYTES)
-        # Client -> the requested camera, and the number that the image must exceed.
+        # Client -> requested camera, and the number to exceed.
         self._requests: dict[ClientConnection, tuple[str, int]] = {}
 
     def handle(self, ready: set[Any]) -> None:
-        """Receive requests and answer them."""
+        """Receive and answer requests."""
         for client in self.read(ready):
             self._serve(client)
 
     def flush(self) -> None:
-        """Answer requests that have a newer image, and send outgoing bytes."""
+        """Answer requests that have a newer image, and send bytes."""
         clients = self.clients
         self._requests = {client: request for client, request in self._requests.items() if client in clients}
         shot = self._source.newest_frames
@@ -55,7 +55,7 @@ class CameraServer(UnixServer):
 
     def _serve(self, client: ClientConnection) -> None:
         try:
-            # Handle one request at a time, so that no answers pile up for a client that sends faster than it reads.
+            # One request at a time: answers must not pile up for a client that sends faster than it reads.
             while not client.outgoing and client not in self._requests:
                 if (request := _next_request(client)) is None:
                     break
@@ -98,11 +98,6 @@ def _send(client: ClientConnection, answer: dict[str, Any], data: bytes = b"") -
 
 
 def _next_request(client: ClientConnection) -> dict[str, Any] | None:
-    """Remove the next complete request from the received bytes and return it, or None if no request is complete.
-
-    Raises:
-        _InvalidRequestError: the bytes are no request.
-    """
     received = client.received
     if len(received) < 4:
         return None
@@ -113,7 +108,7 @@ def _next_request(client: ClientConnection) -> dict[str, Any] | None:
         return None
     try:
         request = json.loads(bytes(received[4 : 4 + length]))
-    # Too many nested brackets raise a RecursionError.
+    # Nested brackets may raise a RecursionError.
     except (ValueError, RecursionError) as error:
         raise _InvalidRequestError("a message that is not JSON") from error
     if not isinstance(request, dict):

@@ -1,7 +1,7 @@
-"""CAN buses for other programs, each on a Unix socket or on a CAN interface of the kernel.
+"""CAN buses for other programs, on Unix sockets or on CAN interfaces of the kernel.
 
-A message is a Linux `struct can_frame` of 16 bytes. On a Unix socket, each program has its own connection. As on a bus,
-the program receives the frames of the motors and of the other programs.
+A message is a Linux `struct can_frame` of 16 bytes. Each program on a Unix socket receives the frames of motors and
+other programs.
 """
 
 from __future__ import annotations
@@ -17,16 +17,16 @@ from ..motors import can_frames as frames
 from ..motors.can_frames import CanFrame
 from .socket_servers import ClientConnection, UnixServer
 
-_READ_FRAMES = 256  # frames per read, limited so that a flood of frames does not stop physics
+_READ_FRAMES = 256  # per read, so that a flood of frames does not stop physics
 _READ_BYTES = _READ_FRAMES * frames.FRAME_BYTES
-_BACKLOG_BYTES = 4096 * frames.FRAME_BYTES  # unsent bytes of a client; further frames are lost, as in a full adapter
+_BACKLOG_BYTES = 4096 * frames.FRAME_BYTES  # unsent by a client; further frames are lost, as in a full adapter
 
-# Folder with the plugin that replaces python-can's `socketcan`. Only programs that `yamsim can-run` starts import it.
+# Plugin that replaces python-can's `socketcan`, only for programs that `yamsim can-run` starts.
 _SITE = Path(__file__).resolve().parents[2] / "can_site"
 
 
 class UnixBus(UnixServer):
-    """CAN bus for other programs on the Unix socket `<folder>/<channel>`. The caller must close the bus.
+    """A CAN bus on the Unix socket `<folder>/<channel>`, which the caller closes.
 
     Raises:
         ResourceError: another program serves the channel, or the socket cannot be made.
@@ -36,11 +36,7 @@ class UnixBus(UnixServer):
         super().__init__(folder / channel, _READ_BYTES)
 
     def receive(self, ready: set[socket.socket]) -> Iterator[CanFrame]:
-        """Yield the received frames, and send each to the other clients.
-
-        Args:
-            ready: sockets that `select` reports as readable.
-        """
+        """Yield received frames, and send each to the other clients; `ready` are readable sockets."""
         for client in self.read(ready):
             whole = len(client.received) - len(client.received) % frames.FRAME_BYTES
             wires = bytes(client.received[:whole])
@@ -53,7 +49,7 @@ class UnixBus(UnixServer):
                     yield frame
 
     def send(self, frame: CanFrame, sender: ClientConnection | None = None) -> None:
-        """Send a frame to all clients except its sender."""
+        """Send a frame to all clients but its sender."""
         wire = frames.to_wire(frame)
         for client in self.clients:
             if client is not sender:
@@ -63,7 +59,7 @@ class UnixBus(UnixServer):
 
 
 class KernelBus:
-    """CAN bus on a kernel interface, such as made by `ip link add can0 type vcan`. The caller must close the bus.
+    """A CAN bus on a kernel interface, such as by `ip link add can0 type vcan`. The caller closes the bus.
 
     Raises:
         ResourceError: the system has no CAN, or no interface with the name is up.
@@ -91,7 +87,7 @@ class KernelBus:
         return [self._socket]
 
     def receive(self, ready: set[socket.socket]) -> Iterator[CanFrame]:
-        """Yield the received frames."""
+        """Yield received frames."""
         for _ in range(_READ_FRAMES if self._socket in ready else 0):
             try:
                 frame = frames.parse_frame(self._socket.recv(frames.FRAME_BYTES))
@@ -101,14 +97,14 @@ class KernelBus:
                 yield frame
 
     def send(self, frame: CanFrame) -> None:
-        """Send a frame. The frame is lost if the interface is down or its buffer is full."""
+        """Send a frame, which is lost if the interface is down or its buffer full."""
         try:
             self._socket.send(frames.to_wire(frame))
         except OSError:
             return
 
     def flush(self) -> None:
-        """Do nothing, because `send` sends each frame at once."""
+        """Do nothing: `send` sends at once."""
 
     def close(self) -> None:
         """Close the socket."""
@@ -116,7 +112,7 @@ class KernelBus:
 
 
 def program_environment(environ: Mapping[str, str], folder: Path) -> dict[str, str]:
-    """Return environment variables with which a program's python-can opens the buses whose sockets are in `folder`.
+    """Return the environment in which a program's python-can opens the buses in `folder`.
 
     Raises:
         ResourceError: the folder has no sockets.

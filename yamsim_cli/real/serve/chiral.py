@@ -1,7 +1,7 @@
-"""WebSocket server for raiden's policies, which implements the chiral protocol of TRI-ML.
+"""WebSocket server for raiden's policies, by the chiral protocol of TRI-ML.
 
-A message has the length of a header (4 bytes), the header in msgpack, and raw arrays. Reading a message never executes
-code from it. Source: TRI-ML/chiral f7293d7, protocol.py.
+A message has a header's length (4 bytes), the header in msgpack, and raw arrays. Reading never executes code. Source:
+TRI-ML/chiral f7293d7, protocol.py.
 """
 
 from __future__ import annotations
@@ -22,20 +22,20 @@ from yamsim_cli.core.http_origin import refusal_reason
 from .policy_robot import PolicyRobot, RobotObservation
 from .socket_servers import ClientConnection, TcpServer
 
-_READ_BYTES = 65_536  # largest number of bytes per read from a client
-_HANDSHAKE_S = 5.0  # s in which a client must complete the WebSocket handshake
-_MAX_QUEUED = 256  # unanswered messages above which a client is dropped
-_PER_STEP = 2  # messages of a client that are answered before physics continues
+_READ_BYTES = 65_536
+_HANDSHAKE_S = 5.0  # s
+_MAX_QUEUED = 256  # unanswered messages; further ones drop the client
+_PER_STEP = 2  # messages answered per client before physics continues
 
-MAX_MESSAGE_BYTES = 65_536  # largest accepted message; an action has some hundred bytes
-_MAX_ACTION_NUMBERS = 256  # largest accepted number of values in an action
-_DTYPES = ("float16", "float32", "float64")  # accepted types of an action's values
+MAX_MESSAGE_BYTES = 65_536  # an action has some hundred bytes
+_MAX_ACTION_NUMBERS = 256
+_DTYPES = ("float16", "float32", "float64")  # types of an action's values
 
-_METADATA, _RESET, _OBSERVATION, _ACTION = "metadata", "reset", "obs_request", "apply_action"  # types of requests
+_METADATA, _RESET, _OBSERVATION, _ACTION = "metadata", "reset", "obs_request", "apply_action"  # requests
 
 
 class ChiralError(ValueError):
-    """Received bytes are no valid chiral message."""
+    """Received bytes are no chiral message."""
 
 
 @dataclass
@@ -44,11 +44,11 @@ class _ChiralConnection:
 
     Attributes:
         protocol: WebSocket protocol without a socket.
-        began: time of the connection, s of the monotonic clock.
-        messages: unanswered messages, oldest first.
-        parts: received parts of an incomplete message.
-        pending: type of the request that waits for images from the simulated time `since`, s, or later; "" for none.
-        drives: whether the client has sent an action, so that the arms stop when its connection ends.
+        began: s of the monotonic clock.
+        messages: unanswered, oldest first.
+        parts: of an incomplete message.
+        pending: request that waits for images from simulated time `since`, s, or later.
+        drives: has sent an action, so the arms stop when its connection ends.
     """
 
     protocol: Any
@@ -61,9 +61,9 @@ class _ChiralConnection:
 
 
 class ChiralServer(TcpServer):
-    """WebSocket server that serves one robot to raiden's policies. The caller must close the server. No method blocks.
+    """Serves one robot to raiden's policies. The caller closes the server; no method blocks.
 
-    Requests from web pages of other sites are refused, because a browser would let any page reach the port.
+    Other sites' web pages are refused: a browser would let any page reach the port.
 
     Raises:
         ResourceError: msgpack or websockets is not installed, or the server cannot listen on the port.
@@ -82,7 +82,7 @@ class ChiralServer(TcpServer):
             self._receive_messages(client, self._connection(client))
 
     def flush(self) -> None:
-        """Answer requests whose images are ready, send outgoing bytes, and stop the arms if their client has gone."""
+        """Answer requests whose images are ready, send bytes, and stop arms whose client has gone."""
         from websockets.protocol import State
 
         now = time.monotonic()
@@ -128,7 +128,7 @@ class ChiralServer(TcpServer):
         self._work(client, connection)
 
     def _work(self, client: ClientConnection, connection: _ChiralConnection) -> None:
-        """Answer up to `_PER_STEP` messages in order and send the answers, but none while unsent bytes wait."""
+        """Answer up to `_PER_STEP` messages in order, but none while unsent bytes wait."""
         try:
             for _ in range(_PER_STEP):
                 if not self._send(client, connection) or client.outgoing or not self._answer_next(connection):
@@ -140,7 +140,6 @@ class ChiralServer(TcpServer):
         self._send(client, connection)
 
     def _answer_next(self, connection: _ChiralConnection) -> bool:
-        """Answer the pending request, or else handle the next message. Return whether anything was done."""
         if connection.pending:
             return self._answer_pending(connection)
         if connection.messages:
@@ -161,7 +160,6 @@ class ChiralServer(TcpServer):
                 self._robot.reset()
 
     def _answer_pending(self, connection: _ChiralConnection) -> bool:
-        """Answer the pending request if its images exist. Return whether it was answered."""
         robot, shot = self._robot, self._robot.camera_frames
         is_reset = connection.pending == _RESET
         if is_reset and robot.is_going_home:
@@ -173,10 +171,10 @@ class ChiralServer(TcpServer):
         return False
 
     def _send(self, client: ClientConnection, connection: _ChiralConnection) -> bool:
-        """Send the pending bytes of the protocol. Return whether the connection stays open."""
+        """Return whether the connection stays open."""
         over = False
         for data in connection.protocol.data_to_send():
-            over = over or not data  # an empty item marks the end of the connection
+            over = over or not data  # an empty item ends the connection
             client.outgoing += data
         if client.outgoing:
             self.write(client)
@@ -190,7 +188,7 @@ class ChiralServer(TcpServer):
 
 
 def read_message(message: bytes) -> tuple[str, Array | None]:
-    """Return the type of a client's request, and the numbers (n,) of an action or None for other requests.
+    """Return a request's type, and an action's numbers (n,), if any.
 
     Raises:
         ChiralError: the bytes are no valid message.
@@ -202,7 +200,6 @@ def read_message(message: bytes) -> tuple[str, Array | None]:
         raise ChiralError("the header's length does not fit")
     try:
         header = msgpack.unpackb(message[4 : 4 + length], raw=False, strict_map_key=True)
-    # The base classes of msgpack's errors.
     except (ValueError, msgpack.exceptions.UnpackException) as error:
         raise ChiralError("the header is not msgpack") from error
     kind = header.get("type") if isinstance(header, dict) else None
@@ -226,7 +223,6 @@ def _action_numbers(shape: Any, dtype: Any, data: bytes) -> Array:
 
 
 def _observation_message(observation: RobotObservation, *, is_reset: bool) -> bytes:
-    """Encode an observation as the answer to an observation request, or to a reset if `is_reset`."""
     parts: list[bytes] = []
     at = 0
 

@@ -1,4 +1,4 @@
-"""Joint controller of a simulated arm, with the methods of a robot in the SDK of the arm's maker."""
+"""Joint controller of a simulated arm, with the methods of the maker's SDK."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from ..motors.can_config import CanConfig
 from ..motors.can_frames import KD_MAX, KP_MAX, MitCommand
 from .motor_simulation import MotorSimulation
 
-# N, largest force of a finger. Source: `limit_gripper_force` in robots/get_robot.py of the maker's SDK 1.3.6.
+# N, of a finger. Source: `limit_gripper_force` in robots/get_robot.py of the maker's SDK 1.3.6.
 _GRIP_FORCE = 50.0
-# rad by which a commanded joint may exceed its limit. Source: `get_robot.py` of the SDK, "safety buffer".
+# rad, of a command beyond a limit. Source: `get_robot.py` of the SDK, "safety buffer".
 _LIMIT_TOLERANCE = 0.15
 
 
 class JointController:
-    """Controller of arm `number` of a motor simulation. Until its first command, other programs may drive the motors.
+    """Controls arm `number`. Until its first command, other programs may drive the motors.
 
-    Vectors (dofs,) have the joints in rad, and last the gripper, from 0 (closed) to 1 (fully open).
+    Vectors (dofs,) have joints in rad, and last the gripper, 0 (closed) to 1 (open).
     """
 
     def __init__(self, plant: MotorSimulation, number: int, arm: ArmAddresses, can_config: CanConfig) -> None:
@@ -35,40 +35,36 @@ class JointController:
         self._low, self._high = arm.joint_range[:, 0] - _LIMIT_TOLERANCE, arm.joint_range[:, 1] + _LIMIT_TOLERANCE
         self._grip_torque = 0.0
         if hand is not None and arm.fingers is not None:
-            # The gripper is fully open (1) at the fingers' joint limit, which the maker's SDK detects on the real arm.
+            # A gripper value of 1 is the fingers' joint limit, which the maker's SDK detects on the real arm.
             self._ratio = np.append(self._ratio, hand.ratio * max(arm.fingers.opening_limits))
             self._offset = np.append(self._offset, hand.closed)
             self._kp, self._kd = np.append(self._kp, hand.kp), np.append(self._kd, hand.kd)
             self._low, self._high = np.append(self._low, 0.0), np.append(self._high, 1.0)
-            # Largest torque of the gripper's motor, N m: both fingers press with `_GRIP_FORCE`.
+            # N m: both fingers press with `_GRIP_FORCE`.
             self._grip_torque = 2 * _GRIP_FORCE / abs(hand.ratio) + hand.friction
-        # Last command: positions, velocities, and gains kp and kd, each (dofs,).
+        # Positions, velocities, gains kp and kd, each (dofs,).
         self._command: tuple[Array, Array, Array, Array] | None = None
 
     @property
     def commanded(self) -> Array | None:
-        """Commanded joint positions (dofs,), or None before the first command."""
+        """Commanded joints (dofs,), if any."""
         return None if self._command is None else self._command[0].copy()
 
     def num_dofs(self) -> int:
-        """Return the number of joints, including the gripper."""
+        """Return the number of joints and gripper."""
         return len(self._motors)
 
     def joint_pos(self) -> Array:
-        """Return the current joint positions (dofs,)."""
+        """Return current joints (dofs,)."""
         angles = np.array([motor.position for motor in self._motors])
         position: Array = (angles - self._offset) / self._ratio
         return position
 
     def observations(self) -> dict[str, Array]:
-        """Return positions, velocities and motor torques (N m) of joints and gripper, each with its own key.
-
-        Keys are those of `get_observations` of the maker's SDK, such as `joint_pos` and `gripper_eff`.
-        """
+        """Return positions, velocities and torques (N m) by the keys of the SDK's `get_observations`."""
         values = {
             "pos": self.joint_pos(),
             "vel": np.array([motor.velocity for motor in self._motors]) / self._ratio,
-            # Motor torques, with the signs of the joints.
             "eff": np.array([motor.torque for motor in self._motors]) * np.sign(self._ratio),
         }
         joints = len(self._wiring.arm.motors)
@@ -78,7 +74,7 @@ class JointController:
         return found
 
     def command_joint_pos(self, joint_pos: Any) -> None:
-        """Command joint positions (dofs,) with the default gains of the arm.
+        """Command joints (dofs,) with the arm's default gains.
 
         Raises:
             ValueError: the number of values is wrong, or a value is not finite.
@@ -87,7 +83,7 @@ class JointController:
         self._command = position, np.zeros(len(position)), self._kp, self._kd
 
     def command_joint_state(self, joint_state: Any) -> None:
-        """Command positions `pos` and velocities `vel` (dofs,), with optional gains `kp` and `kd` (dofs,).
+        """Command `pos` and `vel` (dofs,), with optional gains `kp` and `kd` (dofs,).
 
         Raises:
             ValueError: a key is missing, the number of values is wrong, or a value is not finite.
@@ -102,14 +98,13 @@ class JointController:
         self._command = pos, vel, kp, kd
 
     def tick(self) -> None:
-        """Send the last command and the gravity torques to the motors, for the next physics step."""
+        """Send the last command and gravity torques to the motors."""
         if self._command is None:
             return
         position, velocity, kp, kd = self._command
         angles = np.clip(position, self._low, self._high) * self._ratio + self._offset
         if self._wiring.gripper is not None and kp[-1] > 0:
-            # kp times the distance to the commanded angle is a torque. The distance is limited, so that this torque is
-            # at most the largest grip torque plus the damping torque.
+            # Limit kp's torque to the largest grip torque plus damping.
             motor = self._motors[-1]
             reach = (self._grip_torque + kd[-1] * abs(motor.velocity)) / kp[-1]
             angles[-1] = min(max(angles[-1], motor.position - reach), motor.position + reach)

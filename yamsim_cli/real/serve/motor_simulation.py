@@ -1,4 +1,4 @@
-"""Simulation of arms that emulated motors drive. Each motor applies the control law of its last command."""
+"""Simulate arms that emulated motors drive by their last commands."""
 
 from __future__ import annotations
 
@@ -17,20 +17,19 @@ from ..motors.can_config import CanConfig, GripperCanConfig
 from ..motors.motor import Motor
 from ..motors.motor_bus import MotorBus
 
-_STUCK_MASS = 1e9  # kg, armature of stuck fingers, which no motor can move
-_IMPRATIO = 10.0  # MuJoCo's option impratio; values above 1 reduce slip, for scenes where friction alone holds objects
-_CHECK_STEPS = 50  # steps between two checks for a breakdown of physics
+_STUCK_MASS = 1e9  # kg, armature that no motor can move
+_IMPRATIO = 10.0  # MuJoCo's option; above 1, objects held by friction alone slip less
+_CHECK_STEPS = 50
 
 
 @dataclass(frozen=True)
 class _Transmission:
-    """Transmission from a joint to the shaft of its motor: `angle = ratio * joint + offset`.
+    """Transmission from joint to motor shaft: `angle = ratio * joint + offset`.
 
     Attributes:
-        arm: number of the arm.
         drive: index of MuJoCo's actuator.
         qpos, dof: addresses of the joint, or of a gripper's left finger.
-        gravity_scale: factor of the links' weight that the motor must hold; 0 for grippers: their fingers are balanced.
+        gravity_scale: share of the links' weight on the motor; 0 for grippers, whose fingers are balanced.
     """
 
     arm: int
@@ -44,19 +43,17 @@ class _Transmission:
 
 
 class MotorSimulation:
-    """Simulates a scene in which the motors on one bus per arm drive the arm's joints and gripper.
+    """Simulates a scene whose arms and grippers are driven by motors on a bus per arm.
 
     Attributes:
         data: MuJoCo's current state.
-        buses: buses of the arms, in the order of the scene.
-        steps: number of physics steps so far.
-        timestep: physics timestep, s.
+        steps: physics steps so far.
+        timestep: s.
 
     Args:
-        scene: scene to simulate; its model is changed, so that motors control the drives and arms have their weight.
-        start: initial positions (nq,), at rest; a joint beyond a limit starts at the limit.
-        can_configs: CAN config of each arm, in the order of the scene.
-        buses: bus of each arm, with the motors of the arm's config in the same order.
+        scene: its model is changed: motors control the drives, and arms have their weight.
+        start: positions (nq,), at rest; beyond a limit, a joint starts at the limit.
+        can_configs, buses: of each arm, in the scene's order, motors in the config's.
     """
 
     def __init__(
@@ -86,7 +83,7 @@ class MotorSimulation:
         )
         self._weight_factors = _weight_factors(model, self._shafts)
         model.actuator_gainprm[self._drive] = 0.0
-        # The stiffness of contacts and joint limits depends on the armatures, which have changed.
+        # Contact and limit stiffness depend on the changed armatures.
         mujoco.mj_setConst(model, self.data)
         self._stuck = [False] * len(self.buses)
         self._apply_control_laws()
@@ -101,19 +98,15 @@ class MotorSimulation:
         return self.steps * self.timestep
 
     def gravity_torques(self, arm: int) -> list[float]:
-        """Return the torques of an arm's motors, N m, that hold the arm against gravity in its current posture."""
+        """Return motor torques, N m, that hold an arm against gravity."""
         torques = self._gravity_scale * self.data.qfrc_gravcomp[self._dof] / self._ratio
         return [float(torque) for torque, shaft in zip(torques, self._shafts, strict=True) if shaft.arm == arm]
 
     def step(self) -> None:
-        """Advance physics by one timestep, and update the motors.
-
-        Raises:
-            SimulationError: physics broke down.
-        """
+        """Advance physics and motors by one timestep. Raises `SimulationError` if physics breaks down."""
         self._apply_control_laws()
-        # MuJoCo's gravity compensation cancels the links' weight. The applied force restores the weight, scaled by each
-        # joint's load. `qfrc_gravcomp` is that of the previous step, 2 ms ago.
+        # MuJoCo's gravity compensation cancels the links' weight; this force restores it, scaled by each joint's load.
+        # `qfrc_gravcomp` is the previous step's.
         data = self.data
         data.qfrc_applied[:] = -self._weight_factors * data.qfrc_gravcomp
         mujoco.mj_step(self._model, data)
@@ -134,7 +127,7 @@ class MotorSimulation:
             shaft.motor.control_law_changed = False
             kp, kd, constant = shaft.motor.control_law()
             ratio, most = shaft.ratio, shaft.motor.max_torque * abs(shaft.ratio)
-            # As an affine bias of position and velocity, the control law has damping that MuJoCo integrates implicitly.
+            # MuJoCo integrates the damping of an affine bias implicitly.
             law = ratio * (constant - kp * shaft.offset), -kp * ratio**2, -kd * ratio**2
             self._model.actuator_biasprm[shaft.drive, :3] = law
             self._model.actuator_forcerange[shaft.drive] = -most, most
@@ -171,14 +164,13 @@ def _transmissions(number: int, arm: ArmAddresses, can_config: CanConfig, bus: M
 
 
 def _compensate_attachments(model: mujoco.MjModel, data: mujoco.MjData, arm: ArmAddresses) -> None:
-    """Cancel the weight of parts that the maker's model lacks, such as a camera: a motor's `load` has this weight."""
+    """Cancel the weight of parts beyond the maker's model, such as a camera: a motor's `load` has it."""
     root = model.body_rootid[model.body(arm.flange).id]
     for body in np.flatnonzero((model.body_rootid == root) & (model.body_gravcomp == 0)):
         data.xfrc_applied[body, :3] = -model.opt.gravity * model.body_mass[body]
 
 
 def _weight_factors(model: mujoco.MjModel, shafts: Sequence[_Transmission]) -> Array:
-    """Return the factor (nv,) by which the links' weight loads each degree of freedom."""
     factors = np.ones(model.nv)
     for shaft in shafts:
         if shaft.gravity_scale:
@@ -187,13 +179,13 @@ def _weight_factors(model: mujoco.MjModel, shafts: Sequence[_Transmission]) -> A
 
 
 def _set_gripper_motor(model: mujoco.MjModel, fingers: FingerAddresses, can_config: GripperCanConfig) -> None:
-    """Give each finger half of its motor's armature and friction, and a joint limit where the fingers meet."""
+    """Halve the motor's armature and friction between the fingers, and add a limit where they meet."""
     model.dof_armature[fingers.dof] = can_config.armature * can_config.ratio**2 / 2
     model.dof_frictionloss[fingers.dof] = can_config.friction * abs(can_config.ratio) / 2
     for dof, sign in zip(fingers.dof, fingers.sign, strict=True):
         joint = model.dof_jntid[dof]
         model.jnt_range[joint] = sorted((0.0, float(sign * max(model.jnt_range[joint] * sign))))
-        # As stiff as the timestep allows, because the rotor hits a mechanical stop.
+        # The rotor hits a mechanical stop: as stiff as the timestep allows.
         model.jnt_solref[joint] = 2 * model.opt.timestep, 1.0
 
 

@@ -1,4 +1,4 @@
-"""Robot interface of raiden's policy server: arms interpolate between actions, and stop if an action is too far.
+"""raiden's robot interface for policies: arms interpolate between actions, and stop if one is too far.
 
 Source of all figures: `raiden/server.py` and `raiden/robot/controller.py` of TRI-ML/raiden 2353b10.
 """
@@ -24,28 +24,27 @@ from .follower import JointController
 from .motor_simulation import MotorSimulation
 from .render_process import CameraFrames, RenderProcess
 
-_ACTION_S = 0.1  # s, duration of an action
-_HOME_S = 2.0  # s, duration of the motion home after a reset
-_COMMAND_S = 0.01  # s between the interpolated commands of a motion
-_MAX_JOINT_STEP = 0.2  # rad, largest distance from a joint's position to its commanded position
-_MAX_QUEUED = 32  # largest number of actions that wait to be executed; further actions are discarded
-_SIDE = 384  # px, side of the square to which each image is stretched
+_ACTION_S = 0.1  # s
+_HOME_S = 2.0  # s, motion home after a reset
+_COMMAND_S = 0.01  # s between a motion's commands
+_MAX_JOINT_STEP = 0.2  # rad, from a joint to its command
+_MAX_QUEUED = 32  # waiting actions; further ones are discarded
+_SIDE = 384  # px, of the square to which images are stretched
 
-_IK_ITERATIONS = 20  # iterations for one pose, which is near the previous pose
-_ROTATION_COSTS = (1.0, 1.0, 1.0)  # the position has priority if the arm cannot reach the whole pose
-# Least length of each of the two given rows of a rotation, and least sine of the angle between the rows.
+_IK_ITERATIONS = 20  # for one pose, which is near the previous one
+_ROTATION_COSTS = (1.0, 1.0, 1.0)  # the position has priority for unreachable poses
+# Length of each of a rotation's two given rows, and sine of their angle.
 _MIN_ROW_LENGTH = 1e-3
 
 
 @dataclass(frozen=True)
 class CameraView:
-    """Image of a camera with its calibration.
+    """A camera's RGB image (height, width, 3) with its calibration.
 
     Attributes:
-        picture: RGB image (height, width, 3).
         K: intrinsics (3, 3).
-        T_cam_in_base: pose (4, 4) of the camera in the left arm's base, in OpenCV's convention.
-        time_ns: time of the image, ns since 1970.
+        T_cam_in_base: pose (4, 4) in the left arm's base, OpenCV's convention.
+        time_ns: since 1970.
     """
 
     picture: Image
@@ -56,7 +55,7 @@ class CameraView:
 
 @dataclass(frozen=True)
 class RobotObservation:
-    """Observation of a policy: views by camera, arrays (n,) by name, the time in s since 1970, and further values."""
+    """A policy's observation: views by camera, arrays (n,) by name, s since 1970, and more."""
 
     views: Mapping[str, CameraView]
     proprios: Mapping[str, Array]
@@ -65,7 +64,7 @@ class RobotObservation:
 
 
 class HandKinematics:
-    """Forward and inverse kinematics of an arm's `grasp_site` in the base of the arm."""
+    """Kinematics of an arm's `grasp_site` in its base."""
 
     def __init__(self, arm: ArmConfig) -> None:
         model = kinematic_model(arm)
@@ -77,20 +76,17 @@ class HandKinematics:
         self._solver.set_held_frame(inverse(T_pinch) @ T_grasp)
 
     def T_in_base(self, joints: Array) -> Array:
-        """Return the pose (4, 4) of the hand in the arm's base, at joint positions (dof,), rad."""
+        """Return the hand's pose (4, 4) in the arm's base, at joints (dof,), rad."""
         return self._forward.T_grasp_in_base(joints)
 
     def joints(self, T_hand_in_base: Array, near: Array) -> Array:
-        """Solve inverse kinematics from joint positions `near` (dof,), rad, and return joint positions (dof,), rad.
-
-        If the arm cannot reach the hand pose (4, 4), the returned joints are the nearest that were found.
-        """
+        """Return joints (dof,), rad, found from `near`; the nearest if the pose (4, 4) is unreachable."""
         start = np.clip(near, *self._range.T)
         return self._solver.solve_next(T_hand_in_base, self._solver.solution_at(start), _IK_ITERATIONS).joints
 
 
 def pose_from_rotation_rows(position: Array, rows: Array) -> Array:
-    """Return the pose (4, 4) of a position (3,) and a rotation with the given first two rows (6,), orthonormalized.
+    """Return the pose (4, 4) of a position (3,) and a rotation's first two rows (6,), orthonormalized.
 
     Raises:
         ValueError: the rows define no rotation.
@@ -107,8 +103,6 @@ def pose_from_rotation_rows(position: Array, rows: Array) -> Array:
 
 @dataclass
 class _Interpolation:
-    """Linear interpolation between two rows of all arms' joints, from the time `began`, s, for `duration` s."""
-
     start: Array
     goal: Array
     began: float
@@ -116,18 +110,18 @@ class _Interpolation:
 
 
 class PolicyRobot:
-    """Robot that a policy commands by joints or hand poses, with the observations for the policy.
+    """A robot that a policy commands by joints or hand poses, with observations.
 
-    A row has each arm's joints in rad and its gripper from 0 (closed) to 1 (fully open), the left arm's first.
+    A row has each arm's joints in rad and gripper from 0 (closed) to 1 (open), the left arm's first.
 
     Attributes:
-        stopped: reason why the arms hold still until the next reset; "" while actions are accepted.
-        discarded: number of actions that were discarded because the queue was full.
+        stopped: why the arms hold still until the next reset; "" while actions are accepted.
+        discarded: actions that did not fit the queue.
 
     Args:
-        sides, followers, hands: side, joint controller and kinematics of each arm, the left arm first.
-        source: process that renders the cameras.
-        names: camera in the scene -> name of the camera in the policy's observations.
+        sides, followers, hands: of each arm, the left first.
+        source: renders the cameras.
+        names: camera in the scene -> in the observations.
     """
 
     def __init__(
@@ -153,7 +147,7 @@ class PolicyRobot:
 
     @property
     def metadata(self) -> dict[str, Any]:
-        """Description of the robot: cameras, arrays, and the layout of an action."""
+        """Cameras, arrays, and the layout of an action."""
         parts = (("xyz", 3), ("rot6d", 6), ("grip", 1))
         return {
             "cameras": [self._names[camera] for camera in self._source.cameras],
@@ -178,7 +172,7 @@ class PolicyRobot:
         return self._plant.now
 
     def reset(self) -> None:
-        """Accept actions again, and move the arms home: joints at 0, grippers open."""
+        """Accept actions again, and move home: joints 0, grippers open."""
         goal = np.concatenate([np.append(np.zeros(width - 1), 1.0) for width in self._widths])
         self._actions.clear()
         self.stopped = ""
@@ -186,16 +180,16 @@ class PolicyRobot:
         self._motion = _Interpolation(self._row(), goal, self._plant.now, _HOME_S)
 
     def stop(self, why: str) -> None:
-        """Hold the arms at their current positions, and ignore actions until the next reset."""
+        """Hold current positions, and ignore actions until the next reset."""
         self.stopped = why
         self._actions.clear()
         self._motion = None
         self._send(self._row())
 
     def act(self, numbers: Array) -> None:
-        """Queue an action: all arms' joints and grippers, or hand poses of 10 numbers per arm in `metadata`'s layout.
+        """Queue an action: all joints and grippers, or 10 numbers of hand pose per arm in `metadata`'s layout.
 
-        If a joint would move too far, stop the arms instead. While the arms are stopped or go home, ignore actions.
+        A joint that would move too far stops the arms. Stopped or homing arms ignore actions.
 
         Raises:
             ValueError: the action has a wrong shape, is not finite, or has an invalid rotation.
@@ -233,7 +227,7 @@ class PolicyRobot:
             self._motion = None
 
     def observe(self, shot: CameraFrames) -> RobotObservation:
-        """Return the observation with these camera frames, and with the joints at the time of the frames."""
+        """Return the observation with these frames, and the joints at their time."""
         proprios: dict[str, Array] = {}
         for side, hand, joints in zip(self._sides, self._hands, shot.joints, strict=True):
             T = hand.T_in_base(joints[:-1])
@@ -246,7 +240,7 @@ class PolicyRobot:
 
     @property
     def camera_frames(self) -> CameraFrames | None:
-        """Newest images of all cameras, or None before the first."""
+        """Newest images of all cameras, if any."""
         return self._source.newest_frames
 
     def _view(self, shot: CameraFrames, camera: str) -> CameraView:
@@ -256,7 +250,7 @@ class PolicyRobot:
         return CameraView(picture, K, shot.T_cam_in_base[camera], shot.time_ns)
 
     def _joints_from_hand_poses(self, numbers: Array) -> Array:
-        """Return the joint row for an action of hand poses: all positions (3), all rotations (6), all grippers (1)."""
+        """Return a row for an action: all positions (3), all rotations (6), all grippers (1)."""
         arms = len(self._widths)
         positions, rows, grips = np.split(numbers, [3 * arms, 9 * arms])
         near = np.split(self._commanded if self._commanded is not None else self._row(), np.cumsum(self._widths)[:-1])
@@ -268,10 +262,9 @@ class PolicyRobot:
         return np.concatenate(found)
 
     def _is_too_far(self, row: Array) -> str:
-        """Return a sentence on the joint that a row moves too far, or "" if no joint moves too far."""
         off = np.abs(row - self._row())
         ends = np.cumsum(self._widths)
-        off[ends - 1] = 0.0  # grippers may move through their whole range
+        off[ends - 1] = 0.0  # may move through their whole range
         if off.max() <= _MAX_JOINT_STEP:
             return ""
         worst = int(off.argmax())
@@ -283,7 +276,6 @@ class PolicyRobot:
         )
 
     def _command(self) -> Array | None:
-        """Return the current command to all arms, or None if an arm had no command."""
         rows = [follower.commanded for follower in self._followers]
         return None if any(row is None for row in rows) else np.concatenate([row for row in rows if row is not None])
 

@@ -1,8 +1,8 @@
-"""Server for remote calls by the Python library `portal`, as the arm's maker has in `minimum_gello.py`.
+"""Serve calls by the library `portal`, as the arm's maker does in `minimum_gello.py`.
 
-A message has its length (8 bytes), the number of the request, a method's name or a status, and a packed tree. A packed
-tree has the number of buffers, their sizes, and the buffers. The first two buffers are msgpack: the tree, and the type
-of each leaf. Reading a message never executes code from it. Leaves in shared memory are refused.
+A message has its length (8 bytes), the request's number, a method's name or a status, and a packed tree. A packed tree
+has the number of buffers, their sizes, and the buffers. The first two are msgpack: the tree, and each leaf's type.
+Reading never executes code. Leaves in shared memory are refused.
 Source: `portal` 3.8.3, packlib.py, buffers.py, client.py.
 """
 
@@ -20,23 +20,23 @@ from yamsim_cli.core.extras import require_library
 from .follower import JointController
 from .socket_servers import ClientConnection, TcpServer
 
-_READ_BYTES = 65_536  # largest number of bytes per read from a client
-_BACKLOG_BYTES = 1_000_000  # unsent bytes above which a client that reads nothing is dropped
+_READ_BYTES = 65_536
+_BACKLOG_BYTES = 1_000_000  # unsent bytes; above, a client is dropped
 
 HANDSHAKE = b"portal_handshake"  # first bytes of a client
-_MAX_MESSAGE_BYTES = 65_536  # largest accepted message; a command has some hundred bytes
-_MAX_LEAVES = 256  # largest number of buffers in a packed tree
-_MAX_DEPTH = 8  # largest nesting of lists and dictionaries in a call's arguments
-_DTYPE_KINDS = "biuf"  # accepted kinds of NumPy dtypes: booleans, integers and floats
-_STATUS_ERROR = 4  # status of an answer that reports an error
+_MAX_MESSAGE_BYTES = 65_536  # a command has some hundred bytes
+_MAX_LEAVES = 256
+_MAX_DEPTH = 8  # lists and dictionaries in a call's arguments
+_DTYPE_KINDS = "biuf"  # NumPy booleans, integers and floats
+_STATUS_ERROR = 4
 
 
 class PortalError(ValueError):
-    """Received bytes are no valid portal call."""
+    """Received bytes are no portal call."""
 
 
 class PortalServer(TcpServer):
-    """TCP server that answers portal calls for one arm. The caller must close the server. No method blocks.
+    """Answers portal calls for one arm. The caller closes the server; no method blocks.
 
     Raises:
         ResourceError: msgpack is not installed, or the server cannot listen on the port.
@@ -65,7 +65,6 @@ class PortalServer(TcpServer):
                 self.write(client)
 
     def _answer(self, message: bytes) -> bytes:
-        """Return the answer to a message, which is an error for an invalid call."""
         try:
             number, name, arguments = _read_call(message)
         except PortalError as error:
@@ -75,17 +74,12 @@ class PortalServer(TcpServer):
             return _refusal(number, f"Unknown method {name!r}; valid: {', '.join(self._methods)}")
         try:
             return _add_frame_header(number + bytes(8) + pack_tree(method(*arguments)))
-        # Raised if the number or the types of the arguments are wrong.
+        # Wrong number or types of arguments.
         except (TypeError, ValueError) as error:
             return _refusal(number, f"Error in server method: {error}")
 
 
 def _next_message(client: ClientConnection) -> bytes | None:
-    """Remove the next complete message from the received bytes and return it, or None if no message is complete.
-
-    Raises:
-        PortalError: the bytes are not portal's, or the message is too long.
-    """
     received = client.received
     if not client.handshake_done:
         head = bytes(received[: len(HANDSHAKE)])
@@ -108,11 +102,6 @@ def _next_message(client: ClientConnection) -> bytes | None:
 
 
 def _read_call(message: bytes) -> tuple[bytes, str, list[Any]]:
-    """Return the number of a request (8 bytes), the called method, and the arguments.
-
-    Raises:
-        PortalError: the message is no call.
-    """
     if len(message) < 16:
         raise PortalError("the message is too short")
     length = int.from_bytes(message[8:16], "little")
@@ -137,7 +126,7 @@ def _add_frame_header(message: bytes) -> bytes:
 
 
 def pack_tree(tree: Any) -> bytes:
-    """Pack a tree of dictionaries with text keys, lists, arrays, numbers and None."""
+    """Pack dictionaries with text keys, lists, arrays, numbers and None."""
     import msgpack
 
     specs: list[list[Any]] = []
@@ -175,7 +164,6 @@ def unpack_tree(data: bytes) -> Any:
         at += size
     try:
         tree, specs = (msgpack.unpackb(one, strict_map_key=True) for one in buffers[:2])
-    # The base classes of msgpack's errors.
     except (ValueError, msgpack.exceptions.UnpackException) as error:
         raise PortalError("the arguments are not packed as they should be") from error
     if not isinstance(specs, list) or len(specs) != len(buffers) - 2:
@@ -227,7 +215,6 @@ def _leaf(spec: Any, data: bytes) -> Any:
 
 
 def _filled(tree: Any, leaves: Iterator[Any], depth: int) -> Any:
-    """Return `tree` with each value that is no list or dictionary replaced by the next one of `leaves`."""
     if depth > _MAX_DEPTH:
         raise PortalError("the arguments are nested too deeply")
     if isinstance(tree, dict):

@@ -1,4 +1,4 @@
-"""Real-time loop that steps the simulation by the clock and answers CAN frames on arrival."""
+"""Step the simulation by the clock, and answer CAN frames on arrival."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from ..motors.can_frames import CanFrame
 from .can_bus import KernelBus, UnixBus
 from .motor_simulation import MotorSimulation
 
-_MAX_CATCH_UP = 0.1  # s; a simulation that is later skips the lost time
-_EARLY_ANSWERS = 7  # answers that a bus sends without gaps to a program that was late, so that it regains its rate
-_MAX_QUEUED = 64  # waiting answers of a bus; further frames are lost, as in an adapter with a full buffer
+_MAX_CATCH_UP = 0.1  # s; a later simulation skips the lost time
+_EARLY_ANSWERS = 7  # without gaps, so that a late program regains its rate
+_MAX_QUEUED = 64  # answers of a bus; further frames are lost, as in a full adapter
 
 
 class PolledServer(Protocol):
-    """Interface of servers that the loop polls in addition to the CAN buses. No method may block."""
+    """A server that the loop polls besides the CAN buses. No method may block."""
 
     @property
     def readers(self) -> Sequence[Any]:
@@ -31,10 +31,10 @@ class PolledServer(Protocol):
         """Objects to select for writing."""
 
     def handle(self, ready: set[Any]) -> None:
-        """Receive from the readers that are ready."""
+        """Receive from ready readers."""
 
     def flush(self) -> None:
-        """Do work that needs no new input, such as sending bytes. The loop calls this method at least once per step."""
+        """Do work without new input, such as sending bytes, at least once per step."""
 
 
 @dataclass(frozen=True)
@@ -42,13 +42,12 @@ class RealtimeStats:
     """Timing of the simulation relative to the clock.
 
     Attributes:
-        seconds: run time by the clock, s.
-        steps: number of physics steps.
-        late_ms: largest lateness of a step, ms.
-        late_steps: number of steps that began more than a timestep late.
-        lost_ms: time that the simulation skipped because it was too late to catch up, ms.
-        frames: number of frames that the buses received.
-        dropped: number of frames that were lost by a fault or by a full bus.
+        seconds: run time.
+        late_ms: largest lateness of a step.
+        late_steps: begun more than a timestep late.
+        lost_ms: skipped, because the simulation was too late to catch up.
+        frames: received by the buses.
+        dropped: by a fault or a full bus.
     """
 
     seconds: float
@@ -61,13 +60,13 @@ class RealtimeStats:
 
 
 class RealtimeLoop:
-    """Runs a motor simulation in real time, with each of its buses on a socket.
+    """Runs a motor simulation in real time, each bus on a socket.
 
     Args:
-        sockets: sockets of the buses, in the order of `plant.buses`.
-        gap: time between two answers on a bus, s, while no program is late.
+        sockets: in the order of `plant.buses`.
+        gap: s between answers on a bus, while no program is late.
         ports: further servers, such as for camera images.
-        tick: function to call before every physics step.
+        tick: called before every physics step.
     """
 
     def __init__(
@@ -80,11 +79,10 @@ class RealtimeLoop:
     ) -> None:
         self._plant, self._sockets, self._gap, self._tick = plant, tuple(sockets), gap, tick
         self._ports = tuple(ports)
-        # Time at which each bus may send its next answer.
         self._free = [0.0] * len(self._sockets)
         self._waiting = [0] * len(self._sockets)
         self._lost_frames = 0
-        # Heap of (time at which the answer is due, number of the answer, index of the bus, answer).
+        # Heap of (due time, number, index of the bus, answer).
         self._answers: list[tuple[float, int, int, CanFrame]] = []
         self._count = itertools.count()
         self._late = self._lost = 0.0
@@ -93,7 +91,7 @@ class RealtimeLoop:
 
     @property
     def pace(self) -> RealtimeStats:
-        """Timing since the start of `run`."""
+        """Timing since `run` began."""
         buses = self._plant.buses
         return RealtimeStats(
             seconds=time.monotonic() - self._began,
@@ -106,11 +104,7 @@ class RealtimeLoop:
         )
 
     def run(self, stop: Callable[[], bool], seconds: float = float("inf")) -> None:
-        """Run until `stop` returns true, or for `seconds` s.
-
-        Raises:
-            SimulationError: physics broke down.
-        """
+        """Run until `stop` returns true, or for `seconds`. Raises `SimulationError` if physics broke down."""
         plant, step = self._plant, self._plant.timestep
         due = self._began = time.monotonic()
         end = due + seconds
@@ -129,7 +123,6 @@ class RealtimeLoop:
             self._exchange(due)
 
     def _exchange(self, until: float) -> None:
-        """Receive and answer frames until a time of the monotonic clock, s, but at least once."""
         while True:
             now = time.monotonic()
             while self._answers and self._answers[0][0] <= now:

@@ -1,4 +1,4 @@
-"""Render the cameras of a served scene in a separate process, so that physics never waits for an image."""
+"""Render a served scene's cameras in a separate process: physics never waits for an image."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.core.images.image import Image
 from yamsim_cli.core.workers.process_pool import start_process
 
-_SLOTS = 2  # sets of images in shared memory: the newest set, and the set that is being rendered
-_START_SECONDS = 300.0  # s, time limit for the start; compiling all meshes takes long on a busy machine
-_END_SECONDS = 5.0  # s that `close` waits for the process
-# First byte of an answer of the process.
+_SLOTS = 2  # sets of images in shared memory: the newest, and one being rendered
+_START_SECONDS = 300.0  # s; compiling meshes takes long on a busy machine
+_END_SECONDS = 5.0  # s
+# First byte of an answer.
 _RENDERED, _FAILED = b"d", b"f"
 
 
@@ -32,12 +32,12 @@ class CameraFrames:
     """Images of all cameras in one state.
 
     Attributes:
-        number: number of the set of images, from 0.
-        time_ns: time by the machine's clock, ns since 1970.
-        sim_time: simulated time, s.
-        joints: positions (dofs,) of each arm: joints in rad, and last the gripper from 0 (closed) to 1 (fully open).
-        T_cam_in_base: pose (4, 4) of each camera in the left arm's base, in OpenCV's convention.
-        pictures: RGB image (height, width, 3) of each camera; set `number + 2` overwrites its memory.
+        number: of the set, from 0.
+        time_ns: by the machine's clock, since 1970.
+        sim_time: s.
+        joints: (dofs,) of each arm, rad, last the gripper, 0 (closed) to 1 (open).
+        T_cam_in_base: camera -> pose (4, 4) in the left arm's base, OpenCV's convention.
+        pictures: camera -> RGB (height, width, 3); set `number + 2` overwrites its memory.
     """
 
     number: int
@@ -50,7 +50,7 @@ class CameraFrames:
 
 @dataclass(frozen=True)
 class SceneState:
-    """A state to render: MuJoCo's positions (nq,), and the time and joints for `CameraFrames`."""
+    """A state to render: MuJoCo's positions (nq,), and values for `CameraFrames`."""
 
     qpos: Array
     sim_time: float
@@ -58,18 +58,17 @@ class SceneState:
 
 
 class RenderProcess:
-    """Process that renders the cameras of a scene. The caller must close it.
+    """Renders a scene's cameras in a process that the caller closes.
 
     Attributes:
-        cameras: names of the rendered cameras.
-        size: width and height of the images, px.
+        size: width and height, px.
         fps: largest rate of sets of images, 1/s.
         K: camera -> intrinsics (3, 3).
-        newest_frames: newest set of images; None until the first is rendered.
+        newest_frames: None until the first set is rendered.
 
     Args:
-        state: returns the current state of the simulation, which is rendered next.
-        clock: returns the current time, ns since 1970.
+        state: returns the state to render next.
+        clock: returns ns since 1970.
 
     Raises:
         ResourceError: the machine cannot render, or the process did not start in time.
@@ -97,7 +96,7 @@ class RenderProcess:
             self._process, self._pipe = start_process(
                 "yamsim-pictures",
                 _render_states,
-                # A scene has the recorded cameras only, which may differ from the served ones.
+                # A scene has only recorded cameras, which may differ from the served ones.
                 session.with_values(cameras=self.cameras),
                 self.cameras,
                 self._shape,
@@ -122,11 +121,11 @@ class RenderProcess:
 
     @property
     def writers(self) -> list[Connection]:
-        """No connections, because no bytes wait to be sent."""
+        """None, because no bytes wait to be sent."""
         return []
 
     def handle(self, ready: set[object]) -> None:
-        """Receive a rendered set of images.
+        """Receive a set of images.
 
         Raises:
             SimulationError, ResourceError: the process has ended or failed.
@@ -147,13 +146,13 @@ class RenderProcess:
         self._count += 1
 
     def flush(self) -> None:
-        """Request the next set of images, if it is due and the previous set is rendered."""
+        """Request the next set, if it is due and the previous one is rendered."""
         now = time.monotonic()
         if self._requested is not None or now < self._due:
             return
         self._due = max(self._due + 1 / self.fps, now)
         self._requested = self._clock(), self._state()
-        # Sending does not block, because a state has some hundred bytes and the process waits for it.
+        # Sending does not block: a state is small, and the process waits for it.
         with contextlib.suppress(OSError):
             self._pipe.send_bytes(bytes([self._count % _SLOTS]) + self._requested[1].qpos.tobytes())
 
@@ -176,7 +175,7 @@ class RenderProcess:
 
     def _free(self) -> None:
         del self._pictures
-        # While images are still referenced, their memory stays until this process ends.
+        # Referenced images keep their memory until this process ends.
         with contextlib.suppress(BufferError):
             self._memory.close()
         self._memory.unlink()
@@ -185,7 +184,6 @@ class RenderProcess:
 def _render_states(
     pipe: Connection, session: Session, cameras: Sequence[str], shape: tuple[int, ...], memory: str
 ) -> None:
-    """Render each received state, until the pipe closes."""
     shared = SharedMemory(name=memory)
     pictures = np.ndarray(shape, np.uint8, shared.buf)
     attempt = Attempt(AttemptJob(0, 0))
@@ -195,7 +193,7 @@ def _render_states(
             contextlib.suppress(EOFError, OSError),
         ):
             replica, size = simulator.state_replay, session.config.image.size_px
-            # The first image takes longest, because it uploads the scene.
+            # The first image uploads the scene, which takes longest.
             render_cameras(simulator, attempt, simulator.scene.model.qpos0, cameras)
             pipe.send_bytes(_RENDERED + np.array([replica.intrinsics(name, size).K for name in cameras]).tobytes())
             while True:

@@ -1,4 +1,4 @@
-"""Simulated arms of a session on simulated buses, for programs that drive real arms."""
+"""A session's simulated arms on simulated buses, for programs that drive real arms."""
 
 from __future__ import annotations
 
@@ -23,35 +23,29 @@ from .motor_simulation import MotorSimulation
 from .policy_robot import HandKinematics, PolicyRobot
 from .render_process import RenderProcess, SceneState
 
-# Initial postures of the arms: folded, at rest without power; the model's home; the start of the task.
+# Initial postures: folded, at rest without power; the model's home; the task's start.
 STARTS = ("rest", "home", "task")
 
 
 @dataclass(frozen=True)
 class ServedArms:
-    """Simulated arms that other programs drive.
-
-    Attributes:
-        motor_simulation: simulation of the arms and the task's objects.
-        sides: "left" or "right" for each arm, in the order of `plant.buses`.
-        followers: joint controller of each arm, in the order of `plant.buses`.
-    """
+    """Simulated arms that other programs drive; `sides` and `followers` are in the order of the buses."""
 
     motor_simulation: MotorSimulation
     sides: tuple[str, ...]
     followers: tuple[JointController, ...]
 
     def state(self) -> SceneState:
-        """Return the current state for rendering."""
+        """Return the state to render."""
         joints = tuple(follower.joint_pos() for follower in self.followers)
         return SceneState(self.motor_simulation.data.qpos.copy(), self.motor_simulation.now, joints)
 
 
 def channel_names(sides: Sequence[str], given: Sequence[str]) -> tuple[str, ...]:
-    """Return the names of the arms' buses: the given names, or else `can0`, or `can_left` and `can_right`.
+    """Return the buses' names: the given ones, or `can0`, or `can_left` and `can_right`.
 
     Raises:
-        UsageError: the number of names is wrong, two names are equal, or a name is invalid.
+        UsageError: the number of names is wrong, two are equal, or one is invalid.
     """
     if not given:
         return ("can0",) if len(sides) == 1 else tuple(f"can_{side}" for side in sides)
@@ -67,14 +61,14 @@ def channel_names(sides: Sequence[str], given: Sequence[str]) -> tuple[str, ...]
 
 
 def served_cameras(config: RecordConfig) -> tuple[str, ...]:
-    """Return the recorded cameras if the config or the rig names any, else the scene camera and all wrist cameras."""
+    """Return the cameras of config or rig, if any, else the scene camera and all wrist cameras."""
     if config.cameras is not None or config.rig.cameras:
         return config.recorded_cameras
     return SCENE_CAMERA, *(config.rig.arms[k].wrist_camera_name for k in config.rig.recording_order)
 
 
 def make_policy_robot(session: Session, served: ServedArms, source: RenderProcess) -> PolicyRobot:
-    """Return the robot for raiden's policies, with raiden's names of wrist cameras, such as `left_wrist_camera`."""
+    """Return the robot for raiden's policies, with raiden's wrist camera names, such as `left_wrist_camera`."""
     arms = [session.config.rig.arms[k] for k in session.config.rig.recording_order]
     wrists = {arm.wrist_camera_name: f"{arm.side}_wrist_camera" for arm in arms}
     names = {camera: wrists.get(camera, camera) for camera in source.cameras}
@@ -88,17 +82,16 @@ def serve_arms(
     faults: Sequence[BusFault] = (),
     start: str = "rest",
 ) -> ServedArms:
-    """Return the simulated arms of a session's rig, with the task's objects at their initial poses.
+    """Return a rig's simulated arms, with the task's objects at their initial poses.
 
     Args:
-        channels: names of the arms' buses; if empty, `can0` for one arm, `can_left` and `can_right` for two.
-        faults: faults to inject into the buses.
-        start: initial posture of the arms, one of `STARTS`.
+        channels: as `given` in `channel_names`.
+        start: one of `STARTS`.
 
     Raises:
         ConfigError: the motors of an arm or a gripper are unknown.
-        UsageError: the name of a channel is invalid, or a fault names a channel or motor that does not exist.
-        SimulationError: the scene cannot be compiled, or the objects of the task have no room.
+        UsageError: a channel's name is invalid, or a fault's channel or motor does not exist.
+        SimulationError: the scene cannot be compiled, or the objects have no room.
     """
     config = session.config
     arms = [config.rig.arms[number] for number in config.rig.recording_order]
@@ -138,7 +131,6 @@ def _start(simulator: Simulator, config: RecordConfig, start: str) -> Array:
 
 
 def _check(faults: Sequence[BusFault], buses: Sequence[MotorBus]) -> None:
-    """Raise a UsageError for a fault that names a channel or a motor that does not exist."""
     for fault in faults:
         meant = [bus for bus in buses if fault.channel in ("", bus.channel)]
         if not meant:

@@ -1,4 +1,4 @@
-"""Non-blocking socket servers, and the folder of the Unix sockets of `serve-robot`."""
+"""Non-blocking socket servers, and the folder of `serve-robot`'s Unix sockets."""
 
 from __future__ import annotations
 
@@ -12,26 +12,20 @@ from pathlib import Path
 
 from yamsim_cli.core.errors import ResourceError
 
-CAMERA_SOCKET = "cameras.sock"  # file of the image server's socket; its dot avoids conflicts with names of buses
+CAMERA_SOCKET = "cameras.sock"  # its dot avoids conflicts with bus names
 
-_MAX_CLIENTS = 16  # connections to one server; further connections are closed at once
+_MAX_CLIENTS = 16  # further connections are closed
 
 
 def default_folder(environ: Mapping[str, str]) -> Path:
-    """Return the folder for this user's sockets, in XDG_RUNTIME_DIR if set, else in the temporary folder."""
+    """Return this user's socket folder, in XDG_RUNTIME_DIR if set, else in the temporary folder."""
     runtime = environ.get("XDG_RUNTIME_DIR")
     return Path(runtime) / "yamsim-can" if runtime else Path(tempfile.gettempdir()) / f"yamsim-can-{os.getuid()}"
 
 
 @dataclass(eq=False)
 class ClientConnection:
-    """One connection to a server.
-
-    Attributes:
-        received: received bytes that are not handled yet.
-        outgoing: bytes that wait to be sent.
-        handshake_done: whether the handshake was received, if the protocol has a handshake.
-    """
+    """One connection to a server: `received` bytes are not handled yet, `outgoing` bytes not sent."""
 
     socket: socket.socket
     received: bytearray = field(default_factory=bytearray)
@@ -40,12 +34,12 @@ class ClientConnection:
 
 
 class SocketServer:
-    """Server on a listening socket. The caller must close the server. No method blocks.
+    """Server on a listening socket. The caller closes the server; no method blocks.
 
     Args:
-        listener: listening socket, which is closed with the server.
-        read_bytes: largest number of bytes per read from a client.
-        max_outgoing: unsent bytes above which a client that reads nothing is dropped; None for no limit.
+        listener: closed with the server.
+        read_bytes: per read from a client, at most.
+        max_outgoing: unsent bytes above which a client that reads nothing is dropped.
     """
 
     def __init__(self, listener: socket.socket, read_bytes: int, max_outgoing: int | None = None) -> None:
@@ -66,25 +60,21 @@ class SocketServer:
 
     @property
     def writers(self) -> list[socket.socket]:
-        """Sockets to select for writing: those of clients with unsent bytes."""
+        """Sockets of clients with unsent bytes."""
         return [one for one, client in self._clients.items() if client.outgoing]
 
     def read(self, ready: set[socket.socket]) -> Iterator[ClientConnection]:
-        """Accept connections, receive bytes, and yield the clients that sent bytes.
-
-        Args:
-            ready: sockets that `select` reports as readable.
-        """
+        """Accept connections, receive from `ready` sockets, and yield the clients that sent bytes."""
         if self._listener in ready:
             self._accept()
         for one in ready & self._clients.keys():
-            # The caller may have dropped a client while it handled an earlier one.
+            # The caller may have dropped it while handling an earlier client.
             client = self._clients.get(one)
             if client is not None and self._receive(client):
                 yield client
 
     def write(self, client: ClientConnection) -> None:
-        """Send as many of a client's outgoing bytes as its socket accepts."""
+        """Send as many bytes as the socket accepts."""
         try:
             del client.outgoing[: client.socket.send(client.outgoing)]
         except BlockingIOError:
@@ -94,7 +84,7 @@ class SocketServer:
             self.drop(client)
 
     def flush(self) -> None:
-        """Send the outgoing bytes of all clients."""
+        """Send all clients' outgoing bytes."""
         for client in self.clients:
             if client.outgoing:
                 self.write(client)
@@ -124,7 +114,6 @@ class SocketServer:
         self._clients[one] = ClientConnection(one)
 
     def _receive(self, client: ClientConnection) -> bool:
-        """Receive bytes. Return whether any were received."""
         try:
             data = client.socket.recv(self._read_bytes)
         except BlockingIOError:
@@ -139,14 +128,7 @@ class SocketServer:
 
 
 class TcpServer(SocketServer):
-    """Server on a TCP port.
-
-    Attributes:
-        port: port on which the server listens.
-
-    Args:
-        port: requested port; 0 selects a free port.
-        flag: flag that sets the port, for the error message.
+    """Server on a TCP `port`, 0 for a free one; `flag` sets the port, for the error message.
 
     Raises:
         ResourceError: the server cannot listen on the port.
@@ -162,10 +144,7 @@ class TcpServer(SocketServer):
 
 
 class UnixServer(SocketServer):
-    """Server on a Unix socket in a folder that only the user can access.
-
-    Attributes:
-        path: file of the socket, which `close` removes.
+    """Server on a Unix socket `path` in a folder of the user's own; `close` removes the socket.
 
     Raises:
         ResourceError: another program listens on the socket, or the folder or the socket cannot be made.
@@ -193,7 +172,7 @@ class UnixServer(SocketServer):
 
 
 def _make_folder(folder: Path) -> None:
-    """Make a folder that no other user can access. Raise a ResourceError if the folder is not private."""
+    """Make a folder, or raise a ResourceError if other users can access it."""
     try:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         found = folder.lstat()
@@ -204,7 +183,6 @@ def _make_folder(folder: Path) -> None:
 
 
 def _remove_stale(path: Path) -> None:
-    """Remove the socket of a killed server. Raise an OSError if a server still listens on it."""
     if not path.is_socket():
         return
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:

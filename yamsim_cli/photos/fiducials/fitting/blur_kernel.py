@@ -1,4 +1,4 @@
-"""Blur from a defocused lens and from camera motion."""
+"""Blur from defocus and from camera motion."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 Grey = NDArray[np.float32]
 
-_POINTS_PER_PX, _MIN_POINTS = 4, 9  # sample points of a motion per px of its length, and their minimum number
-_BLUR_STEP = 0.03  # step of the numeric derivative with respect to blur, as a share of the blur
-# Derivative from two pixels on each side. From one, the derivatives of a sharp picture would be a third too small.
+_POINTS_PER_PX, _MIN_POINTS = 4, 9  # sample points per px of a motion, and their minimum
+_BLUR_STEP = 0.03  # step of the numeric derivative, as a share of the blur
+# Two pixels on each side: with one, derivatives of a sharp picture would be a third too small.
 _DERIVATIVE_KERNEL = np.array([1, -8, 0, 8, -1], np.float32) / 12
 _IDENTITY = np.ones(1, np.float32)
 _BORDER = cv2.BORDER_REPLICATE
@@ -21,11 +21,9 @@ _BORDER = cv2.BORDER_REPLICATE
 
 @dataclass(frozen=True)
 class BlurKernel:
-    """The defocus blur and motion blur of a picture.
+    """Defocus `blur` (sigma of a Gaussian) and uniform `motion` (right, down) of a picture, px.
 
-    Attributes:
-        blur: sigma of the defocus blur, a Gaussian, px.
-        motion: uniform motion (right, down; px) during the exposure; opposite motions are equivalent.
+    Opposite motions are equivalent.
     """
 
     blur: float
@@ -38,22 +36,22 @@ class BlurKernel:
 
     @property
     def radius(self) -> float:
-        """The radius (px) that contains most of a blurred point."""
+        """Radius (px) that contains most of a blurred point."""
         return 1.2 * math.sqrt(self.blur**2 + self.length**2 / 12)
 
     def in_larger_pixels(self, coarser: int) -> BlurKernel:
-        """Convert the blur to the pixels of a picture that is reduced by the factor `coarser`."""
+        """Convert to pixels of a picture reduced by the factor `coarser`."""
         return BlurKernel(self.blur / coarser, (self.motion[0] / coarser, self.motion[1] / coarser))
 
     def apply(self, picture: Grey) -> Grey:
-        """Return a picture (rows, columns[, channels]) with this blur."""
+        """Blur a picture (rows, columns[, channels])."""
         blurred = cv2.GaussianBlur(picture, (0, 0), self.blur, borderType=_BORDER)
         if self.length:
             blurred = cv2.filter2D(blurred, -1, self._line(slope=False), borderType=_BORDER)
         return np.asarray(blurred, dtype=np.float32)
 
     def motion_derivatives(self, picture: Grey) -> tuple[Grey, Grey]:
-        """Return the derivatives (rows, columns) of the blurred picture with respect to the motion right and down."""
+        """Return the blurred picture's derivatives (rows, columns) by motion right and down."""
         blurred = cv2.GaussianBlur(picture, (0, 0), self.blur, borderType=_BORDER)
         line = self._line(slope=True)
         across, down = (
@@ -63,34 +61,34 @@ class BlurKernel:
         return across, down
 
     def blur_derivative(self, picture: Grey, blurred: Grey) -> Grey:
-        """Return the derivative (rows, columns[, channels]) of the blurred picture `blurred` with respect to `blur`."""
+        """Return the derivative (rows, columns[, channels]) of `blurred` by the blur sigma."""
         more = _BLUR_STEP * self.blur
         by_blur: Grey = (BlurKernel(self.blur + more, self.motion).apply(picture) - blurred) / np.float32(more)
         return by_blur
 
     def _line(self, slope: bool) -> Grey:
-        """Return the kernel (k, k) of the motion; `slope` weights each point by its position along the motion."""
+        """Return the motion's kernel (k, k); `slope` weights points by their position along it."""
         x, y = self.motion
         side = math.ceil(self.length / 2 + 1)
         kernel = np.zeros((2 * side + 1, 2 * side + 1), np.float32)
         along = np.linspace(-0.5, 0.5, max(_MIN_POINTS, math.ceil(self.length * _POINTS_PER_PX)) + 1)
-        # The first and the last point cover only half a step.
+        # The first and last points cover half a step.
         weight = np.full(len(along), 1.0)
         weight[[0, -1]] = 0.5
         weight /= weight.sum()
-        # `filter2D` correlates: a picture that moves by +s is sampled at -s.
+        # `filter2D` correlates: a motion by +s samples at -s.
         values = weight * along if slope else weight
         column, row = np.floor(side - along * x).astype(int), np.floor(side - along * y).astype(int)
         right, below = side - along * x - column, side - along * y - row
         for dx, dy in ((0, 0), (1, 0), (0, 1), (1, 1)):
             share = np.abs(1 - dx - right) * np.abs(1 - dy - below)
             np.add.at(kernel, (row + dy, column + dx), values * share)
-        # The derivative by the motion of the sample at -s is minus the slope there.
+        # The sample at -s changes by minus the slope there.
         return -kernel if slope else kernel
 
 
 def picture_gradients(picture: Grey) -> tuple[Grey, Grey]:
-    """Return the derivatives of a picture (rows, columns) to the right and down, per px."""
+    """Return derivatives (rows, columns) to the right and down, per px."""
     across = cv2.sepFilter2D(picture, cv2.CV_32F, _DERIVATIVE_KERNEL, _IDENTITY, borderType=_BORDER)
     down = cv2.sepFilter2D(picture, cv2.CV_32F, _IDENTITY, _DERIVATIVE_KERNEL, borderType=_BORDER)
     return np.asarray(across, dtype=np.float32), np.asarray(down, dtype=np.float32)

@@ -1,4 +1,4 @@
-"""Compute residuals of a rendered print against the photo, their Jacobian, and robust normal equations."""
+"""Residuals of a rendered print against the photo, their Jacobian, and robust normal equations."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ from yamsim_cli.core.geometry.se3 import Array
 from .blur_kernel import BlurKernel, picture_gradients
 from .print_view import PhotoRegion, RenderedPrint, draw_print
 
-_MIN_TILE_PIXELS = 12  # pixels of a marker and its half gap (a tile), below which it is not compared
-_MIN_SURROUNDINGS_POWER = 1e-4  # sum of a tile's squared pixel shares outside the print; less is ignored
-_MIN_CONTRAST = 1.0  # grey levels, contrast below which a tile shows no print
+_MIN_TILE_PIXELS = 12  # below, a tile (a marker and half its gap) is not compared
+_MIN_SURROUNDINGS_POWER = 1e-4  # sum of a tile's squared pixel shares outside the print; smaller sums are ignored
+_MIN_CONTRAST = 1.0  # grey levels; below, a tile shows no print
 
 _HUBER_THRESHOLD = 1.345  # standard deviations, beyond which residuals have less weight (95 % efficiency)
 _MIN_NOISE = 0.3  # grey levels, from rounding alone
-_MAX_STEPS = 30  # least-squares steps of a fit
-# A step below either limit ends a fit: shift of the print in the picture, px, and standard deviations of the noise.
+_MAX_STEPS = 30
+# A step below either ends a fit: print shift, px, and standard deviations of the noise.
 _CONVERGED = (4e-3, 0.1)
-_COARSELY_CONVERGED = (2e-2, 0.4)  # the same limits for a coarse fit, which needs only the cost
+_COARSELY_CONVERGED = (2e-2, 0.4)  # the same for a coarse fit, which needs only the cost
 _MIN_RETRIED_STEP = 1.0  # standard deviations of the noise; a coarse fit ends if a smaller step fails
 
 
@@ -35,9 +35,9 @@ class MarkerTile:
     """The agreement of rendered print and photo at a tile: a marker and half the gap around it.
 
     Attributes:
-        correlation: correlation of the rendered print and the photo, -1..1.
-        shift: offset (px, right and down) of the photo from the rendered print.
-        residual_variance: mean squared residual after that shift, grey levels squared.
+        correlation: -1..1.
+        shift: offset (right, down) of the photo from the rendering, px.
+        residual_variance: after that shift, grey levels squared.
     """
 
     correlation: float
@@ -47,12 +47,12 @@ class MarkerTile:
 
 @dataclass(frozen=True)
 class PixelDerivatives:
-    """The compared pixels, and derivatives of the rendered print's brightness at these pixels.
+    """Compared pixels and derivatives of the print's brightness there.
 
     Attributes:
-        at: positions on the board (n, 2), m.
+        at: on the board (n, 2), m.
         rays: viewing rays (n, 2).
-        by_ray, by_shift: derivatives (n, 2) with respect to a shift of the print in ray units, and in px.
+        by_ray, by_shift: (n, 2) by a print shift in ray units, and in px.
     """
 
     at: Array
@@ -64,16 +64,14 @@ class PixelDerivatives:
 def linearize_print(
     view: PhotoRegion, plane: Array, blur: BlurKernel, columns: Callable[[PixelDerivatives], Array]
 ) -> tuple[Array, Array, dict[int, MarkerTile]] | None:
-    """Return residuals and their Jacobian, both with each tile's brightness and contrast projected out, and the tiles.
+    """Return residuals (n,), Jacobian (n, 3 + k) and tiles by marker; None if few pixels show the print.
+
+    Each tile's brightness and contrast are projected out. Columns: blur, motion and k parameters.
 
     Args:
         plane: (3, 3) from (x, y, 1) on the board, m, to the camera frame.
         blur: in the photo's pixels.
-        columns: returns the print's derivatives (n, k) with respect to the parameters that move the print.
-
-    Returns:
-        Residuals (n,), Jacobian (n, 3 + k) by blur, motion and the k parameters, and marker -> tile. None if too few
-        pixels show the print.
+        columns: returns the print's derivatives (n, k) by the parameters that move it.
     """
     blur = blur.in_larger_pixels(view.coarser)
     drawing = draw_print(view, plane, blur)
@@ -86,7 +84,7 @@ def linearize_print(
     slopes, by_blur, by_motion = _picture_derivatives(drawing.sharp, drawing.grey, blur, use)
     if drawing.beside is not None and drawing.outside is not None:
         beside = drawing.beside.reshape(-1, 2)[use]
-        # The same blur mixes the surroundings into the print, and the surroundings move with the print.
+        # The blur also mixes in the surroundings, which move with the print.
         for side, strength in enumerate(_surroundings_brightness(seen, drawn, beside, tile[use]).T):
             outside, smeared = (np.ascontiguousarray(every[..., side]) for every in (drawing.outside, drawing.beside))
             more = _picture_derivatives(outside, smeared, blur, use)
@@ -103,7 +101,6 @@ def linearize_print(
 def _picture_derivatives(
     sharp: NDArray[np.float32], blurred: NDArray[np.float32], blur: BlurKernel, use: NDArray[np.bool_]
 ) -> tuple[Array, Array, Array]:
-    """Return derivatives at the used pixels by position (n, 2), blur (n,) and motion (n, 2)."""
     slopes = np.stack([slope.ravel()[use] for slope in picture_gradients(blurred)], axis=-1).astype(np.float64)
     by_blur = blur.blur_derivative(sharp, blurred).ravel()[use].astype(np.float64)
     by_motion = np.zeros((len(by_blur), 2))
@@ -115,10 +112,6 @@ def _picture_derivatives(
 def _surroundings_brightness(
     photo: NDArray[np.float32], drawn: NDArray[np.float32], outside_shares: NDArray[np.float32], tile: NDArray[np.int_]
 ) -> Array:
-    """Return the brightness (n, sides) of the surroundings, whose pixel shares are `outside_shares` (n, sides).
-
-    The unit is the print's contrast.
-    """
     order = np.argsort(tile, kind="stable")
     _, starts, which = np.unique(tile[order], return_index=True, return_inverse=True)
     every = np.column_stack([drawn, outside_shares, photo])[order].astype(np.float64)
@@ -128,7 +121,7 @@ def _surroundings_brightness(
     products = np.zeros((len(starts), shapes + 1, shapes + 1))
     products[:, first, second] = np.add.reduceat(every[:, first] * every[:, second], starts)
     products[:, second, first] = products[:, first, second]
-    # Exclude sides that hardly affect a tile from its equations.
+    # Exclude sides that hardly affect a tile.
     power = np.einsum("tkk->tk", products[:, 1:shapes, 1:shapes])
     touched = np.column_stack([np.ones(len(starts), dtype=bool), power > _MIN_SURROUNDINGS_POWER])
     normal = products[:, :shapes, :shapes] * touched[:, :, None] * touched[:, None, :]
@@ -142,7 +135,6 @@ def _surroundings_brightness(
 
 
 def _tiles(view: PhotoRegion, drawing: RenderedPrint) -> NDArray[np.int_]:
-    """Return the marker (n,) at each pixel, -1 for none and for markers with too few pixels."""
     board, marker = view.piece.board, drawing.marker.copy()
     counts = np.bincount(marker[marker >= 0], minlength=board.rows * board.columns)
     marker[~np.append(counts >= _MIN_TILE_PIXELS, False)[marker]] = -1
@@ -156,20 +148,18 @@ def _project_out_light(
     columns: Array,
     tile: NDArray[np.int_],
 ) -> tuple[Array, Array, dict[int, MarkerTile]]:
-    """Return residuals and Jacobian with each tile's light projected out (variable projection), and the tiles.
+    """Return residuals, Jacobian and tiles, with each tile's light projected out (variable projection).
 
-    The light is the tile's brightness, its contrast, and the surroundings, with shares `outside_shares` (n, sides).
-    The last two `columns` are derivatives by a shift in the picture. They give each tile's shift, and the returned
-    Jacobian omits them.
+    Light is brightness, contrast and surroundings of shares `outside_shares` (n, sides). The last two `columns`,
+    derivatives by a picture shift, give the tiles' shifts and are not returned.
     """
     order = np.argsort(tile, kind="stable")
     numbers, starts, which = np.unique(tile[order], return_index=True, return_inverse=True)
 
     def of_tiles(values: Array) -> Array:
-        """Return the sums (t, ...) of values (n, ...) over each tile's pixels."""
         return np.add.reduceat(values, starts, axis=0)
 
-    # Subtract each tile's mean and the surroundings from photo, rendered print and derivatives.
+    # Subtract tile means and surroundings from photo, rendering and derivatives.
     every = np.column_stack([outside_shares, photo, drawn, columns])[order].astype(np.float64)
     every -= (of_tiles(every) / of_tiles(np.ones(len(every)))[:, None])[which]
     sides = outside_shares.shape[1]
@@ -200,21 +190,21 @@ def _project_out_light(
     return residual, slopes[:, :-2], tiles
 
 
-Part = tuple[Array, Array, dict[int, MarkerTile]]  # residuals, Jacobian, and marker -> tile, of one board
+Part = tuple[Array, Array, dict[int, MarkerTile]]  # of one board: residuals, Jacobian, marker -> tile
 S = TypeVar("S")
 
 
 @dataclass(frozen=True)
 class NormalEquations:
-    """Normal equations over all parameters, and statistics of the residuals.
+    """Normal equations over all parameters, with statistics of the residuals.
 
     Attributes:
         full_normal, full_gradient: (k, k) and (k,), over all parameters.
         misfit: weighted sum of squared residuals, grey levels squared.
-        weight, pixels: sum of the weights, and number of pixels.
-        noise: standard deviation of the residuals, grey levels: assumed for the weights, or estimated.
-        tiles: for each board, marker -> tile.
-        free: indices of the fitted parameters; all others are constant.
+        weight: sum of the weights.
+        noise: sigma of the residuals, grey levels, assumed for the weights or estimated.
+        tiles: marker -> tile, for each board.
+        free: indices of the fitted parameters.
     """
 
     full_normal: Array
@@ -228,42 +218,42 @@ class NormalEquations:
 
     @property
     def normal(self) -> Array:
-        """The matrix (f, f) of the normal equations of the fitted parameters."""
+        """The matrix (f, f) over the fitted parameters."""
         return self.full_normal[np.ix_(self.free, self.free)]
 
     @property
     def gradient(self) -> Array:
-        """The right-hand side (f,) of the normal equations of the fitted parameters."""
+        """The right-hand side (f,) over the fitted parameters."""
         return self.full_gradient[list(self.free)]
 
     @property
     def cost(self) -> float:
-        """The weighted mean of squared residuals. A mean gives no advantage to a pose with fewer pixels."""
+        """The weighted mean squared residual. A mean does not favour poses with fewer pixels."""
         return self.misfit / self.weight
 
 
 class PrintProblem(LeastSquares[S, NormalEquations]):
-    """Least squares over the pixels of prints. With `roughly`, the fit stops early, as it needs only the cost."""
+    """Least squares over prints' pixels. With `roughly`, the fit stops early, as it needs only the cost."""
 
     def __init__(self, roughly: bool = False) -> None:
         self._roughly = roughly
 
     @abstractmethod
     def system(self, state: S, noise: float | None) -> NormalEquations | None:
-        """Return the normal equations at a state, with weights for the given noise or, if None, for its estimate."""
+        """Return the equations at a state; if `noise` is None, the residuals give the noise for the weights."""
 
     @abstractmethod
     def print_shift_px(self, state: S, step: Array) -> float:
-        """Return the approximate shift of the print in the picture by a step (f,), px."""
+        """Return the approximate print shift in the picture by a step (f,), px."""
 
     def linearize(self, state: S, before: NormalEquations | None) -> NormalEquations | None:
-        """Return the normal equations at a state, with weights for the noise of the state before."""
+        """Return the equations, with weights for the noise of the state before."""
         if before is None:
             return self.system(state, None)
         found = self.system(state, before.noise)
         if found is None:
             return None
-        # The new noise changes the weights only at the next state, so that both costs of a step use the same weights.
+        # New noise changes weights only at the next state: both costs of a step need the same weights.
         return replace(found, noise=float(np.sqrt(found.misfit / max(1.0, found.weight - 7))))
 
     def is_converged(self, state: S, known: NormalEquations, step: Array, gain: Array) -> bool:
@@ -275,14 +265,14 @@ class PrintProblem(LeastSquares[S, NormalEquations]):
         return of_noise < sigmas or self.print_shift_px(state, step) < px
 
     def solve(self, start: S) -> tuple[S, NormalEquations] | None:
-        """Return the best state near a start and its equations; None if the photo does not show the print."""
+        """Return the best state near a start; None if the photo does not show the print."""
         return solve_least_squares(self, start, _MAX_STEPS)
 
 
 def combine_equations(
     parts: Sequence[Part | None], noise: float | None, free: tuple[int, ...]
 ) -> NormalEquations | None:
-    """Return the normal equations of all boards together, from `linearize_print`; None if a board is not visible."""
+    """Return the normal equations of all boards; None if a board is not visible."""
     whole = [part for part in parts if part is not None]
     if len(whole) < len(parts):
         return None

@@ -1,8 +1,7 @@
-"""Refine a pose by the whole image of the boards instead of a few corners.
+"""Refine a pose by the boards' whole image instead of a few corners.
 
-A fit renders the boards' print as the camera would see it from an assumed pose, with blur. Robust least squares over
-all pixels adjusts pose and blur until rendering and photo agree. Each marker has its own brightness and contrast.
-Neighbouring cells and blur displace corners that are detected one by one, but the rendering includes both effects.
+Robust least squares adjusts pose and blur until the rendered print agrees with the photo. Each marker has its own
+brightness and contrast. Neighbouring cells and blur displace detected corners; the rendering includes both effects.
 """
 
 from __future__ import annotations
@@ -31,36 +30,35 @@ from .print_view import PhotoRegion, PrintPiece, print_plane, view_print
 
 Grey = NDArray[np.float32]
 
-BLUR_RANGE = (0.25, 5.0)  # px of a `PhotoRegion`, sigmas: less blur is not visible, and more hides a marker
-_MAX_MOTION = 20.0  # px of a `PhotoRegion`, longest motion
-USUAL_BLUR = BlurKernel(0.9)  # px, sigma of the blur at the start of a fit, if the blur is not known
+BLUR_RANGE = (0.25, 5.0)  # px of a `PhotoRegion`, sigmas: less blur is invisible, more hides a marker
+_MAX_MOTION = 20.0  # px of a `PhotoRegion`
+USUAL_BLUR = BlurKernel(0.9)  # px, at the start of a fit
 
-# Factor on the noise's standard deviation where the print's shape is marginalized. At 1.3, the 95 % intervals hold at
-# least 95 % of the poses in each of six sets of 40 to 120 poses; 1.4 is safer. Source:
-# `python -m tools.bench.print_shape` with seeds below 200, and `tools.bench.filament`.
+# Factor on the noise's sigma where the print's shape is marginalized. At 1.3, the 95 % intervals hold at least 95 % of
+# the poses in six sets of 40 to 120; 1.4 is safer. Source: `python -m tools.bench.print_shape` with seeds below 200,
+# and `tools.bench.filament`.
 INFLATION = 1.4
 
-_PX_PER_LOG_SCALE = 4.0  # px, shift of the print per unit of log scale; the distance compensates the rest
+_PX_PER_LOG_SCALE = 4.0  # px, print shift per unit of log scale, beyond what the distance compensates
 
 
 @dataclass(frozen=True)
 class Alignment:
-    """A pose fitted to one or several boards, and the agreement of rendered print and photo at this pose.
+    """A pose fitted to boards, and the agreement of rendered print and photo.
 
     Attributes:
-        T_ref_in_cam: pose (4, 4) of the frame `ref` in which the boards' poses are known.
-        covariance: (6, 6) of a small rotation about `centre` (rad) and of the shift of `centre` (m), both along the
-            camera's axes, from the photo's noise. `marginalize_shape` adds the uncertainty from the print's shape.
-        by_lens: (6, k) derivatives of the pose, in the same units, with respect to the lens parameters of
-            `CameraModel.intrinsics_cholesky`.
-        by_print: (6,) derivative with respect to the print's log scale; 0 if `covariance` includes a fitted scale.
-        centre: the mean (3,) of the boards' centres in `ref`, m.
-        blur: blur and motion of the photo, px.
+        T_ref_in_cam: pose (4, 4) of the frame `ref` of the boards' known poses.
+        covariance: (6, 6) of a rotation about `centre` (rad) and its shift (m) along the camera's axes, from noise;
+            `marginalize_shape` adds the print's shape.
+        by_lens: (6, k) pose derivatives by the lens parameters of `CameraModel.intrinsics_cholesky`.
+        by_print: (6,) pose derivative by the print's log scale; 0 if `covariance` includes a fitted scale.
+        centre: mean (3,) of the boards' centres in `ref`, m.
+        blur: px of the photo.
         noise: standard deviation of the residuals, grey levels.
         cost: weighted sum of squared residuals over `pixels` pixels.
-        tiles: for each board, marker -> agreement of rendering and photo.
-        log_scale: natural logarithm of the print's size over the nominal size; 0 if not fitted.
-        flat_probability: probability that the print is flat, as on a rigid plate; 1 if not estimated.
+        tiles: marker -> tile, for each board.
+        log_scale: log of print over nominal size; 0 if not fitted.
+        flat_probability: that the print is flat, as on a rigid plate; 1 if not estimated.
     """
 
     T_ref_in_cam: Array
@@ -79,7 +77,7 @@ class Alignment:
 
 @dataclass(frozen=True)
 class LogScalePrior:
-    """A Gaussian prior of the log of the print's size over its nominal size, and the start value of the fit."""
+    """A Gaussian prior of the log of print over nominal size, and the fit's start value."""
 
     mean: float
     sigma: float
@@ -95,17 +93,13 @@ def align_pose(
     log_scale_prior: LogScalePrior | None = None,
     coarse: bool = False,
 ) -> Alignment | None:
-    """Fit a pose to the photo, starting from an approximate pose.
+    """Fit a pose to a photo (height, width); None if a board is out of the picture, or the fit fails.
 
     Args:
-        photo: grey levels (height, width).
-        T_ref_in_cam: start pose (4, 4), with an error of at most about one marker cell.
-        blur: start value; the fit includes motion only if this value has motion.
-        log_scale_prior: prior of the print's size, which is then fitted too; None for the nominal size.
+        T_ref_in_cam: start pose (4, 4), off by at most about one marker cell.
+        blur: start value; motion is fitted only if this value has some.
+        log_scale_prior: to fit the print's size too; None for the nominal size.
         coarse: stop early, when the cost is known but the pose is less exact.
-
-    Returns:
-        The fitted pose; None if a board is not in the picture, or the fit fails.
     """
     fit = _problem(photo, camera, pieces, T_ref_in_cam, blur.length > 0, log_scale_prior, coarse)
     if fit is None:
@@ -117,7 +111,7 @@ def align_pose(
 def measure_agreement(
     photo: Grey, camera: CameraModel, pieces: Sequence[PrintPiece], T_ref_in_cam: Array, blur: BlurKernel, noise: float
 ) -> Alignment | None:
-    """Compare print and photo at a fixed pose. `noise` (sigma, grey levels) determines the weights of residuals."""
+    """Compare print and photo at a fixed pose (4, 4). `noise` (sigma, grey levels) weights residuals."""
     fit, state = _problem(photo, camera, pieces, T_ref_in_cam, moving=False), _PoseState(T_ref_in_cam, blur)
     if fit is None:
         return None
@@ -133,10 +127,9 @@ def marginalize_shape(
     log_scale_prior: LogScalePrior | None = None,
     creased: float = CREASED_SHARE,
 ) -> Alignment:
-    """Return an alignment with the print's bow, twist and crease marginalized: a new pose and a wider covariance.
+    """Marginalize the print's bow, twist and crease: returns a new pose and a wider covariance.
 
     Args:
-        photo: grey levels (height, width).
         pieces, log_scale_prior: the arguments that gave `found`.
         creased: prior probability of a creased print.
     """
@@ -155,7 +148,6 @@ def _problem(
     log_scale_prior: LogScalePrior | None = None,
     roughly: bool = False,
 ) -> _PoseProblem | None:
-    """Return the least-squares problem of pieces near a pose; None if a piece is not in the picture."""
     views = [view for piece in pieces if (view := view_print(photo, camera, piece, print_plane(piece, T))) is not None]
     if not views or len(views) < len(pieces):
         return None
@@ -170,7 +162,7 @@ class _PoseState:
     log_scale: float = 0.0
 
 
-# Indices of the parameters: blur, motion, rotation and shift, the print's log scale, and the uncertain lens parameters.
+# Parameter indices; the pose is rotation, then shift.
 _BLUR, _MOTION, _POSE, _LOG_SCALE, _LENS = 0, slice(1, 3), slice(3, 9), 9, slice(10, None)
 
 
@@ -178,8 +170,6 @@ _Columns = Callable[[PixelDerivatives, PrintPiece, Array, float], Array]
 
 
 class _PoseProblem(PrintProblem[_PoseState]):
-    """Least squares over the pose's six parameters, the blur, and optionally motion and the print's log scale."""
-
     def __init__(
         self,
         views: Sequence[PhotoRegion],
@@ -228,7 +218,7 @@ class _PoseProblem(PrintProblem[_PoseState]):
         return replace(system, full_normal=normal, full_gradient=gradient, misfit=misfit)
 
     def _columns(self, pixels: PixelDerivatives, piece: PrintPiece, T: Array, larger: float) -> Array:
-        """Return derivatives (n, 7 + k) of the print by rotation, shift, log scale, and the k lens parameters."""
+        """Return print derivatives (n, 7 + k) by rotation, shift, log scale, and k lens parameters."""
         R, T_board, at = T[:3, :3], piece.T_board_in_ref, larger * pixels.at
         on_board = at @ (R @ T_board[:3, :2]).T
         from_centre = on_board + R @ (T_board[:3, 3] - self._centre)
@@ -237,21 +227,19 @@ class _PoseProblem(PrintProblem[_PoseState]):
         by_ray = pixels.by_ray
         by_shift = np.column_stack([by_ray, -(by_ray * point[:, :2]).sum(axis=1) / depth]) / depth[:, None]
         along = (by_ray * pixels.rays).sum(axis=1)
-        # A longer focal length mostly changes the distance. This derivative omits that part, and `alignment` adds it.
+        # A longer focal length mostly changes the distance; `alignment` adds that part.
         by_focal = along + by_shift[:, 2] * self._depth(T)
         by_lens = [by_focal]
         if self._camera.intrinsics_covariance:
             by_lens += [*(pixels.by_shift * self._camera.focal).T, along * (pixels.rays**2).sum(axis=1)]
         by_size = (by_shift * on_board).sum(axis=1)
         (x, y, z), (a, b, c) = from_centre.T, by_shift.T
-        # This cross product is several times faster than numpy's.
+        # Several times faster than numpy's cross product.
         turns = (y * c - z * b, z * a - x * c, x * b - y * a)
         return np.column_stack([*turns, by_shift, by_size, *by_lens])
 
     def _shape_columns(self, pixels: PixelDerivatives, piece: PrintPiece, T: Array, larger: float) -> Array:
-        """Return derivatives (n, 7 + k + m) by the parameters of `_columns`, then by each board's shape modes."""
         columns = self._columns(pixels, piece, T, larger)
-        # Derivatives of each pixel with respect to a shift of the print along the axes of its board.
         along_x, along_y, by_height = (columns[:, 3:6] @ T[:3, :3] @ piece.T_board_in_ref[:3, :3]).T[:, :, None]
         by_x, by_y = placement_modes(piece.board, pixels.at)
         own = [by_height * shape_modes(piece.board, pixels.at), along_x * by_x + along_y * by_y]
@@ -260,7 +248,6 @@ class _PoseProblem(PrintProblem[_PoseState]):
         return np.column_stack([columns, *of_pieces])
 
     def with_marginalized_shape(self, state: _PoseState, found: Alignment, creased: float) -> Alignment:
-        """Return `found` with the print's shape marginalized, or unchanged if that fails."""
         system = self._system(state, found.noise, self._shape_columns)
         if system is None:
             return found
@@ -303,13 +290,12 @@ class _PoseProblem(PrintProblem[_PoseState]):
         return _PoseState(pose(at - R @ self._centre, R), kernel, state.log_scale + float(every[_LOG_SCALE]))
 
     def _every(self, step: Array) -> Array:
-        """Return the step of all parameters except the lens, with 0 for parameters that are not fitted."""
         every = np.zeros(_LENS.start)
         every[list(self._free)] = step
         return every
 
     def print_shift_px(self, state: _PoseState, step: Array) -> float:
-        # The rotation counts as a shift with a lever of 0.1 m.
+        # A rotation counts as a shift at 0.1 m.
         every = self._every(step)
         turn, shift = every[_POSE][:3], every[_POSE][3:]
         metres = float(np.linalg.norm(shift) + 0.1 * np.linalg.norm(turn))
@@ -318,7 +304,6 @@ class _PoseProblem(PrintProblem[_PoseState]):
         )
 
     def alignment(self, state: _PoseState, system: NormalEquations) -> Alignment | None:
-        """Return the alignment at a state; None if the pixels do not determine the pose."""
         normal, free = system.normal, list(system.free)
         held = [k for k in range(len(system.full_gradient)) if k not in free]
         moves = np.zeros((len(free), len(system.full_gradient)))

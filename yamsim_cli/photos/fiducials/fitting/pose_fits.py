@@ -1,4 +1,4 @@
-"""Find the poses that a board's print allows: start poses from corners, fits to the print, and competing fits."""
+"""Find the poses that a board's print allows: starts from corners, fits to the print, competing fits."""
 
 from __future__ import annotations
 
@@ -20,23 +20,23 @@ from .normal_equations import MarkerTile
 from .pose_alignment import Alignment, align_pose, measure_agreement
 from .print_view import whole_board_piece
 
-SAME_PRINT = 0.75  # correlation of rendered print and photo, below which a marker is hidden or displaced
-EXPLAINED = 0.96  # median correlation of the markers, above which a fit needs no other blur and no other start pose
-# An outlier is a marker with a much larger residual variance than most others and with a low correlation. The ratio to
-# the median is at most 2.5 in photos of whole boards, 4 with creases, and 40 or more with half-covered markers.
-_OUTLIER_RATIO = 5.0  # ratio of the residual variance to the median, above which a marker may be an outlier
-_OUTLIER_CORRELATION = 0.9  # correlation above which no marker is an outlier
-_MAX_ROUNDS = 3  # searches for outliers; several, because an outlier displaces the pose and so hides further outliers
-_MIN_EVIDENCE = 12.0  # difference of log-likelihoods, above which a pose excludes a competing pose
-_PIXELS_PER_SAMPLE = 4.0  # neighbouring pixels that count as one independent sample
-_SAME_POSE = math.radians(4.0)  # rad, angle below which two poses are the same
-_DECIDING_SHARE = 0.25  # share of the angle between two poses; a prediction nearer than that to a pose selects it
-_MAX_COMPETING_RATIO = 4.0  # ratio of mean squared residuals before the fit, above which a competing fit cannot win
+SAME_PRINT = 0.75  # correlation of print and photo; below, a marker is hidden or displaced
+EXPLAINED = 0.96  # median correlation; above, a fit needs no other blur or start
+# An outlier is a marker of low correlation, with a residual variance far above the median: at most 2.5 times in photos
+# of whole boards, 4 with creases, 40 or more with half-covered markers.
+_OUTLIER_RATIO = 5.0  # residual variance over the median; above, a marker may be an outlier
+_OUTLIER_CORRELATION = 0.9  # correlation; above, a marker is no outlier
+_MAX_ROUNDS = 3  # several, because one outlier displaces the pose and hides others
+_MIN_EVIDENCE = 12.0  # difference of log-likelihoods that excludes a competing pose
+_PIXELS_PER_SAMPLE = 4.0  # neighbouring pixels that count as one sample
+_SAME_POSE = math.radians(4.0)  # rad; at smaller angles, poses are the same
+_DECIDING_SHARE = 0.25  # share of the angle between two poses; a prediction nearer to one selects it
+_MAX_COMPETING_RATIO = 4.0  # ratio of mean squared residuals before the fit; above, a competing fit cannot win
 
 
 @dataclass(frozen=True)
 class PoseFit:
-    """A pose fitted to a board's print, the indices of markers that agree, and the number of those that do not."""
+    """A pose fitted to a board's print, with agreeing markers (indices) and the number of others."""
 
     alignment: Alignment
     agreeing: tuple[int, ...]
@@ -44,31 +44,30 @@ class PoseFit:
 
     @property
     def T(self) -> Array:
-        """The pose (4, 4) of the board in the camera frame."""
+        """Pose (4, 4) of the board in the camera frame."""
         return self.alignment.T_ref_in_cam
 
     @property
     def explains_well(self) -> bool:
-        """Whether rendering and photo agree well at most of the agreeing markers."""
+        """Whether print and photo agree well at most agreeing markers."""
         return float(np.median([tile.correlation for tile in self.alignment.tiles[0].values()])) > EXPLAINED
 
     @property
     def mean_square(self) -> float:
-        """The mean squared residual, grey levels squared."""
+        """Mean squared residual, grey levels squared."""
         return self.alignment.cost / self.alignment.pixels
 
 
 def planar_poses(points: Array, seen: Array) -> list[Array]:
-    """Return the poses (4, 4) at which coplanar points (n, 3) have the viewing rays (n, 2), by OpenCV's IPPE."""
+    """Return the poses (4, 4) that give coplanar points (n, 3) the viewing rays (n, 2), by OpenCV's IPPE."""
     count, turns, shifts, _ = cv2.solvePnPGeneric(points, seen, np.eye(3), np.zeros(5), flags=cv2.SOLVEPNP_IPPE)
     return [pose(shifts[k].ravel(), cv2.Rodrigues(turns[k])[0]) for k in range(count)]
 
 
 def initial_poses(group: MarkerGroup, board: Board, camera: CameraModel) -> list[Array]:
-    """Return the poses (4, 4) in front of the camera that a group's corners allow, by increasing reprojection error."""
+    """Return poses (4, 4) in front of the camera, by increasing reprojection error."""
     points = board.corners()[list(group.places)].reshape(-1, 3)
     pixels = group.corners.reshape(-1, 2)
-    # IPPE has no distortion model, so it gets viewing rays.
     count, turns, shifts, _ = cv2.solvePnPGeneric(
         points, viewing_rays(camera, pixels), np.eye(3), np.zeros(5), flags=cv2.SOLVEPNP_IPPE
     )
@@ -86,7 +85,7 @@ def initial_poses(group: MarkerGroup, board: Board, camera: CameraModel) -> list
 
 
 def faces_camera(T_board_in_cam: Array) -> bool:
-    """Return whether the board is in front of the camera and its printed side faces the camera."""
+    """Return whether the board's printed side is in view."""
     return bool(T_board_in_cam[2, 3] > 0 and T_board_in_cam[:3, 2] @ T_board_in_cam[:3, 3] < 0)
 
 
@@ -98,14 +97,14 @@ def fit_pose(
     T: Array,
     known: Sequence[PoseFit] = (),
 ) -> PoseFit | None:
-    """Fit a pose to the detected markers, then to all markers whose print agrees with that pose.
+    """Fit a pose to detected markers, then to all markers whose print agrees.
 
     Args:
         places: indices into `board.ids` of the detected markers.
-        T: start pose (4, 4) of the board in the camera frame.
+        T: start pose (4, 4) in the camera frame.
 
     Returns:
-        The fit; None if no pose fits, or the pose equals that of a fit in `known`.
+        None if no pose fits, or it equals one in `known`.
     """
     first = align_pose(photo, camera, [whole_board_piece(board, places)], T)
     if first is None or not faces_camera(first.T_ref_in_cam):
@@ -128,7 +127,7 @@ def fit_pose(
 
 
 def without_outliers(photo: NDArray[np.float32], camera: CameraModel, board: Board, fit: PoseFit) -> PoseFit:
-    """Repeat a fit without outliers, such as partly covered markers, which displace the pose."""
+    """Repeat a fit without outliers, which displace the pose, such as partly covered markers."""
     candidates = whole_board_piece(board, fit.agreeing)
     tiles = fit.alignment.tiles[0]
     for _ in range(_MAX_ROUNDS):
@@ -148,7 +147,6 @@ def without_outliers(photo: NDArray[np.float32], camera: CameraModel, board: Boa
 
 
 def _outliers(tiles: Mapping[int, MarkerTile]) -> set[int]:
-    """Return the markers whose residual variance after a shift is far above the median."""
     left = np.array([tile.residual_variance for tile in tiles.values()])
     least = _OUTLIER_RATIO * max(float(np.median(left)), 1e-9)
     return {
@@ -164,10 +162,9 @@ def find_competing_fit(
     fits: Sequence[PoseFit],
     predicted_poses: Sequence[Array] = (),
 ) -> PoseFit | None:
-    """Return another pose that explains the same markers nearly as well; None if there is none.
+    """Return another pose that explains the same markers nearly as well, if any.
 
-    Args:
-        predicted_poses: approximate poses (4, 4) of the board in the camera frame, one from each other board.
+    `predicted_poses` (4, 4) in the camera frame are approximate, from other boards.
     """
     piece = whole_board_piece(board, fit.agreeing)
     corners = board.corners()[list(fit.agreeing)].reshape(-1, 3)
@@ -209,5 +206,5 @@ def is_clearly_better(fit: PoseFit, competing: PoseFit) -> bool:
 
 
 def angle_between(T_a: Array, T_b: Array) -> float:
-    """Return the angle (rad) between the orientations of two poses (4, 4)."""
+    """Return the angle (rad) between orientations."""
     return float(np.linalg.norm(rotation_vector(T_a[:3, :3].T @ T_b[:3, :3])))

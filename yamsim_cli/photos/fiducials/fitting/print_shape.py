@@ -1,9 +1,8 @@
-"""Estimate the pose uncertainty that results from a print that is not flat and from misplaced markers.
+"""Estimate the pose uncertainty from prints that are not flat and from misplaced markers.
 
-The least squares of the pose include linear modes of the print's shape: bow along x and y, twist, and a crease. Each
-shape hypothesis has a Gaussian prior on its modes. The mixture of all hypotheses gives the prior a heavy tail. The
-residuals give the evidence of each hypothesis, and a Schur complement marginalizes its modes. Every hypothesis also
-marginalizes the in-plane positions of the marker columns and rows, and the marker size.
+The pose's least squares include linear modes of the print's shape: bow along x and y, twist, a crease. Each shape
+hypothesis has Gaussian priors on its modes; their mixture has a heavy tail. A Schur complement marginalizes the modes
+and the in-plane positions and size of markers.
 """
 
 from __future__ import annotations
@@ -19,19 +18,19 @@ from yamsim_cli.core.geometry.board import Board
 from yamsim_cli.core.geometry.se3 import Array
 
 _BOW_MODES = 3  # bow along x, bow along y, twist
-_PLATE_SAG = 1e-4  # m, sigma of the bow or twist at the print's edge, for paper glued to a rigid plate
-_BENT_SAG = 1e-3  # m, sigma of the bow or twist at the print's edge, for a bent plate or loose paper
+_PLATE_SAG = 1e-4  # m, sigma of bow or twist at the edge, for paper glued to a rigid plate
+_BENT_SAG = 1e-3  # m, the same for a bent plate or loose paper
 _FOLD_SIGMA = math.radians(4.0)  # rad, sigma of a crease's fold angle; users notice larger folds
-_BENT_PROBABILITY = 0.02  # prior probability of a bent print
-CREASED_SHARE = 0.08  # prior probability of a creased print
-# With this value, the poses from 180 photos of creased prints are within their 95 % intervals.
-_NONLINEAR_FOLD_SHARE = 0.15  # sigma of the error of the linear crease modes, as a share of the fold angle
+_BENT_PROBABILITY = 0.02  # prior of a bent print
+CREASED_SHARE = 0.08  # prior of a creased print
+# With this value, poses from 180 photos of creased prints are within their 95 % intervals.
+_NONLINEAR_FOLD_SHARE = 0.15  # sigma of the linear crease modes' error, as a share of the fold angle
 _CREASE_DIRECTIONS = 8  # directions of the folded side over 360 degrees; either side of a crease may lie on the plate
-_CREASE_OFFSETS = (-0.5, -0.25, 0.0, 0.25, 0.5)  # crease positions from the centre, in half widths of the print
+_CREASE_OFFSETS = (-0.5, -0.25, 0.0, 0.25, 0.5)  # positions from the centre, half widths of the print
 _HEIGHT_MODES = _BOW_MODES + _CREASE_DIRECTIONS * len(_CREASE_OFFSETS)
-# Rounding to a pixel has a uniform error. At 600 dpi, its sigma is 0.042 mm / sqrt(12) = 0.012 mm. A 94 mm board drawn
-# 900 pixels wide has 244 dpi and a sigma of 0.030 mm.
-_PLACEMENT_SIGMA = 3e-5  # m, sigma of the in-plane position of a marker column or row, and of half the marker edge
+# Rounding to a pixel has a uniform error: a sigma of 0.042 mm / sqrt(12) = 0.012 mm at 600 dpi, and of 0.030 mm for a
+# 94 mm board drawn 900 px wide (244 dpi).
+_PLACEMENT_SIGMA = 3e-5  # m, in-plane position of a marker column or row, and half the marker edge
 
 
 @dataclass(frozen=True)
@@ -39,11 +38,11 @@ class ShapedPose:
     """A pose with the print's shape marginalized.
 
     Attributes:
-        step: (p,) from the parameters of the flat print to the expected parameters.
-        covariance: (p, p) of the parameters.
-        moves: (p, h) derivatives of the fitted parameters with respect to the parameters that the fit keeps fixed.
-        neglected: variance of the rotation, rad^2 about each axis, that the linear modes of a crease neglect.
-        flat: probability that the print lies on a rigid plate.
+        step: (p,) from the flat print's parameters to the expected ones.
+        covariance: (p, p).
+        moves: (p, h) derivatives of the fitted parameters by those kept fixed.
+        neglected: variance of the rotation, rad^2 per axis, that linear crease modes neglect.
+        flat: probability of a print on a rigid plate.
     """
 
     step: Array
@@ -54,7 +53,7 @@ class ShapedPose:
 
 
 def shape_modes(board: Board, at: Array) -> Array:
-    """Return the height (n, m) of points (n, 2) on a board, m, per unit of each mode: bows in m, creases in rad."""
+    """Return heights (n, m) of points (n, 2) on a board, m, per unit of each mode: bows in m, creases in rad."""
     half = max(board.width, board.height) / 2
     u, v = (at / half).T
     modes = [u**2 - 1 / 3, v**2 - 1 / 3, u * v]
@@ -65,10 +64,10 @@ def shape_modes(board: Board, at: Array) -> Array:
 
 
 def placement_modes(board: Board, at: Array) -> tuple[Array, Array]:
-    """Return the shift of points (n, 2) on a board along x (n, m) and along y (n, m), per metre of each mode.
+    """Return shifts of points (n, 2) along x (n, m) and y (n, m), per metre of each mode.
 
-    Rounding in a printer or drawing program shifts all markers of a column, or of a row, equally. It also changes all
-    half edges equally. Without that mode, the marker size would determine the scale, which positions determine better.
+    Printers and drawing programs round all markers of a column or row equally, and all half edges equally. Without the
+    latter mode, marker sizes would determine the scale, which positions determine better.
     """
     step, middle = board.marker_length + board.gap, np.array([board.columns - 1, board.rows - 1]) / 2
     to_right_and_down = np.array([1.0, -1.0])
@@ -83,12 +82,11 @@ def placement_modes(board: Board, at: Array) -> tuple[Array, Array]:
 
 
 def mode_count(board: Board) -> int:
-    """Return the number of shape modes plus placement modes of a print."""
+    """Return the number of shape and placement modes."""
     return _HEIGHT_MODES + board.columns + board.rows + 1
 
 
 def _hypotheses(boards: Sequence[Board], parameters: int, creased: float) -> list[tuple[list[int], list[float], float]]:
-    """Return the parameter indices of each hypothesis's modes, their sigmas, and its prior probability."""
     counts = [mode_count(board) for board in boards]
     firsts = [parameters - sum(counts[piece:]) for piece in range(len(boards))]
     bows = [first + k for first in firsts for k in range(_BOW_MODES)]
@@ -109,14 +107,12 @@ def marginalize_modes(
     boards: Sequence[Board],
     creased: float,
 ) -> ShapedPose:
-    """Marginalize the shape and placement modes, which are the last parameters, out of the normal equations.
+    """Marginalize the shape and placement modes, the last parameters, out of the equations.
 
     Args:
-        normal, gradient: (k, k) and (k,), from residuals that are not divided by their standard deviation.
-        variance: of the residuals.
+        normal, gradient: (k, k) and (k,), from residuals of variance `variance`.
         free: indices of the fitted parameters.
-        held: indices of the parameters that the fit keeps fixed.
-        boards: the boards of the prints, in the order of their modes.
+        held: indices of the parameters kept fixed.
         creased: prior probability of a creased print.
 
     Raises:

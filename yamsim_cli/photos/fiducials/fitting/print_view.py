@@ -1,4 +1,4 @@
-"""Render a board's print as a camera sees it from a given pose: supersampled, averaged to pixels, and blurred."""
+"""Render a board's print as seen from a pose: supersampled, averaged to pixels, blurred."""
 
 from __future__ import annotations
 
@@ -20,20 +20,18 @@ from .blur_kernel import BlurKernel
 
 Grey = NDArray[np.float32]
 
-_SUBSAMPLES = 3  # sample points per pixel along each axis, averaged to one pixel
-_TARGET_PX_PER_CELL = 2.7  # px per marker cell that a reduced photo has at least; a finer picture only costs time
-_MIN_SURROUNDINGS_RADIUS = 0.9  # px, blur radius from which the surroundings of the print affect compared pixels
+_SUBSAMPLES = 3  # sample points per pixel along each axis
+_TARGET_PX_PER_CELL = 2.7  # minimum in a reduced photo; finer pictures only cost time
+_MIN_SURROUNDINGS_RADIUS = 0.9  # px, blur radius from which a print's surroundings affect compared pixels
 _MARGIN_PX = 3  # px around the board, by which a fit can move the print
-_MIN_VIEW_PX = 8  # px, smallest side of a view
+_MIN_VIEW_PX = 8  # px, side of a `PhotoRegion`
 
 
 @dataclass(frozen=True)
 class PrintPiece:
-    """A board and its known pose in a frame `ref`. A fit estimates the pose of `ref`, with one or several boards.
+    """A board with known pose (4, 4) in a frame `ref`, whose pose a fit estimates.
 
-    Attributes:
-        T_board_in_ref: pose (4, 4).
-        markers: indices (k,) into `board.ids` of the markers to compare.
+    `markers` are indices into `board.ids` of the markers to compare.
     """
 
     board: Board
@@ -42,20 +40,20 @@ class PrintPiece:
 
 
 def whole_board_piece(board: Board, markers: Sequence[int] | None = None) -> PrintPiece:
-    """Return a board in its own frame (`ref` is the board frame), with the given markers or, for None, all."""
+    """Return a board as its own frame `ref`, with the given markers or all."""
     return PrintPiece(board, np.eye(4), tuple(range(len(board.ids)) if markers is None else markers))
 
 
 @dataclass(frozen=True)
 class PhotoRegion:
-    """The region of the photo that shows a board, with all values for rendering that do not depend on the pose.
+    """The part of a photo that shows a board, with all that rendering needs besides the pose.
 
     Attributes:
-        photo: grey levels (rows, columns) of the region, reduced by the factor `coarser`.
-        centre_rays: viewing rays (n, 2) of the region's pixels, row by row.
-        px_per_ray: derivative (n, 2, 2) of the pixels with respect to the rays.
-        pattern, px_per_metre: the board's print, 0 black to 1 white, and its scale.
-        field: rays (rows, columns, 2) of the sample points of the print, `_SUBSAMPLES` x `_SUBSAMPLES` per pixel.
+        photo: grey levels (rows, columns), reduced by the factor `coarser`.
+        centre_rays: viewing rays (n, 2) of the pixels, row by row.
+        px_per_ray: derivative (n, 2, 2) of pixels by rays.
+        pattern: the print, 0 black to 1 white, of scale `px_per_metre`.
+        field: rays (rows, columns, 2) of the sample points, `_SUBSAMPLES` squared per pixel.
     """
 
     piece: PrintPiece
@@ -73,13 +71,13 @@ class RenderedPrint:
     """The print as the camera sees it.
 
     Attributes:
-        sharp: print without blur (rows, columns), 0 black to 1 white. Unknown surroundings are black, as the border.
+        sharp: (rows, columns) without blur, 0 black to 1 white. Unknown surroundings are black, as the border.
         grey: `sharp` with blur.
-        outside: fraction (rows, columns, 2) of each pixel outside the print: left or right, and above or below. None
-            if the blur is too small to mix the surroundings into compared pixels.
+        outside: share (rows, columns, 2) of each pixel left or right of the print, and above or below; None with little
+            blur.
         beside: `outside` with blur.
-        at: position (n, 2) of each pixel on the board, m.
-        marker: number (n,) of the marker at each pixel, including half the gap around the marker; -1 for none.
+        at: (n, 2) on the board, m.
+        marker: marker index (n,) at each pixel, with half the gap around it; -1 for none.
     """
 
     sharp: Grey
@@ -97,13 +95,10 @@ def print_plane(piece: PrintPiece, T_ref_in_cam: Array, larger: float = 1.0) -> 
 
 
 def view_print(photo: Grey, camera: CameraModel, piece: PrintPiece, plane: Array) -> PhotoRegion | None:
-    """Return the region of a photo (height, width) that shows a board.
+    """Return the part of a photo (height, width) with the board; None if behind the camera or below 8 px.
 
     Args:
-        plane: (3, 3) from (x, y, 1) on the board, m, to points in the camera frame, up to a positive factor.
-
-    Returns:
-        The region; None if the board is not in front of the camera, or a side of the region is below 8 px.
+        plane: (3, 3) from (x, y, 1) on the board, m, to the camera frame, up to a positive factor.
     """
     board = piece.board
     half = np.array([board.width / 2, board.height / 2])
@@ -147,7 +142,7 @@ def view_print(photo: Grey, camera: CameraModel, piece: PrintPiece, plane: Array
 
 
 def _inverse_2x2(matrices: Array) -> Array:
-    """Invert matrices (n, 2, 2), several times faster than `np.linalg.inv`."""
+    """Several times faster than `np.linalg.inv`."""
     (a, b), (c, d) = matrices[:, 0].T, matrices[:, 1].T
     adjugate = np.stack([np.stack([d, -b], axis=-1), np.stack([-c, a], axis=-1)], axis=-2)
     inverses: Array = adjugate / (a * d - b * c)[:, None, None]
@@ -162,7 +157,7 @@ def _pattern(board: Board, points_per_cell: float) -> tuple[Grey, float]:
 
 @functools.lru_cache(maxsize=32)
 def _fine_pattern(board: Board) -> tuple[Grey, float]:
-    """Return the print and its scale in px/m. Marker cells are whole pixels, and gaps as nearly as possible."""
+    """Return the print and its scale, px/m. Cells are whole pixels, and gaps as nearly as possible."""
     step = (board.marker_length + board.gap) / board.marker_length
 
     def rounding(cell_px: int) -> float:
@@ -179,7 +174,7 @@ def _fine_pattern(board: Board) -> tuple[Grey, float]:
 def _reduced(board: Board, coarser: int) -> Grey:
     fine, _ = _fine_pattern(board)
     rows, columns = (-(-side // coarser) for side in fine.shape)
-    # Repeat the edge pixels, so that every reduced pixel covers a whole block.
+    # Every reduced pixel must cover a whole block.
     padded = cv2.copyMakeBorder(
         fine, 0, rows * coarser - fine.shape[0], 0, columns * coarser - fine.shape[1], cv2.BORDER_REPLICATE
     )
@@ -187,12 +182,7 @@ def _reduced(board: Board, coarser: int) -> Grey:
 
 
 def draw_print(view: PhotoRegion, plane: Array, blur: BlurKernel) -> RenderedPrint:
-    """Render a board's print as the camera sees it, with blur.
-
-    Args:
-        plane: (3, 3) from (x, y, 1) on the board, m, to points in the camera frame, up to a positive factor.
-        blur: in the view's pixels.
-    """
+    """Render a print with blur (px of the view) from `plane`, as in `view_print`."""
     onto_board: Array = np.linalg.inv(plane).astype(np.float64)
     board = view.piece.board
     x, y = fine_board_points(view, onto_board)
@@ -207,7 +197,7 @@ def draw_print(view: PhotoRegion, plane: Array, blur: BlurKernel) -> RenderedPri
         grey = blur.apply(sharp)
     else:
         past_x, past_y = np.abs(x) > board.width / 2, np.abs(y) > board.height / 2
-        # Beyond a corner, each of the two sides gets half of the pixel.
+        # Beyond a corner, each side gets half of the pixel.
         half = np.float32(1) / (np.float32(1) + (past_x & past_y))
         past = past_x * half, past_y * half
         every = cv2.resize(cv2.merge([fine, *past]), shape, interpolation=cv2.INTER_AREA).astype(np.float32)
@@ -220,14 +210,14 @@ def draw_print(view: PhotoRegion, plane: Array, blur: BlurKernel) -> RenderedPri
 
 
 def fine_board_points(view: PhotoRegion, onto_board: Array) -> tuple[Grey, Grey]:
-    """Return the positions on the board (m, right and up) of the sample points of the print.
+    """Return the sample points' positions on the board (m, right and up).
 
     Args:
         onto_board: (3, 3) from viewing rays (x, y, 1) to (x, y, 1) on the board, m, up to a factor.
     """
     field, A = view.field, onto_board.astype(np.float32)
     w = A[2, 0] * field[..., 0] + A[2, 1] * field[..., 1] + A[2, 2]
-    # A ray parallel to the board's plane does not intersect the plane.
+    # A ray may be parallel to the board.
     with np.errstate(divide="ignore"):
         x = (A[0, 0] * field[..., 0] + A[0, 1] * field[..., 1] + A[0, 2]) / w
         y = (A[1, 0] * field[..., 0] + A[1, 1] * field[..., 1] + A[1, 2]) / w
@@ -235,10 +225,7 @@ def fine_board_points(view: PhotoRegion, onto_board: Array) -> tuple[Grey, Grey]
 
 
 def _marker_at(view: PhotoRegion, at: Array, blur: BlurKernel) -> NDArray[np.int_]:
-    """Return the index (n,) of the marker at each pixel, including half the gap around the marker; -1 for none.
-
-    Pixels within the blur radius of anything else, such as the table or a hand, are -1 too.
-    """
+    """Return the marker index (n,) at each pixel; -1 within a blur radius of anything else, such as a hand."""
     board = view.piece.board
     step = board.marker_length + board.gap
     column = np.floor((at[:, 0] + board.width / 2 + board.gap / 2) / step).astype(int)

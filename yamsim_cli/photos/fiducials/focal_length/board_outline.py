@@ -1,8 +1,7 @@
 """Fit the homography from a board's print to a photo, without a camera model.
 
-A lens without distortion maps a flat print by eight numbers, here the positions of four points in the picture. As with
-poses, a fit renders the print and adjusts the map until it agrees with the photo. `focal_estimate` then evaluates which
-cameras and poses explain the four points.
+A lens without distortion maps a flat print by eight numbers, here four points in the picture. `focal_estimate`
+evaluates which cameras and poses explain them.
 """
 
 from __future__ import annotations
@@ -34,26 +33,25 @@ from ..fitting.pose_fits import SAME_PRINT
 from ..fitting.print_view import PhotoRegion, PrintPiece, view_print
 from ..markers import MarkerGroup
 
-# Standard deviation of an outline point in a photo without noise, px: the rendering has few sample points per pixel.
-# Source: 350 outlines of random views, sharp and blurred, small and large. With this error and the noise, 95 % of
-# squared distances are within the 95 % bound of a normal distribution.
+# px, sigma of a point without noise: the rendering has few sample points per pixel. Source: 350 outlines of random
+# views, 95 % of whose squared distances are within the 95 % normal bound.
 _MIN_SIGMA_PX = 0.003
-# Ratio of standard deviations to those from noise alone, since the fit does not marginalize the print's shape and
-# placement. Source: `python -m tools.bench.intervals`.
+# Sigmas over those from noise alone: the print's shape and placement are not marginalized. Source: `python -m
+# tools.bench.intervals`.
 _INFLATION = 2.0
-_USUAL_BLUR = 0.9  # px, sigma of the blur at the start of a fit
-_FITTED = (0, *range(3, 11))  # indices of the fitted parameters: blur and homography, but not motion
+_USUAL_BLUR = 0.9  # px, sigma at the start of a fit
+_FITTED = (0, *range(3, 11))  # blur and homography, but not motion
 
 
 @dataclass(frozen=True)
 class BoardOutline:
-    """The position of a board in a photo, given by four points.
+    """Four points that show a board's position in a photo.
 
     Attributes:
-        on_board: four points (4, 2) of the board, m.
-        points: the same points in the photo (4, 2), px.
+        on_board: (4, 2), m.
+        points: the same points (4, 2), px.
         covariance: (8, 8) of `points`, x and y alternating, px^2.
-        markers: indices into `board.ids` of the markers whose print agrees with the photo.
+        markers: indices into `board.ids` of markers whose print agrees.
     """
 
     board: Board
@@ -64,13 +62,9 @@ class BoardOutline:
 
 
 def fit_outline(photo: NDArray[np.float32], group: MarkerGroup, board: Board) -> BoardOutline | None:
-    """Fit a homography to the print around detected markers; None if the photo does not determine the homography.
-
-    Args:
-        photo: grey levels (height, width).
-    """
+    """Fit a homography to the print around detected markers in a photo (height, width); None if it is undetermined."""
     height, width = photo.shape
-    # Any focal length will do, since the result is in pixels.
+    # Results are in pixels: any focal length will do.
     camera = CameraModel.pinhole(width, height, float(max(width, height)))
     corners = board.corners()[list(group.places)].reshape(-1, 4, 3)[..., :2].reshape(-1, 2)
     plane: Any = cv2.findHomography(corners, viewing_rays(camera, group.corners.reshape(-1, 2)))[0]
@@ -80,7 +74,7 @@ def fit_outline(photo: NDArray[np.float32], group: MarkerGroup, board: Board) ->
     found = _fit_homography(photo, camera, board, group.places, np.asarray(plane, dtype=np.float64))
     if found is None:
         return None
-    # Exclude partly hidden and misread markers.
+    # Drop partly hidden and misread markers.
     agreeing = tuple(k for k, tile in found[2].tiles[0].items() if tile.correlation >= SAME_PRINT)
     if not agreeing:
         return None
@@ -94,7 +88,7 @@ def fit_outline(photo: NDArray[np.float32], group: MarkerGroup, board: Board) ->
 
 @dataclass(frozen=True)
 class _MapState:
-    """The map (3, 3) from (x, y, 1) on the board, m, to viewing rays, with last element 1; the blur (sigma, px)."""
+    """Map (3, 3) from (x, y, 1) on the board, m, to viewing rays, last element 1; blur sigma, px."""
 
     plane: Array
     blur: float
@@ -117,7 +111,7 @@ class _PlaneProblem(PrintProblem[_MapState]):
         super().__init__()
         self._view, self._focal = view, focal
         board = view.piece.board
-        # In units of half a board, the eight numbers have similar magnitudes.
+        # In half boards, the eight numbers have similar magnitudes.
         self._per_metre = 2 / max(board.width, board.height)
         half = np.array([board.width, board.height]) / math.sqrt(12)
         self._on_board = half * np.array([[-1, 1], [1, 1], [1, -1], [-1, -1]])
@@ -131,7 +125,7 @@ class _PlaneProblem(PrintProblem[_MapState]):
         )
 
     def _by_map(self, state: _MapState, at: Array, seen: Array, by_ray: Array) -> Array:
-        """Return derivatives (n, 8) with respect to the map, from `by_ray` (n, 2) with respect to the viewing rays."""
+        """Return derivatives (n, 8) by the map, given `by_ray` (n, 2) by viewing rays."""
         w = np.column_stack([at, np.ones(len(at))]) @ state.plane[2]
         u = np.column_stack([at * self._per_metre, np.ones(len(at))]) / w[:, None]
         along = (by_ray * seen).sum(axis=1, keepdims=True)
@@ -152,7 +146,6 @@ class _PlaneProblem(PrintProblem[_MapState]):
         return seen
 
     def _by_points(self, state: _MapState) -> Array:
-        """Return the derivative (8, 8) of the four points, px, with respect to the map."""
         seen, focal = self._rays(state), self._focal
         by = [self._by_map(state, self._on_board, seen, np.tile(axis, (4, 1))) for axis in ([focal, 0], [0, focal])]
         return np.stack(by, axis=1).reshape(8, 8)
@@ -160,7 +153,6 @@ class _PlaneProblem(PrintProblem[_MapState]):
     def outline(
         self, state: _MapState, system: NormalEquations, camera: CameraModel, markers: tuple[int, ...]
     ) -> BoardOutline | None:
-        """Return the outline at a state; None if the pixels do not determine the map."""
         try:
             covariance = np.linalg.inv(system.normal)[1:, 1:] * system.noise**2
         except np.linalg.LinAlgError:

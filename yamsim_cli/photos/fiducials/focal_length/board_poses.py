@@ -1,4 +1,4 @@
-"""Fit the poses that explain a flat board's outline at many focal lengths at once, with a principal point and k1."""
+"""Fit the poses that explain a flat board's outline at many focal lengths, with principal point and k1."""
 
 from __future__ import annotations
 
@@ -18,22 +18,22 @@ from .board_outline import BoardOutline
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
-_MAX_STEPS = 30  # least-squares steps of a pose fit
-_MIN_GAIN = 1e-3  # gain of chi squared, relative to 1 + chi squared, below which the steps end
-_GRID_POINTS = 5  # points along each edge of a board at which distortion is evaluated
-_MIN_AREA = 1e-6  # area of a board's picture (unit: longer side squared), below which the view is edge-on
-_MAX_BEND = 3.0  # photo's longer sides, shift by distortion with k1 = 1, above which rounding errors dominate
-_MAX_ROTATION = 0.5  # rad, largest rotation in one step
+_MAX_STEPS = 30
+_MIN_GAIN = 1e-3  # gain of chi squared, relative to 1 + chi squared; below, a fit ends
+_GRID_POINTS = 5  # along each edge of a board, at which distortion is evaluated
+_MIN_AREA = 1e-6  # area of a board's picture (longer side squared); below, the view is edge-on
+_MAX_BEND = 3.0  # longer sides, shift by k1 = 1; above, rounding errors dominate
+_MAX_ROTATION = 0.5  # rad, per step
 
 
 def fit_board_poses(outline: BoardOutline, size: tuple[int, int], spread: Array) -> list[BoardPoses]:
-    """Return the two solutions for the pose of a flat board, each with a pose for each focal length.
+    """Return a flat board's two solutions, each with a pose per focal length.
 
     Args:
         size: width and height of the photo, px.
         spread: longer side of the photo over the focal length (n,).
     """
-    # The length unit in the picture is its longer side, and on the board its width.
+    # Length unit: longer side in the picture, width on the board.
     longer = max(size)
     seen = (outline.points - (np.array(size) - 1) / 2) / longer
     whiten = np.linalg.inv(np.linalg.cholesky(outline.covariance / longer**2))
@@ -42,14 +42,13 @@ def fit_board_poses(outline: BoardOutline, size: tuple[int, int], spread: Array)
 
 
 def _starts(on_board: Array, seen: Array, spread: Array) -> list[FocalPoses]:
-    """Return the two sets of start poses that a flat board allows, each with a pose for each focal length."""
     points = np.column_stack([on_board, np.zeros(4)])
     turns, shifts = np.empty((2, len(spread), 3, 3)), np.empty((2, len(spread), 3))
     for k, value in enumerate(spread):
         _, vectors, places, _ = cv2.solvePnPGeneric(
             points, seen * value, np.eye(3), np.zeros(5), flags=cv2.SOLVEPNP_IPPE
         )
-        # If OpenCV's IPPE method returns only one pose, both sets get that pose.
+        # IPPE may return only one pose, which both sets get.
         for pose, which in ((0, 0), (1, -1)):
             turns[pose, k] = cv2.Rodrigues(vectors[which])[0]
             shifts[pose, k] = places[which].ravel()
@@ -58,7 +57,7 @@ def _starts(on_board: Array, seen: Array, spread: Array) -> list[FocalPoses]:
 
 
 def _homography_jacobian(points: Array) -> Array:
-    """Return the shifts (2 k, 8) of coplanar points (k, 2) by each of the eight parameters of a homography."""
+    """Return shifts (2 k, 8) of coplanar points (k, 2) by a homography's eight parameters."""
     x, y = points.T
     zero, one = np.zeros_like(x), np.ones_like(x)
     across, down = (one, zero, x, y, zero, zero, x * x, x * y), (zero, one, zero, zero, x, y, x * y, y * y)
@@ -67,7 +66,7 @@ def _homography_jacobian(points: Array) -> Array:
 
 
 def _inverses(matrices: Array) -> Array:
-    """Return inverses (..., 2, 2), with huge elements for singular matrices, such as those of a board seen edge-on."""
+    """Return inverses (..., 2, 2); singular matrices, as of a board seen edge-on, get huge elements."""
     a, b, c, d = (matrices[..., row, column] for row in (0, 1) for column in (0, 1))
     determinant = a * d - b * c
     determinant = np.where(np.abs(determinant) < _MIN_AREA, _MIN_AREA, determinant)
@@ -78,11 +77,9 @@ def _inverses(matrices: Array) -> Array:
 
 @dataclass(frozen=True)
 class FocalPoses:
-    """A pose of one board for each of n focal lengths.
+    """A board's pose at each of n focal lengths.
 
-    Attributes:
-        rotations: rotations (n, 3, 3) of the board.
-        centres, sizes: centre (n, 2) and width (n,) of the board in the picture, in units of the picture's longer side.
+    `centres` (n, 2) and widths `sizes` (n,) are in the picture's longer sides; `rotations` are (n, 3, 3).
     """
 
     rotations: Array
@@ -94,16 +91,16 @@ R = TypeVar("R", bound="DataclassInstance")
 
 
 def select_rows(take: NDArray[np.bool_], one: R, other: R) -> R:
-    """Return a dataclass of arrays (n, ...) with the rows of `one` where `take` (n,) is true, else of `other`."""
+    """Return a dataclass of arrays with rows of `one` where `take` (n,), else of `other`."""
     arrays = zip(vars(one).items(), vars(other).values(), strict=True)
     return replace(one, **{name: np.where(take.reshape(-1, *[1] * (a.ndim - 1)), a, b) for (name, a), b in arrays})
 
 
 class BoardPoses:
-    """The poses of a board that explain its outline, for each of n focal lengths.
+    """Poses that explain a board's outline, for n focal lengths.
 
-    With y = R u for a point u of the board, the point's image is (middle + size y_xy) / (1 + spread size y_z). The
-    spread is the picture's longer side over the focal length, so infinite focal lengths are regular.
+    With y = R u for a point u of the board, its image is (middle + size y_xy) / (1 + spread size y_z). The spread is
+    the picture's longer side over the focal length: an infinite focal length is regular.
     """
 
     def __init__(self, on_board: Array, seen: Array, whiten: Array, spread: Array, first: FocalPoses) -> None:
@@ -115,19 +112,19 @@ class BoardPoses:
         self._flatten = _homography_jacobian(on_board) @ np.linalg.pinv(_homography_jacobian(self._grid))
 
     def refine(self, poses: FocalPoses, lens: Array) -> FocalPoses:
-        """Return the best poses near the given ones for a lens (n, 3): principal point shift, and k1."""
+        """Return the best poses nearby for a lens (n, 3): principal point shift and k1."""
         _, _, by_lens = self.equations(poses, lens)
-        # The shifts by distortion hardly change during the fit, so they are computed once.
+        # Distortion shifts hardly change during the fit.
         bend = np.linalg.solve(self._whiten, by_lens[..., 2:])[..., 0].reshape(-1, 4, 2).astype(np.float64)
         found = solve_least_squares(_BoardPosesProblem(self, lens, bend), poses, _MAX_STEPS)
-        assert found is not None  # the equations exist at every state
+        assert found is not None
         return found[0]
 
     def _distortion_shifts(self, poses: FocalPoses, at: Array, w: Array) -> Array:
-        """Return the shifts (n, 4, 2) of the four outline points by distortion with k1 = 1.
+        """Return shifts (n, 4, 2) of the outline points by distortion with k1 = 1.
 
-        The outline is the homography nearest to the distorted picture of the whole board. So the function evaluates
-        distortion on a grid over the board, and moves the four points by its homography part.
+        The outline is the homography nearest to the distorted board, so only that part of the distortion on a grid
+        counts.
         """
         spread = self._spread[:, None]
         on_grid = self._grid @ np.swapaxes(poses.rotations[:, :, :2], 1, 2) * poses.sizes[:, None, None]
@@ -137,23 +134,22 @@ class BoardPoses:
         on_board = (_inverses(self._by_board(poses, grid, w_grid)) @ moved[..., None])[..., 0]
         flat = (on_board.reshape(len(spread), -1) @ self._flatten.T).reshape(len(spread), 4, 2)
         moved_points = (self._by_board(poses, at, w) @ flat[..., None])[..., 0]
-        # For a board seen edge-on, rounding errors dominate.
+        # Edge-on, rounding errors dominate.
         possible = np.abs(moved_points).max(axis=(1, 2)) < _MAX_BEND
         return np.where(possible[:, None, None], moved_points, 0.0)
 
     def _by_board(self, poses: FocalPoses, at: Array, w: Array) -> Array:
-        """Return the derivative (n, k, 2, 2) of positions in the picture with respect to positions on the board."""
         axes = poses.rotations[:, None, :, :2] * poses.sizes[:, None, None, None]
         by_depth = at[..., :, None] * (self._spread[:, None, None] * axes[:, :, 2])[:, :, None, :]
         by: Array = (axes[:, :, :2] - by_depth) / w[..., None, None]
         return by
 
     def equations(self, poses: FocalPoses, lens: Array, bend: Array | None = None) -> tuple[Array, Array, Array]:
-        """Return whitened residuals (n, 8), and their derivatives by the pose (n, 8, 6) and by the lens (n, 8, 3).
+        """Return whitened residuals (n, 8) and derivatives by pose (n, 8, 6) and lens (n, 8, 3).
 
         Args:
-            lens: principal point shift (right and down, in units of the picture's longer side) and k1 (n, 3).
-            bend: shifts (n, 4, 2) of the points by distortion with k1 = 1; None to compute them.
+            lens: principal point shift (right, down; picture's longer sides) and k1 (n, 3).
+            bend: shifts (n, 4, 2) by distortion with k1 = 1; None to compute them.
         """
         turned = self._on_board @ np.swapaxes(poses.rotations[:, :, :2], 1, 2) * poses.sizes[:, None, None]
         x, y, z = (turned[..., k] for k in range(3))
@@ -200,8 +196,6 @@ class _Linear:
 
 
 class _BoardPosesProblem(LeastSquares[FocalPoses, _Linear]):
-    """Least squares over the poses, separately at each focal length, with fixed shifts by distortion."""
-
     def __init__(self, board: BoardPoses, lens: Array, bend: Array) -> None:
         self._board, self._lens, self._bend = board, lens, bend
 

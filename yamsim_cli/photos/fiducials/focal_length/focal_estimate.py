@@ -1,9 +1,8 @@
-"""Estimate the focal length of an uncalibrated camera, from the perspective of the boards in its photos.
+"""Estimate an uncalibrated camera's focal length from the perspective of boards in its photos.
 
-A slanted board shrinks towards its far edge, and this perspective separates its distance from the focal length. A board
-seen straight on is consistent with any focal length. So the estimate evaluates a whole range: at every focal length,
-each board has the pose that explains its outline best, and the remaining chi squared is the misfit. The result is an
-interval that contains the true value in 95 of 100 photos, or the reason why no useful interval exists.
+A slanted board shrinks towards its far edge, which separates distance from focal length; a board seen straight on fits
+any. So each focal length of a range gets the boards' best poses and their chi squared. The result is a 95 % interval,
+or the reason why none is useful.
 """
 
 from __future__ import annotations
@@ -27,52 +26,51 @@ from .board_poses import BoardPoses, FocalPoses, fit_board_poses, select_rows
 
 Grey = NDArray[np.uint8]
 
-# Searched focal lengths, longer sides of the image: from 100 degrees field of view to lenses too long to film robots.
+# Longer sides of the image: from 100 degrees field of view to lenses too long to film robots.
 _FOCAL_RANGE = (0.42, 16.0)
-_NODES, _REFINED_NODES = 57, 33  # evaluated focal lengths: over the whole range, and over one valley
-_MAX_VALLEYS = 3  # valleys (local minima of chi squared) in which more focal lengths are evaluated
-_MIN_VALLEY_NODES = 14  # focal lengths within a valley, up to which more are evaluated
-_MAX_REFINEMENTS = 6  # finer grids of focal lengths in a valley
+_NODES, _REFINED_NODES = 57, 33  # focal lengths over the range, and over one valley
+_MAX_VALLEYS = 3  # local minima of chi squared to refine
+_MIN_VALLEY_NODES = 14  # focal lengths within a valley, up to which it is refined
+_MAX_REFINEMENTS = 6  # finer grids in a valley
 
 _CHI_95 = 3.84  # chi squared of a 95 % interval, one degree of freedom
-_CHI_VALLEY = 16.0  # chi squared above the minimum, up to which a valley extends
-# Minimum standard deviations, from lens effects outside the model: of the log of the focal length, of the principal
-# point (focal lengths), and of k1. Source: 120 sets of five photos with distortion. The rms errors of the focal length
-# were 0.2 and 0.3 %, of which the outlines explain 0.1 %.
+_CHI_VALLEY = 16.0  # chi squared above the minimum, within a valley
+# Minimum sigmas, from lens effects outside the model: log focal length, principal point (focal lengths), k1. Source:
+# 120 sets of five photos with distortion; rms focal errors of 0.2 and 0.3 %, of which outlines explain 0.1 %.
 _MIN_SIGMAS = np.array([0.003, 0.0005, 0.0005, 0.002])
-# Share of each sigma that is added independently, since the valley of likely lenses is curved, and a covariance assumes
-# a straight one. Source: outlines of 200 single photos and of 70 sets of four, with lenses from the prior. Without this
-# share, 62 and 84 % of squared errors are within the 95 % bounds, and with this share 95 and 96 %.
+# Share of each sigma that is added independently: the valley of likely lenses is curved, a covariance straight. Source:
+# outlines of 200 single photos and 70 sets of four, lenses from the prior: 62 and 84 % of squared errors are within the
+# 95 % bounds without this share, 95 and 96 % with it.
 _CURVATURE_SHARE = 0.5
-_MAX_INTERVAL_RATIO = 1.5  # ratio of a 95 % interval's ends, above which errors are too far from a normal distribution
-_MAX_MISFIT_SIGMAS = 3.72  # standard deviations of chi squared, which 1 in 10,000 sets of consistent outlines exceeds
+_MAX_INTERVAL_RATIO = 1.5  # ratio of a 95 % interval's ends; above, errors are far from normal
+_MAX_MISFIT_SIGMAS = 3.72  # sigmas of chi squared that 1 in 10,000 consistent sets exceeds
 
-_TYPICAL_FOCAL = 0.5 / math.tan(math.radians(30.0))  # longer sides of the image, for a field of view of 60 degrees
-_TYPICAL_LOG_SIGMA = 0.35  # standard deviation of the logarithm of a typical focal length
+_TYPICAL_FOCAL = 0.5 / math.tan(math.radians(30.0))  # longer sides of the image, 60 degrees field of view
+_TYPICAL_LOG_SIGMA = 0.35  # sigma of the typical focal length's logarithm
 
 _NO_BOARD = "no board tells the focal length"
 _ADVICE = "photograph the board from a slant, or give --camera"
 
-# Lens prior: standard deviations of the principal point (longer sides, right and down) and of the distortion k1.
-# Source: 13 published calibrations of webcams and robots' cameras. Half of these are within one sigma, and three in
-# four within two. Phones correct their distortion and are well within.
+# Lens prior, sigmas of principal point (longer sides, right and down) and k1. Source: 13 published calibrations of
+# webcams and robots' cameras: half within one sigma, three in four within two. Phones correct distortion and are well
+# within.
 _LENS_SIGMAS = np.array([0.02, 0.02, 0.1])
-_MAX_LENS_ROUNDS = 25  # least-squares rounds, each with a step of the lens and refitted poses
-_MAX_IDLE_ROUNDS = 2  # rounds without gain that end the search
-_CHI_RELEVANT = 150.0  # chi squared above the minimum, from which the exact value is irrelevant
-_MIN_GAIN = 0.03  # gain of chi squared, up to which a round counts as idle
-_CHI_IMPOSSIBLE = 1e12  # stands for a chi squared that is infinite or not a number
+_MAX_LENS_ROUNDS = 25  # steps of the lens, each with refitted poses
+_MAX_IDLE_ROUNDS = 2  # without gain, after which the search ends
+_CHI_RELEVANT = 150.0  # chi squared above the minimum, from which its value is irrelevant
+_MIN_GAIN = 0.03  # gain of chi squared; a round with less is idle
+_CHI_IMPOSSIBLE = 1e12  # stands for infinite or undefined chi squared
 
 
 @dataclass(frozen=True)
 class FocalProfile:
-    """How well each focal length explains the boards' outlines, with the best lens for each focal length.
+    """How well each focal length explains the outlines, with its best lens.
 
     Attributes:
         spread: longer side of the image over the focal length (n,).
         misfit: chi squared (n,).
         lens: principal point shift (longer sides, right and down) and k1 (n, 3).
-        lens_covariance: (n, 3, 3) of `lens`, at a fixed focal length.
+        lens_covariance: (n, 3, 3) at a fixed focal length.
     """
 
     spread: Array
@@ -84,40 +82,36 @@ class FocalProfile:
 def compute_profile(
     outlines: Sequence[BoardOutline], size: tuple[int, int], spread: Array, near: FocalProfile | None = None
 ) -> FocalProfile:
-    """Return how well each focal length explains the boards' outlines (chi squared), with the best lens.
+    """Return chi squared and the best lens at each focal length.
 
     Args:
         outlines: from all photos of one camera.
         size: width and height of the photos, px.
         spread: longer side of the image over the focal length (n,).
-        near: a profile at fewer focal lengths, which gives start values for the lens; None starts without distortion.
+        near: a coarser profile with start lenses; None starts without distortion.
     """
     lens = np.zeros((len(spread), 3))
     if near is not None:
         lens = np.column_stack([np.interp(spread, near.spread, near.lens[:, k]) for k in range(3)])
     problem = _LensProblem([fit_board_poses(outline, size, spread) for outline in outlines])
     found = solve_least_squares(problem, problem.start(lens), _MAX_LENS_ROUNDS)
-    assert found is not None  # the evidence exists at every state
+    assert found is not None
     state, known = found
     return FocalProfile(spread, known.cost, state.lens, known.covariance())
 
 
 @dataclass(frozen=True)
 class _LensState:
-    """Principal point shift and k1 (n, 3) for n focal lengths, and each board's two poses with this lens."""
-
     lens: Array
     poses: tuple[tuple[FocalPoses, ...], ...]
 
 
 @dataclass(frozen=True)
 class _LensEquations:
-    """The normal equations of the lens at each of n focal lengths, from boards at their best poses.
+    """Normal equations of the lens at n focal lengths, from boards at their best poses.
 
-    Attributes:
-        information, slope, misfit: (n, 3, 3), (n, 3) and (n,): half the Hessian and half the gradient of chi squared by
-            the lens, and chi squared, all without the lens prior.
-        lens: the lens (n, 3) at which the boards are evaluated.
+    `information` (n, 3, 3) and `slope` (n, 3) are half the Hessian and gradient of chi squared `misfit` (n,) by `lens`
+    (n, 3), without the prior.
     """
 
     information: Array
@@ -132,7 +126,7 @@ class _LensEquations:
 
     @classmethod
     def from_board(cls, board: BoardPoses, poses: FocalPoses, lens: Array) -> _LensEquations:
-        """Return the equations of one board, with the changes that a change of its pose could explain projected out."""
+        """Return one board's equations, with what its pose could explain projected out."""
         residual, by_pose, by_lens = board.equations(poses, lens)
         q, _ = np.linalg.qr(by_pose)
         own = by_lens - q @ (np.swapaxes(q, 1, 2) @ by_lens)
@@ -141,34 +135,29 @@ class _LensEquations:
 
     @property
     def cost(self) -> Array:
-        """Chi squared (n,), with the lens prior."""
         cost: Array = self.misfit + (self.lens**2 / _LENS_SIGMAS**2).sum(axis=1)
         return np.where(np.isfinite(cost), cost, _CHI_IMPOSSIBLE)
 
     @property
     def normal(self) -> Array:
-        """The inverse covariance (n, 3, 3) of the lens, with the prior."""
         return np.nan_to_num(self.information) + np.diag(_LENS_SIGMAS**-2.0)
 
     @property
     def gradient(self) -> Array:
-        """The normal equations' right-hand side (n, 3)."""
         return -np.nan_to_num(self.slope + _LENS_SIGMAS**-2.0 * self.lens)
 
     def covariance(self) -> Array:
-        """Return the covariance (n, 3, 3) of the lens, with the prior."""
         return np.linalg.inv(self.normal).astype(np.float64)
 
 
 class _LensProblem(LeastSquares[_LensState, _LensEquations]):
-    """Least squares over the lens, separately at each focal length, with the boards' poses refitted for each lens."""
+    """Least squares over the lens at each focal length; poses are refitted for each lens."""
 
     def __init__(self, boards: Sequence[Sequence[BoardPoses]]) -> None:
         self._boards = boards
         self._idle = 0
 
     def start(self, lens: Array) -> _LensState:
-        """Return a lens (n, 3) together with the boards' poses fitted for this lens."""
         return self._through(lens, [[board.first for board in pair] for pair in self._boards])
 
     def _through(self, lens: Array, poses: Sequence[Sequence[FocalPoses]]) -> _LensState:
@@ -176,7 +165,6 @@ class _LensProblem(LeastSquares[_LensState, _LensEquations]):
         return _LensState(lens, tuple(tuple(b.refine(p, lens) for b, p in zip(*pair, strict=True)) for pair in pairs))
 
     def linearize(self, state: _LensState, before: _LensEquations | None) -> _LensEquations:
-        """Return the sum of the equations of all boards, each at the better of its two poses."""
         taken = []
         for boards, poses in zip(self._boards, state.poses, strict=True):
             one, two = (_LensEquations.from_board(b, p, state.lens) for b, p in zip(boards, poses, strict=True))
@@ -187,7 +175,6 @@ class _LensProblem(LeastSquares[_LensState, _LensEquations]):
         return self._through(state.lens + step, state.poses)
 
     def is_converged(self, state: _LensState, known: _LensEquations, step: Array, gain: Array) -> bool:
-        """Return whether no likely focal length has gained for `_MAX_IDLE_ROUNDS` rounds."""
         matters = known.cost < known.cost.min() + _CHI_RELEVANT
         self._idle = 0 if (gain[matters] > _MIN_GAIN).any() else self._idle + 1
         return self._idle == _MAX_IDLE_ROUNDS
@@ -208,12 +195,12 @@ class _LensProblem(LeastSquares[_LensState, _LensEquations]):
 
 @dataclass(frozen=True)
 class FocalEstimate:
-    """A camera's focal length, estimated from photos.
+    """A focal length estimated from photos.
 
     Attributes:
-        camera: the likeliest camera, or one with a field of view of 60 degrees if `reason` is not empty.
+        camera: the likeliest, or one of 60 degrees field of view with a `reason`.
         low, high: ends of the 95 % interval, px; None for an open end.
-        reason: why the estimate is not good enough for poses, for users; empty for a useful interval.
+        reason: why the estimate is too poor for poses, for users; empty if useful.
     """
 
     camera: CameraModel
@@ -223,7 +210,7 @@ class FocalEstimate:
 
 
 def known_focal(camera: CameraModel) -> FocalEstimate:
-    """Return the focal length of a calibrated camera, with the 95 % interval from its `focal_sigma`."""
+    """Return a calibrated camera's focal length, with the 95 % interval from `focal_sigma`."""
     wide = math.exp(math.sqrt(_CHI_95) * camera.focal_sigma)
     return FocalEstimate(camera, camera.focal / wide, camera.focal * wide)
 
@@ -232,7 +219,6 @@ def find_outlines(grey: Grey, boards: Sequence[Board]) -> list[BoardOutline]:
     """Return the outlines of boards in a photo (height, width) from an unknown camera."""
     height, width = grey.shape
     markers = find_markers(grey, sorted({board.dictionary for board in boards}))
-    # Any focal length will do for grouping markers.
     camera = CameraModel.pinhole(width, height, float(max(width, height)))
     found, photo = [], None
     for board in boards:
@@ -244,7 +230,7 @@ def find_outlines(grey: Grey, boards: Sequence[Board]) -> list[BoardOutline]:
 
 
 def estimate_focal(outlines: Sequence[BoardOutline], size: tuple[int, int]) -> FocalEstimate:
-    """Estimate the focal length from the outlines in all photos of one camera, of `size` (width, height), px."""
+    """Estimate the focal length from all photos of one camera, of `size` (width, height), px."""
     width, height = size
     usual = CameraModel.pinhole(width, height, _TYPICAL_FOCAL * max(size), _TYPICAL_LOG_SIGMA)
     if not outlines:
@@ -258,11 +244,11 @@ def estimate_focal(outlines: Sequence[BoardOutline], size: tuple[int, int]) -> F
 
 
 def _best_profile(outlines: Sequence[BoardOutline], size: tuple[int, int], coarse: FocalProfile) -> FocalProfile:
-    """Return the profile around the best focal length. Refine several valleys, since the grid may miss a narrow one."""
+    """Refine several valleys, since the grid may miss a narrow one."""
     misfit = np.pad(coarse.misfit, 1, constant_values=math.inf)
     bottoms = np.flatnonzero((misfit[1:-1] <= misfit[:-2]) & (misfit[1:-1] <= misfit[2:]))
     ends = np.isin(bottoms, (0, len(coarse.spread) - 1))
-    # Ends of the range come last, and only if no valley is far deeper.
+    # The range's ends come last, and only if no valley is far deeper.
     inner, found = bottoms[~ends], []
     for bottom in inner[np.argsort(coarse.misfit[inner])][:_MAX_VALLEYS]:
         found.append(_refine_profile(outlines, size, coarse, int(bottom)))
@@ -278,7 +264,7 @@ def _refine_profile(
     for _ in range(_MAX_REFINEMENTS):
         last_node = len(found.spread) - 1
         likely = found.misfit < found.misfit[best] + _CHI_VALLEY
-        # Focal lengths of this valley, up to the first unlikely one on either side.
+        # This valley, up to the first unlikely focal length on either side.
         first = best - int(np.argmin(np.append(likely[best::-1], False)))
         last = best + int(np.argmin(np.append(likely[best:], False)))
         first, last = max(first, 0), min(last, last_node)
@@ -292,7 +278,6 @@ def _refine_profile(
 
 
 def _interval(found: FocalProfile, size: tuple[int, int]) -> tuple[float | None, float | None]:
-    """Return the ends (px) of the focal length's 95 % interval; None for an end beyond the searched range."""
     best = math.log(found.spread[np.argmin(found.misfit)])
     over = found.misfit - found.misfit.min() - _CHI_95
     inside = np.flatnonzero(over <= 0)
@@ -309,7 +294,6 @@ def _interval(found: FocalProfile, size: tuple[int, int]) -> tuple[float | None,
 
 
 def _reason(found: FocalProfile, boards: int, low: float | None, high: float | None) -> str:
-    """Return why an interval is not good enough for poses; empty for a useful interval."""
     freedom = 2 * boards - 1
     # Wilson and Hilferty's approximation of chi squared.
     most = freedom * (1 - 2 / (9 * freedom) + _MAX_MISFIT_SIGMAS * math.sqrt(2 / (9 * freedom))) ** 3
@@ -332,9 +316,9 @@ def _camera(found: FocalProfile, size: tuple[int, int]) -> CameraModel:
     focal = max(size) / float(found.spread[best])
     off = -np.log(found.spread / found.spread[best])
     likely = np.exp(-0.5 * (found.misfit - found.misfit[best]))
-    # Variance about the likeliest focal length, which differs from the mean in an asymmetric valley.
+    # About the likeliest value: the mean differs in an asymmetric valley.
     variance = float((likely * off**2).sum() / likely.sum())
-    # Convert the principal point from longer sides of the image to focal lengths.
+    # Principal point in focal lengths.
     units = np.array([found.spread[best], found.spread[best], 1.0])
     lens = found.lens * units
     slope = (likely * off) @ (lens - lens[best]) / max(float((likely * off**2).sum()), 1e-30)

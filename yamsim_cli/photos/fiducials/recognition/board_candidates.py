@@ -1,16 +1,12 @@
-"""Find patches of a photo that may be a board whose markers cannot be read, the likeliest first.
+"""Find patches of a photo that may be a board with unreadable markers, the likeliest first.
 
-The module finds three kinds of patches:
+- A distant or blurred print is a patch darker than its paper. Several thresholds suit every light. Thin light lines,
+such as gaps between markers, are closed first.
+- On a dark background, or if partly hidden, each dark patch may be a marker. Its edges predict its neighbours. The grid
+may be any part of the board with as many rows and columns.
+- On a background as bright as the print's average, as in steep views, a print is full of edges.
 
-- A distant or blurred print is a patch darker than the paper around it. The photo is thresholded at several grey
-  levels, since no level suits every light. Each dark patch that a quadrilateral fits well is a candidate. Thin light
-  lines, such as the gaps between markers, are closed first.
-- On a background as dark as the print, or if the print is partly hidden, each dark patch may be a marker. Its edges
-  predict the positions of its neighbours, a marker and a gap away, and patches there form a grid. The grid may be any
-  part of the board with as many rows and columns.
-- On a background as bright as the average of the print, as in steep views, a print is a patch full of edges.
-
-The four corners rectify a patch. Its bits, read in four orientations, are compared with those of the board.
+The corners rectify a patch, whose bits are compared with the board's in four orientations.
 """
 
 from __future__ import annotations
@@ -32,43 +28,41 @@ from .marker_bits import marker_bits
 
 Grey = NDArray[np.uint8]
 
-_WHOLE_PRINT_SCALES = ((1, 3), (2, 3), (2, 7))  # reduction factors, and width of light lines to close, reduced px
-_MARKER_SCALES = ((1, 0),)  # reduction factor and width of lines to close, for single markers: no change
-_MAX_PHOTO_SIDE = 960  # px, longer side to which larger photos are reduced
-_THRESHOLDS = np.linspace(0.12, 0.84, 9)  # share of the photo's grey range, below which a pixel is dark
-_RANGE_PERCENTILES = (0.5, 99.5)  # percentiles of the grey levels that define a photo's range
-# Minimum difference within 3 px at an edge, as a share of the grey range; width of gaps between edges to close, px.
+_WHOLE_PRINT_SCALES = ((1, 3), (2, 3), (2, 7))  # reduction, and width of light lines to close, reduced px
+_MARKER_SCALES = ((1, 0),)  # the same for single markers: no change
+_MAX_PHOTO_SIDE = 960  # px, longer side of the searched photo
+_THRESHOLDS = np.linspace(0.12, 0.84, 9)  # share of the grey range, below which a pixel is dark
+_RANGE_PERCENTILES = (0.5, 99.5)  # percentiles that define a photo's range of grey levels
+# Difference within 3 px at an edge, share of the grey range; width of gaps between edges to close, px.
 _EDGE_THRESHOLDS = ((0.14, 3), (0.18, 3), (0.22, 3), (0.27, 3), (0.34, 3), (0.42, 5))
-_MIN_THICKNESS = 5  # px, minimum thickness of a patch full of edges; a single edge is thinner
-_MIN_AREA = 30  # px^2, minimum area of a patch
-_MIN_CONTOUR = 20  # px, minimum length of a patch's contour
-_MAX_PATCH_SHARE = 0.8  # maximum ratio of a patch's sides to the photo's sides
-_MIN_HULL_SHARE = 0.78  # minimum ratio of a patch's area to that of its convex hull
-_MAX_QUAD_RATIO = 1.3  # maximum ratio of the quadrilateral's area to that of the hull
-_DUPLICATE_DISTANCE = 0.04  # patch sizes, distance of all corners below which two patches are the same
+_MIN_THICKNESS = 5  # px, of a patch full of edges; a single edge is thinner
+_MIN_AREA = 30  # px^2
+_MIN_CONTOUR = 20  # px
+_MAX_PATCH_SHARE = 0.8  # ratio of a patch's sides to the photo's
+_MIN_HULL_SHARE = 0.78  # ratio of a patch's area to its convex hull's
+_MAX_QUAD_RATIO = 1.3  # ratio of the quadrilateral's area to the hull's
+_DUPLICATE_DISTANCE = 0.04  # patch sizes, distance of all corners of duplicates
 
-# Grids of markers.
-_MAX_NEIGHBOUR_OFFSET = 0.3  # grid steps, maximum distance of a neighbour's centre from its predicted position
-_MAX_AREA_RATIO = 1.6  # maximum ratio of the areas of neighbouring markers
-_MIN_MARKERS = 3  # minimum markers of a grid; fewer do not determine its perspective
-_MAX_CORNER_RMS = 0.12  # marker edges, maximum rms distance of corners from the grid
+_MAX_NEIGHBOUR_OFFSET = 0.3  # grid steps, from a neighbour's predicted centre
+_MAX_AREA_RATIO = 1.6  # of neighbouring markers
+_MIN_MARKERS = 3  # fewer do not determine a grid's perspective
+_MAX_CORNER_RMS = 0.12  # marker edges, of corners from the grid
 
-# Bits of patches.
 _POINTS_PER_CELL = 2  # sample points of a marker cell along each axis
-_MIN_AGREEMENT = 2.5  # minimum agreement of a candidate's bits with the board, standard deviations of random bits
-# Refinement of rough corners: step, px, and minimum agreement after it, standard deviations of random bits. Source:
-# photos from a physically based renderer, in which patches without a board reached 4.3 at the end, and boards 7.
+_MIN_AGREEMENT = 2.5  # standard deviations of random bits
+# Step, px, and agreement after it, standard deviations of random bits. Source: photos from a physically based renderer:
+# without a board, patches reached 4.3 at the end, and boards 7.
 _REFINEMENT_STEPS = ((3.0, 3.5), (1.5, 4.5), (0.75, 5.0))
-_MAX_REFINED = 4  # patches whose corners are refined
-_MIN_REFINED_AGREEMENT = 1.5  # minimum agreement of a patch to be refined, standard deviations of random bits
-_ROUNDS_PER_STEP = 3  # maximum rounds over all corners and edges for each step
+_MAX_REFINED = 4
+_MIN_REFINED_AGREEMENT = 1.5  # standard deviations of random bits, to refine a patch
+_ROUNDS_PER_STEP = 3
 
 
 def dark_quads(grey: Grey, whole: bool) -> list[Array]:
-    """Return the corners (4, 2), px, clockwise in the picture, of distinct dark patches in a photo (height, width).
+    """Return the corners (4, 2), px, clockwise, of distinct dark patches in a photo (height, width).
 
     Args:
-        whole: whether to search whole prints, whose light gaps between markers are closed, instead of single markers.
+        whole: search whole prints, with light gaps closed, instead of single markers.
     """
     grey, factor = _limit_resolution(_MAX_PHOTO_SIDE, grey)
     low, high = np.percentile(grey[::4, ::4], _RANGE_PERCENTILES)
@@ -90,7 +84,7 @@ def dark_quads(grey: Grey, whole: bool) -> list[Array]:
 
 
 def edge_quads(grey: Grey) -> list[Array]:
-    """Return the corners (4, 2), px, clockwise in the picture, of patches full of edges in a photo (height, width)."""
+    """Return the corners (4, 2), px, clockwise, of patches full of edges in a photo (height, width)."""
     grey, factor = _limit_resolution(_MAX_PHOTO_SIDE, grey)
     low, high = np.percentile(grey[::4, ::4], _RANGE_PERCENTILES)
     near, thick = np.ones((3, 3), np.uint8), np.ones((_MIN_THICKNESS, _MIN_THICKNESS), np.uint8)
@@ -98,7 +92,7 @@ def edge_quads(grey: Grey) -> list[Array]:
     found: list[Array] = []
     for level, apart in _EDGE_THRESHOLDS:
         edges = (difference > level * (high - low)).astype(np.uint8)
-        # The morphological gradient widens an edge by a pixel on either side, and erosion removes that.
+        # The gradient widens an edge by a pixel on either side; erosion removes that.
         full = cv2.erode(cv2.morphologyEx(edges, cv2.MORPH_CLOSE, np.ones((apart, apart), np.uint8)), near)
         for quad in _enclosed_quads(cv2.morphologyEx(full, cv2.MORPH_OPEN, thick) > 0):
             found.append((quad + 0.5) * factor - 0.5)
@@ -106,7 +100,6 @@ def edge_quads(grey: Grey) -> list[Array]:
 
 
 def _limit_resolution(max_side: int, grey: Grey) -> tuple[Grey, float]:
-    """Return the photo with a longer side of at most `max_side` px, and the reduction factor."""
     factor = max(1.0, max(grey.shape) / max_side)
     if factor > 1:
         size = tuple(round(side / factor) for side in grey.shape[::-1])
@@ -115,7 +108,6 @@ def _limit_resolution(max_side: int, grey: Grey) -> tuple[Grey, float]:
 
 
 def _enclosed_quads(dark: NDArray[np.bool_]) -> Iterator[Array]:
-    """Yield the four corners (4, 2) of each patch that a quadrilateral fits well."""
     contours, nested = cv2.findContours(dark.view(np.uint8), cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
     most = _MAX_PATCH_SHARE * np.array(dark.shape[::-1])
     for k, contour in enumerate(contours):
@@ -133,7 +125,6 @@ def _enclosed_quads(dark: NDArray[np.bool_]) -> Iterator[Array]:
 
 
 def _distinct_quads(quads: list[Array]) -> list[Array]:
-    """Return the patches without duplicates, with corners clockwise from the one nearest the top left."""
     kept: list[Array] = []
     for quad in quads:
         signed = cv2.contourArea(quad.astype(np.float32), oriented=True)
@@ -149,7 +140,7 @@ Grid = dict[tuple[int, int], int]  # (column, row) of a marker -> index of its p
 
 
 def board_quads(markers: Sequence[Array], board: Board) -> list[Array]:
-    """Return the outer corners (4, 2), px, of boards that patches with corners (4, 2), px, form as their markers."""
+    """Return the outer corners (4, 2), px, of boards whose markers the patches (4, 2), px, may be."""
     if len(markers) < _MIN_MARKERS:
         return []
     quads = np.array(markers)
@@ -157,7 +148,7 @@ def board_quads(markers: Sequence[Array], board: Board) -> list[Array]:
     found = []
     taken = np.zeros(len(quads), dtype=bool)
     areas = np.abs([cv2.contourArea(quad.astype(np.float32)) for quad in quads])
-    # Start with large patches, whose corners are more accurate.
+    # Large patches have more accurate corners.
     for seed in np.argsort(-areas):
         if taken[seed]:
             continue
@@ -170,7 +161,6 @@ def board_quads(markers: Sequence[Array], board: Board) -> list[Array]:
 
 
 def _grow_grid(seed: int, quads: Array, areas: Array, step: float) -> Grid:
-    """Return the patches that form a grid with the patch `seed`, by column and row relative to it."""
     middles = quads.mean(axis=1)
     grid, ends, used = {(0, 0): seed}, [(0, 0)], {seed}
     right = (quads[seed, 1] - quads[seed, 0] + quads[seed, 2] - quads[seed, 3]) / 2 * step
@@ -195,7 +185,6 @@ def _grow_grid(seed: int, quads: Array, areas: Array, step: float) -> Grid:
 
 
 def _board_corners(grid: Grid, quads: Array, board: Board) -> Iterator[Array]:
-    """Yield the board's outer corners for each part of the board that the grid may show."""
     places = np.array(list(grid))
     low, high = places.min(axis=0), places.max(axis=0)
     size = high - low + 1
@@ -222,7 +211,6 @@ def _board_corners(grid: Grid, quads: Array, board: Board) -> Iterator[Array]:
 
 
 def _align_corner_order(quads: Array, first: Array) -> Array:
-    """Return patches (n, 4, 2) with their corners in the order of the patch `first` (4, 2)."""
     wanted = first - first.mean(axis=0)
     turned = np.stack([np.roll(quads, turn, axis=1) for turn in range(4)])
     own = turned - turned.mean(axis=2, keepdims=True)
@@ -243,7 +231,7 @@ class BoardCandidate:
 
     Attributes:
         corners: outer corners (4, 2), px, clockwise from the board's top left.
-        agreement: correlation of the patch's bits with the board's, in standard deviations of random bits.
+        agreement: correlation of its bits with the board's, standard deviations of random bits.
     """
 
     corners: Array
@@ -253,21 +241,21 @@ class BoardCandidate:
 def candidates(
     grey: Grey, board: Board, quads: Sequence[Array], minimum: float = _MIN_AGREEMENT
 ) -> list[BoardCandidate]:
-    """Return the patches whose bits agree with a board in one of four orientations by `minimum`, best first."""
+    """Return oriented patches that agree with a board by `minimum`, best first."""
     turned = [np.roll(quad, turn, axis=0) for quad in quads for turn in range(4)]
     found = [BoardCandidate(corners, _agreement(grey, board, corners)) for corners in turned]
     return sorted((one for one in found if one.agreement > minimum), key=lambda one: -one.agreement)
 
 
 def refine_candidates(grey: Grey, board: Board, quads: Sequence[Array]) -> list[BoardCandidate]:
-    """Return the patches that may be a board, best first, with corners moved to the best agreement of the bits."""
+    """Return patches with corners moved to the best agreement, best first."""
     rough = candidates(grey, board, quads, _MIN_REFINED_AGREEMENT)[:_MAX_REFINED]
     found = [moved for candidate in rough if (moved := _refine_quad(grey, board, candidate)) is not None]
     return sorted(found, key=lambda one: -one.agreement)
 
 
 def _refine_quad(grey: Grey, board: Board, candidate: BoardCandidate) -> BoardCandidate | None:
-    """Move corners and edges one by one while the bits agree better; return None if the agreement stays too low."""
+    """Move corners and edges while agreement grows; None if it stays too low."""
     for step, least in _REFINEMENT_STEPS:
         for _ in range(_ROUNDS_PER_STEP):
             before = candidate.agreement
@@ -284,7 +272,6 @@ def _refine_quad(grey: Grey, board: Board, candidate: BoardCandidate) -> BoardCa
 
 @functools.lru_cache(maxsize=1)
 def _corner_moves() -> Array:
-    """Return moves (n, 4, 2) of each corner and each edge by 1 px in each of four directions."""
     moves = []
     for corner in range(4):
         for along in np.array([[1, 0], [-1, 0], [0, 1], [0, -1]]):
@@ -299,7 +286,7 @@ _UNIT_SQUARE = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], np.float32)
 
 
 def _agreement(grey: Grey, board: Board, corners: Array) -> float:
-    """Return the correlation of a patch's bits with a board's, with equal weight for each marker."""
+    """Return the correlation of bits, with equal weight per marker."""
     at, size = _bit_points(board)
     flat = cv2.getPerspectiveTransform(_UNIT_SQUARE, corners.astype(np.float32))
     seen = np.asarray(cv2.perspectiveTransform(at[None], flat), dtype=np.float32)
@@ -317,7 +304,7 @@ def _bits(board: Board) -> Array:
 
 @functools.lru_cache(maxsize=32)
 def _bit_points(board: Board) -> tuple[NDArray[np.float32], tuple[int, int, int]]:
-    """Return sample points (n, 2) of all bits, as shares of the board's sides, and their shape (marker, bit, point)."""
+    """Return sample points (n, 2) of all bits, shares of the board's sides, and their shape (marker, bit, point)."""
     side = marker_cells(board).shape[1]
     cell, step = board.marker_length / side, board.marker_length + board.gap
     inner = (np.arange(side - 2)[:, None] + 1 + (np.arange(_POINTS_PER_CELL) + 0.5) / _POINTS_PER_CELL) * cell

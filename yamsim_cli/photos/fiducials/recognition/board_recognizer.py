@@ -1,8 +1,7 @@
-"""Recognize boards whose markers cannot be read, by all the bits of their print at once.
+"""Recognize boards with unreadable markers by all bits of their print at once.
 
-Patches of the photo (`board_candidates`), other boards and the previous photo predict poses of a board. Each pose is
-fitted to the whole print, like a pose from markers. A fit counts only if the bits in the photo agree with the board's
-bits by far more than chance (`marker_bits`).
+Patches (`board_candidates`), other boards and the previous photo predict poses, each fitted to the whole print. A fit
+counts only if its bits agree far beyond chance (`marker_bits`).
 """
 
 from __future__ import annotations
@@ -39,35 +38,35 @@ from .marker_bits import BitEvidence, measure_evidence
 
 Grey = NDArray[np.uint8]
 
-FALSE_ALARMS = 1e-4  # accepted rate of photos without the board in which the board is recognized
-# Positions and orientations that are tried for each board. Source: `make bench-fiducials`. Photos without boards have
-# 20 to 60 patches in four orientations, and about 250 moves of each refined patch.
+FALSE_ALARMS = 1e-4  # accepted rate of photos without the board
+# Tried positions and orientations. Source: `make bench-fiducials`: 20 to 60 patches in four orientations, about 250
+# moves of each refined patch.
 _TRIALS_PER_BOARD = 1200
-_TRIALS_PER_FIT = 30  # poses of one fit that differ enough to count as independent trials of the bits
-_MAX_BOARD_LOG_CHANCE = -8.0  # log of the probability of the bits by chance; below, advice assumes the board
-_MAX_RETRIED_LOG_CHANCE = -3.0  # the same logarithm, below which a fit with low correlation is repeated
-_SAME_MOTION = 3.0  # px, difference of lengths, below which two motion blurs count as the same
-_MAX_FITS = 2  # candidates from one search method that are fitted
-_MIN_RELATIVE_AGREEMENT = 0.6  # ratio to the best candidate's agreement, below which a candidate is not fitted
-_SEARCH_RADIUS = 0.5  # board sizes in the picture, within which the print is searched around a predicted position
-_SUFFICIENT_CORRELATION = 0.85  # median correlation of print and photo, above which no other pose is fitted
-_MIN_SEPARATION = 0.5  # patch sizes, distance above which two patches count as different prints
+_TRIALS_PER_FIT = 30  # poses of one fit that count as independent trials
+_MAX_BOARD_LOG_CHANCE = -8.0  # log probability of the bits by chance; below, advice assumes the board
+_MAX_RETRIED_LOG_CHANCE = -3.0  # the same; below, a fit with low correlation is repeated
+_SAME_MOTION = 3.0  # px, difference in length of equal motion blurs
+_MAX_FITS = 2  # fitted candidates per search method
+_MIN_RELATIVE_AGREEMENT = 0.6  # ratio to the best candidate's agreement; below, a candidate is not fitted
+_SEARCH_RADIUS = 0.5  # board sizes in the picture, around a predicted position
+_SUFFICIENT_CORRELATION = 0.85  # median, of print and photo; above, no other pose is fitted
+_MIN_SEPARATION = 0.5  # patch sizes, distance between different prints
 
-# Blur kernels from which a fit may start.
+# Start kernels of a fit.
 _BLUR_SIGMAS = (0.9, 2.0, 3.5)  # px
-_MOTION_LENGTHS, _MOTION_DIRECTIONS = (4.0, 8.0, 12.0), 8  # px; number of directions over 180 degrees
-_MOVING_BLUR_SIGMA = 1.0  # px, defocus blur in a kernel with motion
-_MAX_MOTION_RATIO = 0.85  # ratio of squared residuals with the best motion and the best blur, below which motion wins
-# All kernels are compared at the same pixels, those that this kernel selects.
+_MOTION_LENGTHS, _MOTION_DIRECTIONS = (4.0, 8.0, 12.0), 8  # px; directions over 180 degrees
+_MOVING_BLUR_SIGMA = 1.0  # px, with motion
+_MAX_MOTION_RATIO = 0.85  # squared residuals with motion over those with blur; below, motion wins
+# Kernels are compared at the pixels that this one selects.
 _COMPARISON_BLUR = BlurKernel(_BLUR_SIGMAS[1])
 
 
 class BoardRecognizer:
-    """Recognizes boards in one photo by their bits, without detected markers.
+    """Recognizes boards in one photo by their bits.
 
     Args:
         grey, photo: the photo (height, width), as bytes and as floats.
-        boards: total number of boards that are searched.
+        boards: number of boards that are searched.
     """
 
     def __init__(
@@ -95,12 +94,12 @@ class BoardRecognizer:
         before: Sequence[Array] = (),
         anywhere: bool = False,
     ) -> BoardDetection:
-        """Search a board whose markers could not be read well enough. Return a new detection or, if none, `seen`.
+        """Search a board with unreadable markers; without success, return `seen`.
 
         Args:
-            predicted_poses: approximate poses (4, 4) of the board in the camera frame, one from each other board.
-            before: the board's pose (4, 4) in the previous photo, or empty.
-            anywhere: whether to search the whole photo, besides the places of these poses.
+            predicted_poses: approximate poses (4, 4) in the camera frame, from other boards.
+            before: poses (4, 4) in the previous photo.
+            anywhere: search the whole photo besides.
         """
         board, fits = seen.board, list[PoseFit]()
         self._likeliest = None
@@ -123,13 +122,11 @@ class BoardRecognizer:
         return judge_detection(self._photo, self._camera, board, best, fits, predicted_poses, self._limits)
 
     def _candidates(self, board: Board) -> Iterator[list[BoardCandidate]]:
-        """Yield the candidates of each search method: dark prints, grids of markers, and patches full of edges."""
         yield candidates(self._grey, board, self._dark_prints)
         yield candidates(self._grey, board, board_quads(self._dark_markers, board))
         yield refine_candidates(self._grey, board, self._edge_patches)
 
     def _advice(self, board: Board) -> tuple[str, ...]:
-        """Return advice for better photos, from the likeliest fit of the board."""
         if self._likeliest is not None and self._likeliest[0] < _MAX_BOARD_LOG_CHANCE:
             found = suggest_improvements(measure_appearance(board, self._camera, self._photo, self._likeliest[1]))
             if found:
@@ -141,7 +138,6 @@ class BoardRecognizer:
         return float(np.linalg.norm(at[0] - at[1]))
 
     def _starts(self, board: Board, candidate: BoardCandidate) -> list[Array]:
-        """Return the poses (4, 4) that a patch's corners allow, the likelier one first."""
         poses = planar_poses(board.outer_corners(), viewing_rays(self._camera, candidate.corners))
         return [T for T in poses if np.isfinite(T).all() and faces_camera(T)]
 
@@ -150,7 +146,7 @@ class BoardRecognizer:
         for T in poses:
             if fit := self._fit(board, T):
                 found.append(fit)
-                # The other pose could only be a competing pose, which `judge_detection` searches.
+                # The other pose could only compete, which `judge_detection` searches.
                 if fit.contradicting == 0 and _is_explained(fit.alignment, _SUFFICIENT_CORRELATION):
                     break
         return found
@@ -159,7 +155,6 @@ class BoardRecognizer:
         whole = whole_board_piece(board)
         found = self._recognized(whole, T)
         if found is not None and not _is_explained(found[0]) and found[1].log_chance < _MAX_RETRIED_LOG_CHANCE:
-            # A better pose gives a better estimate of the blur.
             again = self._recognized(whole, found[0].T_ref_in_cam, found[0].blur)
             if again is not None and again[1].log_chance < found[1].log_chance:
                 found = again
@@ -168,7 +163,7 @@ class BoardRecognizer:
         first, bits = found
         if self._likeliest is None or bits.log_chance < self._likeliest[0]:
             self._likeliest = bits.log_chance, first
-        # Divide the accepted rate of false alarms by the number of trials in the photo (Bonferroni).
+        # Bonferroni: the accepted rate is divided by the photo's trials.
         if bits.log_chance > math.log(FALSE_ALARMS / (self._boards * _TRIALS_PER_BOARD * _TRIALS_PER_FIT)):
             return None
         if len(bits.markers) < len(first.tiles[0]):
@@ -187,11 +182,7 @@ class BoardRecognizer:
     def _recognized(
         self, piece: PrintPiece, T: Array, tried: BlurKernel | None = None
     ) -> tuple[Alignment, BitEvidence] | None:
-        """Align a piece from a pose and the estimated blur, and return the alignment with the evidence of its bits.
-
-        Args:
-            tried: the blur of an earlier attempt; the function returns None if the estimated blur is similar.
-        """
+        """Align a piece with an estimated blur; None if that resembles the earlier blur `tried`."""
         view, plane = self._view(piece, T)
         kernel = None if view is None else estimate_blur(view, plane)
         if kernel is None or (tried is not None and abs(kernel.length - tried.length) < _SAME_MOTION):
@@ -203,7 +194,7 @@ class BoardRecognizer:
         return None if view is None else (fit, measure_evidence(view, plane, fit.blur, fit.noise))
 
     def _shift_to_match(self, board: Board, T: Array) -> Array | None:
-        """Shift a pose parallel to the image plane to the best match of the print; None if the board faces away."""
+        """Shift a pose along the image plane to the best match; None if the board faces away."""
         if not faces_camera(T):
             return None
         corners = project_points(self._camera, board.outer_corners() @ T[:3, :3].T + T[:3, 3])
@@ -249,7 +240,7 @@ def _is_explained(fit: Alignment, minimum: float = EXPLAINED) -> bool:
 
 
 def estimate_blur(view: PhotoRegion, plane: Array) -> BlurKernel | None:
-    """Return the blur or motion (px) with which the rendered print explains the photo best; None with too few pixels.
+    """Return the blur or motion (px) that explains the photo best; None with too few pixels.
 
     Args:
         plane: (3, 3) from the board to the camera frame, as for `draw_print`.
