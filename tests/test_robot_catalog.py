@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -30,6 +32,58 @@ def test_a_familys_name_shows_its_newest_revision(locations: Locations) -> None:
     assert robot_entry("yam_ultra", locations)["name"] == "yam_ultra_v2"
     with pytest.raises(UsageError, match="unknown robot 'yamu'; did you mean"):
         robot_entry("yamu", locations)
+
+
+def _copy_of_yam(folder: Path, locations: Locations, changes: dict[str, str]) -> Locations:
+    """A copy of yam_v1, called `copy`, with parts of its model.yaml replaced."""
+    copied = folder / "robot_models" / "copy"
+    shutil.copytree(locations.config_file("robots", "yam_v1").parent, copied)
+    text = (copied / "model.yaml").read_text()
+    for old, new in changes.items():
+        assert old in text
+        text = text.replace(old, new)
+    (copied / "model.yaml").write_text(text)
+    return replace(locations, data=(folder, *locations.data))
+
+
+_OWN_FAMILY = {"family: yam": "family: copy"}
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({}, "is revision 'v1' of 'yam' too; give the new one another revision"),
+        (_OWN_FAMILY | {"name: joint3": "name: elbow"}, "has no joint 'elbow'; its joints: joint1, "),
+        (_OWN_FAMILY | {"flange: link_6": "flange: link_7"}, "has no body 'link_7'; its bodies: arm, link_1, "),
+        (_OWN_FAMILY | {"home: [0, ": "home: ["}, "home: has 5 values; give one for each of joint1, "),
+    ],
+)
+def test_the_check_reports_the_arms_own_fault(
+    tmp_path: Path, locations: Locations, changes: dict[str, str], message: str
+) -> None:
+    """The gripper `crank`, which no such arm can have, is not blamed."""
+    with pytest.raises(ConfigError, match=re.escape(message)):
+        check_robot("copy", _copy_of_yam(tmp_path, locations, changes))
+
+
+def test_the_check_finds_an_arm_in_the_same_folder_with_the_same_revision(tmp_path: Path, locations: Locations) -> None:
+    mine = _copy_of_yam(tmp_path, locations, _OWN_FAMILY)
+    shutil.copytree(tmp_path / "robot_models" / "copy", tmp_path / "robot_models" / "a_second_copy")
+    for name in ("copy", "a_second_copy"):
+        with pytest.raises(ConfigError, match="is revision 'v1' of 'copy' too; give the new one another revision"):
+            check_robot(name, mine)
+
+
+def test_an_arm_without_start_starts_at_home(tmp_path: Path, locations: Locations) -> None:
+    mine = _copy_of_yam(tmp_path, locations, _OWN_FAMILY | {"start: [": "# start: ["})
+    found = {one["gripper"]: one for one in check_robot("copy", mine)}
+    assert found["linear_4310"]["ok"] is True
+    assert found["crank"]["ok"] is None and "the gripper crank has none" in found["crank"]["detail"]
+
+
+def test_the_check_of_a_gripper_names_the_arms_that_carry_it(locations: Locations) -> None:
+    with pytest.raises(UsageError, match=r"'linear_3507' is a gripper; check an arm that carries it, .*yam_v1"):
+        check_robot("linear_3507", locations)
 
 
 @pytest.mark.slow

@@ -162,7 +162,7 @@ def robot_entry(name: str, locations: Locations) -> dict[str, Any]:
             if "fault" in item:
                 raise ConfigError(item["fault"])
             return item
-    known = [*(item["name"] for item in items), *valid_families(locations)[0]]
+    known = {*(item["name"] for item in items), *valid_families(locations)[0]}
     raise UsageError(f"unknown robot {name!r}; {suggest(name, known)}")
 
 
@@ -259,13 +259,24 @@ def check_robot(name: str, locations: Locations) -> list[dict[str, Any]]:
         ConfigError: a file is not valid, or no gripper fits.
         UsageError: no arm has that name.
     """
+    if name in locations.config_names(GRIPPERS):
+        arms = ", ".join(robot_entry(name, locations)["goes_with"]) or "none"
+        raise UsageError(f"{name!r} is a gripper; check an arm that carries it, which tries the gripper too: {arms}")
     arm = load_config(ArmModel, ARMS, name, locations)
     grippers = robot_entry(arm.name, locations)["goes_with"]
     if not grippers:
         raise ConfigError(f"{arm.mjcf.file}: no gripper fits {arm.name!r}; name one under `grippers` in its model.yaml")
+    # Of two arms in one folder with the same revision, the other one may be the invalid one.
+    file = str(locations.config_file(ARMS, arm.name))
+    for fault in valid_families(locations)[1].values():
+        if file in str(fault):
+            raise fault
     found = [_check_with(arm, gripper, locations) for gripper in grippers]
     if all(one["ok"] is None for one in found):
-        raise ConfigError(f"{arm.mjcf.file}: no gripper makes a rig with {arm.name!r}: {found[0]['detail']}")
+        # A fault of the arm is the same with most grippers; a gripper without a wrist camera is a fault of its own.
+        details = [one["detail"] for one in found]
+        fault_text = max(details, key=details.count)
+        raise ConfigError(f"{arm.mjcf.file}: no gripper makes a rig with {arm.name!r}: {fault_text}")
     return found
 
 

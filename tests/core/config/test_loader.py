@@ -373,7 +373,7 @@ def _rig(name: str, locations: Locations, revision: str | None = None) -> RigCon
 
 
 def test_a_family_means_its_newest_revision(locations: Locations) -> None:
-    assert list(find_families(locations)) == ["big_yam", "yam", "yam_pro", "yam_ultra"]
+    assert {"big_yam", "yam", "yam_pro", "yam_ultra"} <= find_families(locations).keys()
     assert resolve_model_name("yam_ultra", locations) == "yam_ultra_v2"
     assert resolve_model_name("yam", locations) == "yam_v1"
     assert resolve_model_name("i2rt_yam", locations) == "i2rt_yam"

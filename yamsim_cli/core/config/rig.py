@@ -174,7 +174,12 @@ class ArmConfig(Config):
     @classmethod
     def _default_wrist_camera(cls, data: Any) -> Any:
         gripper = data.get("gripper") if isinstance(data, dict) else None
-        if isinstance(gripper, dict) and data.get("wrist_camera") is None and gripper.get("wrist_camera") is not None:
+        if isinstance(gripper, dict) and data.get("wrist_camera") is None:
+            if gripper.get("wrist_camera") is None:
+                raise ConflictError(
+                    f"the gripper {gripper.get('name')} has none; give it in its gripper.yaml, or for the arm in a rig",
+                    ("wrist_camera",),
+                )
             return {**data, "wrist_camera": gripper["wrist_camera"]}
         return data
 

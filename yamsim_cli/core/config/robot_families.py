@@ -50,7 +50,7 @@ def valid_families(locations: Locations) -> tuple[Families, Mapping[str, ConfigE
         if other := found.setdefault(family, {}).get(revision):
             place = document.place(("revision",))
             faults[model] = ConfigError(
-                f"{place}: {files[other]} is revision {revision!r} of {family!r} too; give {model} another revision"
+                f"{place}: {files[other]} is revision {revision!r} of {family!r} too; give the new one another revision"
             )
             continue
         found[family][revision] = model
@@ -71,7 +71,7 @@ def resolve_model_name(name: str, locations: Locations) -> str:
     known = find_families(locations)
     if name in known:
         return list(known[name].values())[-1]
-    raise ConfigError(f"unknown robot {name!r}; {suggest(name, [*known, *models])}")
+    raise ConfigError(f"unknown robot {name!r}; {suggest(name, {*known, *models})}")
 
 
 def other_revision(model: str, revision: str, locations: Locations) -> str:

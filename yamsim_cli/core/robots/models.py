@@ -281,10 +281,10 @@ class ArmModel(_FolderConfig):
         names = [joint.name for joint in self.joints]
         if len(set(names)) < len(names):
             raise ConflictError(f"two joints have the same name: {', '.join(names)}", ("joints",))
-        for key, values in (("home", self.home), ("start", self.start)):
-            if values is not None and len(values) != len(names):
+        for key, values in (("home", self.home), ("start", self.home if self.start is None else self.start)):
+            if len(values) != len(names):
                 raise ConflictError(f"has {len(values)} values; give one for each of {', '.join(names)}", (key,))
-            for value, joint in zip(values or (), self.joints, strict=True):
+            for value, joint in zip(values, self.joints, strict=True):
                 low, high = joint.range
                 if not low <= value <= high:
                     raise ConflictError(f"{joint.name}: {value:g} rad lies outside {low:g}..{high:g}", (key,))

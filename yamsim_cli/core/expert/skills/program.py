@@ -31,7 +31,7 @@ from .put_aside import PutAside, Regrasp, put_down_failed_object
 from .set_upright import SetUpright, Turn
 from .skill import Skill, holding_hand
 
-# The skills of programs. A new skill is a module in this package and an entry here.
+# The skills of programs. A new skill is a module in this package, and an entry here and in `SKILL_SECONDS`.
 SKILLS: Mapping[str, type[Skill]] = {
     "pick": Pick,
     "place": Place,
