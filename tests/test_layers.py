@@ -79,6 +79,7 @@ CONFINED = {
     "fast_simplification": {"core.scene.assets.mesh_reduction"},
     "cv2": {"core.images", "core.rendering", "photos"},
     "coacd": {"objects"},
+    "scipy": {"core.statistics"},
     "defusedxml": {"objects.readers.untrusted_xml"},
     "trimesh": {"objects.readers.meshes", "viewers.scene_nodes"},
     "PIL": {"objects.readers", "viewers.scene_nodes"},

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from yamsim_cli.core.statistics import compute_coverage, histogram, summarize_values, wilson95
+from yamsim_cli.core.statistics import compute_coverage, histogram, student95, summarize_values, wilson95
 
 # Source: the formula of Wilson (1927) as in R's prop.test(correct=FALSE) and Newcombe (1998), table I, method 3.
 PUBLISHED = [
@@ -21,7 +21,15 @@ PUBLISHED = [
     (98, 100, 0.9300, 0.9945),
 ]
 
+# Source: NIST/SEMATECH e-Handbook of Statistical Methods, 1.3.6.7.2: two-sided 95 % by degrees of freedom.
+STUDENT = {1: 12.706, 5: 2.571, 23: 2.069, 30: 2.042, 100: 1.984}
+
 counts = st.integers(1, 10_000).flatmap(lambda n: st.tuples(st.integers(0, n), st.just(n)))
+
+
+@pytest.mark.parametrize("freedom", STUDENT)
+def test_students_quantile_is_the_published_one(freedom: int) -> None:
+    assert student95(freedom) == pytest.approx(STUDENT[freedom], abs=6e-4)
 
 
 @pytest.mark.parametrize(("successes", "n", "low", "high"), PUBLISHED)

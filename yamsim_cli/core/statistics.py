@@ -26,6 +26,13 @@ def wilson95(successes: int, n: int) -> tuple[float, float]:
     return (0.0 if successes == 0 else max(0.0, centre - half), 1.0 if successes == n else min(1.0, centre + half))
 
 
+def student95(freedom: int) -> float:
+    """Return the two-sided 95 % quantile of Student's t distribution with `freedom` degrees of freedom."""
+    from scipy.special import stdtrit
+
+    return float(stdtrit(freedom, 0.975))
+
+
 def summarize_values(values: Sequence[float]) -> dict[str, float] | None:
     """Return median, 95th percentile and maximum; None without values."""
     if not values:

@@ -5,14 +5,13 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import dataclass
 
 import numpy as np
+from mujoco import minimize
 
 from ..core.config.objects.primitives import Box, Capsule, Cylinder, Primitive, Ring, Sphere
 from ..core.geometry.closed_surface import sphere_directions
-from ..core.geometry.least_squares import LeastSquares, solve_least_squares
 from ..core.geometry.se3 import Array
 from ..core.geometry.shape_generators.generated_shape import simplify_polyline
 from ..core.geometry.stl import Faces, read_stl
@@ -21,13 +20,14 @@ from .primitives import signed_distance
 
 _SAMPLES = 6000  # points of a surface; another random sample changes no fit by more than 0.1 mm
 
-_PARAMETER_COST = 3e-4  # m, by which a shape must fit better per additional parameter
-_DIMPLE_DEPTH = 0.0015  # m; deeper points under all tangent planes are a dimple, which a fit ignores
-_PLANES = 600  # tangent planes over the sphere of directions
-_GROUND_REACH = 0.004  # m to the ground; a nearer capsule end is moved to it
-_MAX_STEPS = 30
-_STEP = 1e-5  # m or rad, of finite differences
-_MIN_GAIN = 1e-6  # relative reduction of cost, below which a fit stops
+_PARAMETER_COST = 3e-4  # m, cost of each parameter of a shape: a shape with more must fit that much better
+_DIMPLE_DEPTH = 0.0015  # m; points deeper under all tangent planes lie in a dimple, and are left out of a fit
+_PLANES = 600  # number of tangent planes around the points, in directions spread over the sphere
+_GROUND_REACH = 0.004  # m; a capsule's end with less clearance from the ground is moved to the ground
+_MAX_STEPS = 30  # iterations of a fit
+_STEP = 1e-5  # step of the finite differences in each parameter, m or rad
+_TOLERANCE = 1e-4  # length of a step over that of the parameters, below which a fit stops
+_DAMPING_FACTOR = 8.0  # factor of the damping after a rejected step; MuJoCo's default of 1.26 takes half as long again
 
 _MIN_DEPTH_SHARE = 0.3  # depth of a vessel's inside over its height
 _MAX_OUT_OF_ROUND = 0.004  # m, a vessel's radius from the middle of its range
@@ -102,15 +102,32 @@ def fit_solid(points: Array) -> SolidFit:
     points = _without_dimples(points)
     best: tuple[float, SolidFit] | None = None
     for make, start in _candidates(points):
-        fitted = solve_least_squares(_ShapeProblem(make, points), start, _MAX_STEPS)
-        assert fitted is not None
-        parts = _extend_to_ground(make(fitted[0]), float(points[:, 2].min()))
+        parts = _extend_to_ground(make(_fit_parameters(make, start, points)), float(points[:, 2].min()))
         fit = evaluate_fit(parts, points)
         cost = fit.rms + fit.p99 / 4 + _PARAMETER_COST * len(start)
         if best is None or cost < best[0]:
             best = cost, fit
     assert best is not None
     return best[1]
+
+
+def _fit_parameters(make: Make, start: Array, points: Array) -> Array:
+    """Return the parameters (k,) near `start` with the least squares of distances of points (n, 3), m, from a shape."""
+
+    def distances(columns: Array) -> Array:
+        return np.column_stack([signed_distance(make(column), points) for column in columns.T])
+
+    found, _ = minimize.least_squares(
+        start,
+        distances,
+        eps=_STEP,
+        mu_factor=_DAMPING_FACTOR,
+        xtol=_TOLERANCE,
+        max_iter=_MAX_STEPS,
+        verbose=minimize.Verbosity.SILENT,
+    )
+    fitted: Array = found
+    return fitted
 
 
 def _without_dimples(points: Array) -> Array:
@@ -185,48 +202,6 @@ def _row(points: Array, count: int) -> Array:
         joints.append(place(start, (w0 + w1) / 2, (z0 + z1) / 2))
         last = place(max(start + 1e-3, edges[-1] - radii[k]), (w0 + w1) / 2, (z0 + z1) / 2)
     return np.concatenate([*joints, last, radii])
-
-
-@dataclass(frozen=True)
-class _FitState:
-    make: Make
-    points: Array
-    numbers: Array
-
-    @cached_property
-    def distance(self) -> Array:
-        return signed_distance(self.make(self.numbers), self.points)
-
-    @property
-    def cost(self) -> float:
-        return float(self.distance @ self.distance)
-
-    @cached_property
-    def _slope(self) -> Array:
-        nudged = (replace(self, numbers=self.numbers + nudge).distance for nudge in _STEP * np.eye(len(self.numbers)))
-        return np.column_stack([(distance - self.distance) / _STEP for distance in nudged])
-
-    @property
-    def normal(self) -> Array:
-        return self._slope.T @ self._slope
-
-    @property
-    def gradient(self) -> Array:
-        return -self._slope.T @ self.distance
-
-
-class _ShapeProblem(LeastSquares[Array, _FitState]):
-    def __init__(self, make: Make, points: Array) -> None:
-        self._make, self._points = make, points
-
-    def linearize(self, state: Array, before: _FitState | None) -> _FitState:
-        return _FitState(self._make, self._points, state)
-
-    def apply_step(self, state: Array, step: Array) -> Array:
-        return state + step
-
-    def is_converged(self, state: Array, known: _FitState, step: Array, gain: Array) -> bool:
-        return bool(0 < gain < _MIN_GAIN * known.cost)
 
 
 def _extend_to_ground(parts: Parts, ground: float) -> Parts:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import math
+import functools
 from collections.abc import Sequence
 
 import mujoco
@@ -166,14 +166,7 @@ def _vertices(model: mujoco.MjModel, geom: int) -> Array:
     return vertices
 
 
+@functools.cache
 def _halton(start: int, count: int) -> Array:
     """Return points (count, 3) of Halton's sequence in the unit cube, with bases 2, 3 and 5, from `start` on."""
-    columns = []
-    for base in (2, 3, 5):
-        numbers, value, share = np.arange(start + 1, start + count + 1), np.zeros(count), 1.0
-        for _ in range(math.ceil(math.log(start + count + 1, base)) + 1):
-            share /= base
-            value += share * (numbers % base)
-            numbers //= base
-        columns.append(value)
-    return np.column_stack(columns)
+    return np.array([[mujoco.mju_Halton(k, base) for base in (2, 3, 5)] for k in range(start + 1, start + count + 1)])

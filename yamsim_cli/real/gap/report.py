@@ -11,20 +11,12 @@ import numpy as np
 
 from yamsim_cli.core.errors import SimulationError
 from yamsim_cli.core.markup import page_footer, write_page
+from yamsim_cli.core.statistics import student95
 from yamsim_cli.real.gap.command_simulation import forward_fill
 
 from .gap_figures import ErrorStats, HandGap, JointGap, MotionGap, TrackingFigures, WorstError
 from .gap_page import CaptionedJpeg, JointCurves, gap_page
 from .joint_curves import PHASES
-
-# Student's t, two-sided 95 %, by degrees of freedom from 1. Source: NIST/SEMATECH e-Handbook of Statistical Methods,
-# 1.3.6.7.2.
-_T95 = (
-    12.706, 4.303, 3.182, 2.776, 2.571, 2.447, 2.365, 2.306, 2.262, 2.228,
-    2.201, 2.179, 2.160, 2.145, 2.131, 2.120, 2.110, 2.101, 2.093, 2.086,
-    2.080, 2.074, 2.069, 2.064, 2.060, 2.056, 2.052, 2.048, 2.045, 2.042,
-)  # fmt: skip
-_Z95 = 1.959963984540054  # standard normal, two-sided 95 %
 
 
 def mean_interval95(values: Sequence[float]) -> tuple[float, float] | None:
@@ -32,9 +24,7 @@ def mean_interval95(values: Sequence[float]) -> tuple[float, float] | None:
     n = len(values)
     if n < 2:
         return None
-    # Beyond the table: the quantile's series in 1 / n.
-    t = _T95[n - 2] if n - 2 < len(_T95) else _Z95 * (1 + (_Z95**2 + 1) / (4 * (n - 1)))
-    mean, half = float(np.mean(values)), t * float(np.std(values, ddof=1)) / math.sqrt(n)
+    mean, half = float(np.mean(values)), student95(n - 1) * float(np.std(values, ddof=1)) / math.sqrt(n)
     return mean - half, mean + half
 
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from yamsim_cli.core.errors import DatasetError
 from yamsim_cli.core.geometry.se3 import Array
+from yamsim_cli.core.statistics import student95
 
 from .parameter_fit import FitParameter, FitResult, parameter_value
 from .plant_model import TIMESTEP, ParametricArm
@@ -102,18 +103,8 @@ def half_widths(fitted: FitResult) -> Array:
     # The prior counts as one block.
     spread = scores.T @ scores * blocks / (blocks - 1) + precision
     deviation = np.sqrt(np.diag(inverse @ spread @ inverse)) * scale
-    found: Array = _student(blocks - 1) * deviation
+    found: Array = student95(blocks - 1) * deviation
     return found
-
-
-def _student(freedom: int) -> float:
-    """Return Student's 97.5 % quantile for 5 degrees of freedom or more.
-
-    Source: first terms of the Cornish-Fisher expansion, Abramowitz and Stegun 26.7.5.
-    """
-    z = 1.959964
-    terms = (z**3 + z) / 4, (5 * z**5 + 16 * z**3 + 3 * z) / 96, (3 * z**7 + 19 * z**5 + 17 * z**3 - 15 * z) / 384
-    return z + float(sum(term / freedom ** (k + 1) for k, term in enumerate(terms)))
 
 
 def _min_half_width(plant: ParametricArm, fitted: FitResult, parameter: FitParameter) -> float:
