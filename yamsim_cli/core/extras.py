@@ -1,5 +1,3 @@
-"""Checks for optional libraries, each installed by an extra of yamsim."""
-
 from __future__ import annotations
 
 import importlib
@@ -8,12 +6,7 @@ from .errors import ResourceError
 
 
 def require_library(feature: str, library: str, extra: str) -> None:
-    """Make sure that a library is installed.
-
-    Args:
-        feature: the feature that needs the library, for the message.
-        library: name of the module.
-        extra: extra of yamsim that installs the library.
+    """Make sure that an optional library of `feature` is installed.
 
     Raises:
         ResourceError: the library is not installed; the message names the extra.

@@ -1,5 +1,3 @@
-"""Statistics for batches and summaries."""
-
 from __future__ import annotations
 
 import math
@@ -9,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 _Z95 = 1.959963984540054  # two-sided 95 % quantile of the normal distribution
-THRESHOLDS = (0.05, 0.08)  # m, default distances from the target that count as success. Source: the lab reports both
-_MAX_BINS = 40  # bins of a histogram
-_MIN_SPAN = 1e-4  # m, least span of values from which the width of bins is computed
+THRESHOLDS = (0.05, 0.08)  # m, distances from the target that count as success. Source: the lab reports both
+_MAX_BINS = 40  # of a histogram
+_MIN_SPAN = 1e-4  # of values from which the width of bins is computed
 
 
 def wilson95(successes: int, n: int) -> tuple[float, float]:
@@ -34,7 +32,7 @@ def summarize_values(values: Sequence[float]) -> dict[str, float] | None:
 
 
 def histogram(values: Sequence[float]) -> dict[str, list[float] | list[int]] | None:
-    """Return the bins' `edges`, which are round numbers, and `counts` of a histogram; None without values."""
+    """Return the bins' `edges`, which are round numbers, and `counts`; None without values."""
     if not values:
         return None
     span = max(max(values) - min(values), _MIN_SPAN)
@@ -88,7 +86,7 @@ def compute_coverage(
 
 
 def _cells(span: tuple[float, float], cell: float) -> int:
-    # Subtract a tolerance, so that rounding does not divide 0.25 m into six cells of 0.05 m.
+    # The tolerance keeps rounding from dividing 0.25 m into six cells of 0.05 m.
     return max(1, math.ceil((span[1] - span[0]) / cell - 1e-9))
 
 

@@ -1,5 +1,3 @@
-"""Reading and writing of binary STL. STL triangles do not share vertices; reading merges equal vertices."""
-
 from __future__ import annotations
 
 import numpy as np
@@ -15,7 +13,7 @@ _HEADER = 80  # bytes
 
 
 def stl_bytes(vertices: ArrayLike, faces: ArrayLike) -> bytes:
-    """Return a binary STL of vertices (n, 3), in any unit, and triangles (m, 3); equal meshes give equal bytes."""
+    """Return a binary STL of vertices (n, 3) and triangles (m, 3); equal meshes give equal bytes."""
     corners = np.asarray(vertices, dtype=np.float64)[np.asarray(faces)]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     records = np.zeros(len(corners), dtype=_FACE)
@@ -35,7 +33,7 @@ def is_binary_stl(data: bytes) -> bool:
 def read_stl(data: bytes) -> tuple[Array, Faces]:
     """Return the vertices (n, 3) of a binary STL, in the file's unit, and its triangles (m, 3).
 
-    Equal corners become one vertex. Triangles that thereby lose a corner are omitted.
+    Equal corners are merged. Triangles that thereby lose a corner are omitted.
 
     Raises:
         ResourceError: the data is not a binary STL or has coordinates that are not finite.

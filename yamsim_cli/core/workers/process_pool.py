@@ -1,6 +1,5 @@
-"""Workers as processes of this machine.
+"""Workers as processes of this machine, each with its own pipe, so that a process that dies loses only its job.
 
-Each process has its own pipe, so that a process that dies loses only its job. Each process ends when its parent ends.
 Processes are spawned and never forked: a fork would share OpenGL.
 """
 
@@ -22,11 +21,10 @@ from .executors import Factory, J, R
 from .job_server import HEADER, STOP_SIGNALS, end_with_parent, serve_jobs
 from .worker_pool import JOB_SECONDS, BaseWorkerPool, Event, Worker, WorkerDied
 
-_END_SECONDS = 5.0  # s, timeout for the end of a killed process
-_MESSAGE_SECONDS = 60.0  # s, timeout from the first byte of a message to the last
+_END_SECONDS = 5.0  # for a killed process
+_MESSAGE_SECONDS = 60.0  # from the first byte of a message to the last
 
-# Signals that are blocked while a process starts. SIGALRM is included, because `__main__` uses an alarm to delay a stop
-# that arrives during an import.
+# Blocked while a process starts. `__main__` uses SIGALRM to delay a stop that arrives during an import.
 _BLOCKED_SIGNALS = (*STOP_SIGNALS, signal.SIGALRM)
 
 
@@ -89,8 +87,6 @@ class _Process(Generic[J, R]):
 
 
 class _Processes(Generic[J, R]):
-    """The `WorkerBackend` that spawns processes."""
-
     def __init__(self, factory: Factory[J, R]) -> None:
         # The worker unpickles the factory itself, after its signal setup.
         self._factory = pickle.dumps(factory)

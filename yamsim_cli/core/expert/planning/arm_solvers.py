@@ -1,5 +1,3 @@
-"""Inverse kinematics, dynamics and start postures of a scene's arms."""
-
 from __future__ import annotations
 
 from dataclasses import dataclass
@@ -16,7 +14,7 @@ from .ik import IkSolver
 
 @dataclass(frozen=True)
 class ArmSolvers:
-    """Inverse kinematics and dynamics of one arm."""
+    """The solvers of one arm."""
 
     ik: IkSolver
     dynamics: ArmDynamics

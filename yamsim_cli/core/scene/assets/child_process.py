@@ -1,5 +1,3 @@
-"""Running of another program with time limits and captured output; no process is left behind."""
-
 from __future__ import annotations
 
 import ctypes
@@ -15,14 +13,14 @@ from pathlib import Path
 
 from .sources import SourceError
 
-_POLL_S = 0.1  # s between two polls of the child process
-_PR_SET_PDEATHSIG = 1  # option of prctl(2)
+_POLL_S = 0.1  # between two polls of the child process
+_PR_SET_PDEATHSIG = 1  # of prctl(2)
 _LIBC = ctypes.CDLL(None) if sys.platform == "linux" else None  # loaded early: a forked child must not take locks
 
 
 @dataclass(frozen=True)
 class ChildResult:
-    """The exit code of a program and its output."""
+    """The result of a program that has ended."""
 
     returncode: int
     stdout: str
@@ -46,11 +44,10 @@ def run_child(
     """Run a program to its end. At a time limit, kill the program and its children.
 
     Args:
-        command: the program and its arguments. The program inherits the environment.
         scratch: folder for files with the program's output, so that no full pipe can block the program.
-        limit_s: longest total time, s.
-        idle_s: longest time without a change of `watch`, s. This limit ends dead downloads but not slow ones.
-        watch: returns a number that changes as the program progresses, such as bytes; called ten times a second.
+        limit_s: longest total time.
+        idle_s: longest time without a change of `watch`. This limit ends dead downloads but not slow ones.
+        watch: a number that changes as the program progresses, such as bytes; called ten times a second.
 
     Raises:
         SourceError: the program cannot be started, or a time limit is reached.

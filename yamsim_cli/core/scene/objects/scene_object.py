@@ -1,5 +1,3 @@
-"""Objects in a scene: bodies with collision geoms, visual meshes, links and handles."""
-
 from __future__ import annotations
 
 from collections.abc import Sequence
@@ -28,9 +26,6 @@ def add_object(spec: mujoco.MjSpec, item: ObjectConfig, meshes: MeshFiles, *, fi
     Args:
         meshes: asset set -> folder. Where visual meshes are not available, the collision primitives are visible.
         fixed: whether to add a mocap body, which physics never moves, instead of a free body.
-
-    Raises:
-        ResourceError: a collision mesh is not available.
     """
     if item.cloth is not None:
         assert not fixed, "distractors are stiff"
