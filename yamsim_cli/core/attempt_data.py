@@ -23,11 +23,7 @@ WeldStates = NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class Layout:
-    """Initial poses of all objects.
-
-    Attributes:
-        upright: whether every object's z axis points up. Records then keep only its yaw.
-    """
+    """Initial poses of all objects. If all are `upright`, with z axes that point up, records keep only their yaws."""
 
     T_in_world: Mapping[str, Array]
     upright: bool = True
@@ -111,7 +107,7 @@ class StepState:
     Attributes:
         time: s.
         qpos: (nq,), before the frame's first command.
-        encoder_readings: delayed encoder positions (arms, drives), rad and m; None without a sensor delay.
+        encoder_readings: delayed positions (arms, drives), rad and m; None without a sensor delay.
     """
 
     time: float
@@ -162,7 +158,6 @@ class Recovery:
 
     Attributes:
         step: number of the skill in the program.
-        detail: why the skill failed.
         frame: first recorded frame of the new try.
     """
 

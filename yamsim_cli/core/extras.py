@@ -6,11 +6,7 @@ from .errors import ResourceError
 
 
 def require_library(feature: str, library: str, extra: str) -> None:
-    """Make sure that an optional library of `feature` is installed.
-
-    Raises:
-        ResourceError: the library is not installed; the message names the extra.
-    """
+    """Raise ResourceError if an optional library of `feature` is not installed; the message names the extra."""
     try:
         importlib.import_module(library)
     except ModuleNotFoundError as error:

@@ -15,12 +15,10 @@ _LOOPBACK_NAME = "localhost"
 
 
 def refusal_reason(hosts: Sequence[str], origins: Sequence[str], bound: str) -> str | None:
-    """Return the reason to refuse a request; None if it is accepted.
+    """Return the reason to refuse a request to a server that listens on `bound`; None if it is accepted.
 
     Requests from pages of this server are accepted, as are requests without `Origin`, which come from other programs.
-
-    Args:
-        bound: address or name that the server listens on; `0.0.0.0` or `::` for all addresses of this machine.
+    `bound` is `0.0.0.0` or `::` for all addresses of this machine.
     """
     if len(hosts) > 1 or len(origins) > 1:
         return "more than one Host or Origin"

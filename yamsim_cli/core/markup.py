@@ -54,12 +54,7 @@ def join_markup(children: Iterable[Child]) -> Markup:
 
 
 def html_page(title: str, kicker: str, heading: str, body: Iterable[Child], made: str) -> str:
-    """Return a whole HTML page.
-
-    Args:
-        kicker: the kind of page, shown above the heading.
-        made: text of the footer.
-    """
+    """Return a whole HTML page; `kicker`, the kind of page, is above the heading, and `made` is the footer."""
     head = [
         html_tag("meta", charset="utf-8"),
         html_tag("meta", http_equiv="Content-Security-Policy", content=_POLICY),

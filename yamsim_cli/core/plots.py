@@ -93,12 +93,9 @@ def format_number(value: float) -> str:
 def plot_distances(
     edges: Sequence[float], counts: Sequence[float], limits: Sequence[float], title: str, counted: str = "episodes"
 ) -> Markup:
-    """Return a histogram of distances, with a line at every limit; limits far beyond the data are written as text.
+    """Return a histogram of distances (m), with a line at every limit; limits far beyond the data are written as text.
 
-    Args:
-        edges: of the bins, m.
-        limits: m.
-        counted: label of the vertical axis.
+    `counted` labels the vertical axis.
     """
     height, right = 240.0, _WIDTH - 12
     low, high = edges[0] * 1000, edges[-1] * 1000
@@ -244,9 +241,7 @@ class ObjectPlaces:
 def plot_workspace(places: ObjectPlaces, box: tuple[Point, Point] | None, frame: str, title: str) -> Markup:
     """Return a plot of the workspace from above, the robot's base at the bottom: x points up, y to the left, in m.
 
-    Args:
-        box: ranges of x and y from which starts are sampled, m.
-        frame: name of the points' frame.
+    Starts are sampled from `box`, ranges of x and y. `frame` is the name of the points' frame.
     """
     points = [*places.good, *places.bad, *places.failed]
     corners = [*points, *zip(*box, strict=True)] if box else points

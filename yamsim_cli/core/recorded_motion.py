@@ -30,13 +30,9 @@ class ArmMotion:
 
 @dataclass(frozen=True)
 class RecordedMotion:
-    """Commands and measurements of one or two arms over time, without images; raises ValueError if inconsistent.
+    """Commands and measurements of one or two arms, the left one first, without images.
 
-    A command acts from its sample's time until the next sample's.
-
-    Attributes:
-        times: (n,), s, strictly increasing from 0.
-        arms: the left arm first.
+    Times (n,), s, increase strictly from 0, else ValueError is raised. A command acts until the next sample's time.
     """
 
     name: str

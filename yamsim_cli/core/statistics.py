@@ -47,13 +47,7 @@ def histogram(values: Sequence[float]) -> dict[str, list[float] | list[int]] | N
 
 @dataclass(frozen=True)
 class Coverage:
-    """Counts of points in the cells of a grid that covers a rectangle.
-
-    Attributes:
-        shape: number of cells along x and y.
-        hits: `hits[ix][iy]` is the number of points in a cell.
-        outside: number of points outside the rectangle.
-    """
+    """Counts of points in a grid of cells (x, y), `hits[ix][iy]`, and of points outside it."""
 
     shape: tuple[int, int]
     hits: list[list[int]]

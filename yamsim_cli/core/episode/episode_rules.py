@@ -55,13 +55,7 @@ REPLAY_RULES = EpisodeRules(EndRule.ACTOR, weld_reach=None)
 
 @dataclass(frozen=True)
 class EpisodeEnd:
-    """How an episode ended.
-
-    Attributes:
-        tick: control ticks that had passed.
-        cause: why the episode failed.
-        detail: the figures behind the cause.
-    """
+    """How an episode ended, after how many control ticks, and why it failed, if it did."""
 
     reason: EndReason
     tick: int

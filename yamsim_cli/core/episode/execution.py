@@ -22,12 +22,7 @@ from .simulator import Simulator, open_episode
 
 @dataclass(frozen=True)
 class SimulatedAttempt:
-    """An attempt and its result.
-
-    Attributes:
-        attempt: includes the distractors, which are placed after the simulation.
-        result: None if nothing moved.
-    """
+    """An attempt, with the distractors placed after its simulation, and its result; None if nothing moved."""
 
     attempt: Attempt
     outcome: Outcome

@@ -38,10 +38,8 @@ class FrictionGraspSimulator:
 
 
 class WeldGraspSimulator:
-    """A weld in each hand: while commanded on, it fixes the object nearest to the pinch point.
-
-    Args:
-        reach: largest distance from the pinch point to an object's surface at which the weld holds, m; None for any.
+    """A weld in each hand: while commanded on, it fixes the object nearest to the pinch point, within `reach` (m; None:
+    any).
     """
 
     def __init__(self, scene: CompiledScene, reach: float | None) -> None:
@@ -94,7 +92,7 @@ class ClothGraspSimulator:
 
 
 def make_grasp_simulator(scene: CompiledScene, magnet_reach: float | None) -> GraspSimulator:
-    """Return the grasp simulator: for cloth if the scene has cloth, with welds if arms have welds, else with friction."""
+    """Return the grasp simulator: for cloth if the scene has any, with welds if arms have welds, else with friction."""
     if scene.cloths:
         return ClothGraspSimulator(scene)
     if any(arm.weld is not None for arm in scene.arms):

@@ -12,11 +12,8 @@ SETTLED_TICKS = 8  # control ticks of holding after which an object counts as se
 
 
 class HeldObjectMonitor:
-    """Measures held objects.
-
-    Attributes:
-        slip: largest distance that a settled object moved in a hand, m.
-        tilt: largest rotation of an object's vertical axis since its grasp, rad.
+    """Keeps the largest `slip` (m) of settled objects in hands, and `tilt` (rad) of their vertical axes since the
+    grasp.
     """
 
     def __init__(self, scene: CompiledScene, world: SimWorld) -> None:

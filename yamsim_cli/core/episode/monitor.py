@@ -13,14 +13,11 @@ CONTACT_STEPS = 8  # physics steps after which contacts are checked even if thei
 
 
 class StepMonitor:
-    """Watches joint limits, collisions and fatal physics warnings in every physics step.
+    """Watches joint limits, collisions and fatal physics warnings in each of the `steps` physics steps of a tick.
 
     Attributes:
         collision: the first contact of an arm with the table or another arm.
         breakdown: MuJoCo's first fatal warning and its time.
-
-    Args:
-        steps: physics steps in a control tick.
     """
 
     def __init__(self, scene: CompiledScene, steps: int) -> None:

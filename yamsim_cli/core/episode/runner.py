@@ -18,11 +18,7 @@ _PLACE_NAMES = ("for the recorder", "there")
 
 
 class AttemptRunner(Closable):
-    """Runs attempts from their seed and number, and with `render` renders successes.
-
-    Raises:
-        ResourceError: the session's visual meshes differ from those that the config states.
-    """
+    """Runs attempts from their seed and number, and with `render` renders successes. Raises as `check_meshes`."""
 
     def __init__(self, session: Session, *, render: bool) -> None:
         self._render = render

@@ -134,12 +134,7 @@ _CHECKED_ATTEMPTS = 3  # attempts after which a task without any start is reject
 
 
 def require_start(session: Session) -> None:
-    """Check that one of a task's first attempts has a start.
-
-    Raises:
-        ConflictError: none has a start, for lack of room or as the goal already holds; the path is from the root.
-        SimulationError: a scene cannot be compiled.
-    """
+    """Raise ConflictError, with a path from the root, if none of a task's first attempts has a start."""
     task = session.config.task
     with Simulators(session.without_meshes()) as simulators:
         for number in range(_CHECKED_ATTEMPTS):

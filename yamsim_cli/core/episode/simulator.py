@@ -26,15 +26,13 @@ from .randomized_scene import RandomizedScene
 class Simulator(Closable):
     """A session's compiled scene, with a state replay, the expert's planner and a renderer that are made on demand.
 
-    These are expensive, so a process makes them once. A simulator keeps no state of attempts.
+    These are expensive, so a process makes them once. A simulator keeps no state of attempts, except that `scene.model`
+    has the variation last given to `set_variation`.
 
     Args:
         session: its task has only the objects of `roles`.
         roles: by default the task's typical roles, and the session is reduced to their objects.
         tools: makes the solvers of the arms; by default `make_arm_solvers`.
-
-    Attributes:
-        scene: its model has the variation that was last given to `set_variation`.
     """
 
     def __init__(

@@ -98,8 +98,7 @@ def run_trials(
 ) -> list[R]:
     """Return the results of the first `n` trials of a seed, in no particular order.
 
-    Args:
-        lost: returns the result of a trial whose workers died or hung; None raises the `LostJobError`.
+    `lost` returns the result of a trial whose workers died or hung; None raises the `LostJobError`.
     """
     results: list[R] = []
     try:
@@ -158,11 +157,7 @@ def count_outcomes(
 
 
 def require_success(counts: Mapping[str, Any], minimum: float | None) -> None:
-    """Raise SimulationError if a smaller share than `minimum` of trials succeeded.
-
-    Args:
-        counts: result of `count_outcomes`.
-    """
+    """Raise SimulationError if the `counts` of `count_outcomes` have a success rate below `minimum`."""
     if minimum is not None and counts["success_rate"] < minimum:
         raise SimulationError(
             f"{counts['n_success']} of {counts['n']} trials succeeded, a share of {counts['success_rate']:.3g}: "
@@ -203,9 +198,7 @@ class _ExpertFilmer(TrialFilmer):
 class TrialFilms:
     """Writes videos of trials: one file if `path` ends in `.mp4`, else a folder with a file per trial.
 
-    Args:
-        frame_period: s.
-        overwrite: whether to make a backup of an existing `path` first.
+    `frame_period` is in s. With `overwrite`, an existing `path` becomes a backup; otherwise it raises UsageError.
     """
 
     def __init__(self, path: Path, frame_period: float, *, overwrite: bool) -> None:
@@ -261,11 +254,7 @@ def _write_frames(video: VideoWriter, trial: Mapping[str, Any], frames: Sequence
 def film_trials(
     trials: Sequence[dict[str, Any]], limit: int, films: TrialFilms, session: Session, progress: Progress
 ) -> list[FilmedTrial]:
-    """Film at most `limit` trials of a batch, failures first, without trials in which nothing moved.
-
-    Args:
-        trials: the `trials` of the result of `run_batch`.
-    """
+    """Film at most `limit` of the trials of `run_batch`, failures first, without trials in which nothing moved."""
     moving = [trial for trial in trials if trial["outcome"]["cause"] not in _MOTIONLESS_CAUSES]
     chosen = sorted(moving, key=lambda trial: trial["outcome"]["success"])[:limit]
     if not chosen:

@@ -101,8 +101,7 @@ def mount_at(path: PurePosixPath, mounts: Sequence[Mount]) -> Mount | None:
 def network_mount(path: Path, mounts: Sequence[Mount], readlink: Callable[[str], str] = os.readlink) -> Mount | None:
     """Return the network mount that contains a path, which need not exist; None for a local filesystem.
 
-    Args:
-        readlink: raises OSError for paths that are no links.
+    `readlink` raises OSError for paths that are no links.
     """
     rest = list(Path.cwd().joinpath(path).parts[1:])
     here = PurePosixPath("/")

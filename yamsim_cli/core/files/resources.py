@@ -85,14 +85,12 @@ class Locations:
         return sorted(names | {AUTO[1]} if kind == AUTO[0] else names)
 
     def config_file(self, kind: str, name: str) -> Path:
-        """Return the file of a named config, or of a path that ends in `.yaml` or `.yml`.
+        """Return the file of a named config, or of a path that ends in `.yaml` or `.yml`; raise ConfigError if there is
+        none.
 
         Names may leave out a prefix, such as `013_` of `013_apple` and `kitchen_` of `kitchen_spoon`. A camera's path
         may also end in `.json` or `.xml`, with the name of a camera after a colon: `calibration.json:left`. The
         returned path keeps it.
-
-        Raises:
-            ConfigError: the config does not exist; the message lists valid names.
         """
         path = Path(name)
         # Recordings contain only the names of robots and grippers, so these are not found by paths.

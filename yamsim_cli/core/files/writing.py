@@ -68,9 +68,7 @@ def _write_and_fsync(path: Path, data: bytes) -> None:
 def write_file(path: Path, data: bytes) -> None:
     """Replace or create one file atomically; its directory must exist.
 
-    Raises:
-        OSError: the file could not be written, and keeps its old content. If only the last flush (of the directory)
-            fails, the file has the new content.
+    After an OSError, the file keeps its old content, unless only the last flush (of the directory) failed.
     """
     write_files({path: data})
 
@@ -78,8 +76,7 @@ def write_file(path: Path, data: bytes) -> None:
 def write_files(files: Mapping[Path, bytes]) -> None:
     """Replace or create several files; the first rename follows after all content is on the disk.
 
-    Raises:
-        OSError: a file could not be written. No file has changed, unless a rename failed.
+    After an OSError, no file has changed, unless a rename failed.
     """
     parts = {path: path.with_name(f".{path.name}.{uuid.uuid4().hex}.part") for path in files}
     try:
@@ -102,12 +99,11 @@ def write_output(path: Path, data: bytes, flag: str = "--out") -> None:
 def write_outputs(files: Mapping[Path, bytes], flag: str = "--out", *, make_folder: bool = False) -> None:
     """Write all output files of a command or none; on failure, save the result in a temporary folder.
 
+    The message of the ResourceError contains the temporary folder.
+
     Args:
         files: path -> content, all in one directory; existing files are replaced.
         flag: the option for the output path, for the message.
-
-    Raises:
-        ResourceError: a file cannot be written; the message contains the temporary folder.
     """
     folder = next(iter(files)).parent
     try:
@@ -156,12 +152,11 @@ def append_line(path: Path, line: str) -> None:
 def publish_directory(final: Path, files: Mapping[str, bytes], staging: Path) -> None:
     """Create directory `final`, which must not exist, with all `files` in one step.
 
+    After an OSError, `final` does not exist, and the staged tree is removed.
+
     Args:
         files: relative POSIX path -> content.
         staging: a directory on the same filesystem, where the tree is built first; created if missing.
-
-    Raises:
-        OSError: the tree could not be written; `final` does not exist, and the staged tree is removed.
     """
     stage = staging / f"{final.name}.{uuid.uuid4().hex}"
     try:
@@ -207,10 +202,8 @@ def staged_directory(final: Path, *, overwrite: bool = False) -> Iterator[Staged
     """Yield a hidden directory beside `final`; after the block, flush it to the disk and rename it to `final`.
 
     It serves trees that are too large for `publish_directory`. An exception in the block removes the directory. The
-    next call for the same `final` removes directories of killed processes.
-
-    Args:
-        overwrite: move an existing `final` to a backup, after the block.
+    next call for the same `final` removes directories of killed processes. With `overwrite`, an existing `final`
+    becomes a backup.
 
     Raises:
         UsageError: the process's current directory is `final` or lies in `final`.
@@ -351,8 +344,7 @@ def _refuse_own_directory(path: Path) -> None:
 def move_to_backup(path: Path) -> Path:
     """Rename `path` to the first free `<name>.old-<n>` beside it, and return the new path.
 
-    Raises:
-        UsageError: `path` is or contains this process's current directory, and so that of the user's shell.
+    UsageError is raised if `path` is or contains this process's current directory, and so that of the user's shell.
     """
     path = _named(path)
     _refuse_own_directory(path)

@@ -15,11 +15,10 @@ _RESOLUTION = 1e-9  # m, grid to which vertices are rounded before equal ones ar
 
 
 def loft(loops: Sequence[Array]) -> Surface:
-    """Return a closed surface through loops of points, with a fan of triangles at each end.
+    """Return a closed surface through loops of points (k, 3), m, with a fan of triangles at each end.
 
-    Args:
-        loops: loops (k, 3) of equal length, m, anticlockwise seen from outside the last loop. Equal points of a loop
-            become one vertex. For a hollow body, the loops go up the outside and down the inside.
+    Loops are anticlockwise seen from outside the last one. Equal points of a loop become one vertex. For a hollow body,
+    the loops go up the outside and down the inside.
     """
     count = len(loops[0])
     first, last = loops[0].mean(axis=0), loops[-1].mean(axis=0)
@@ -148,8 +147,7 @@ def arc(centre: tuple[float, float], radius: float, start_deg: float, end_deg: f
 def shell_profile(inside: ArrayLike, wall: float) -> Array:
     """Return the profile (2 n + k, 2) of a shell with a round rim, m, for `revolve`.
 
-    Args:
-        inside: radius and height (n, 2) of the inner surface, m, from the axis to the rim.
+    `inside` is the radius and height (n, 2) of the inner surface, m, from the axis to the rim.
     """
     inner = np.asarray(inside, float)
     along = np.gradient(inner, axis=0)

@@ -31,12 +31,9 @@ def is_binary_stl(data: bytes) -> bool:
 
 
 def read_stl(data: bytes) -> tuple[Array, Faces]:
-    """Return the vertices (n, 3) of a binary STL, in the file's unit, and its triangles (m, 3).
+    """Return the vertices (n, 3) of a binary STL, in the file's unit, and its triangles (m, 3), or raise ResourceError.
 
     Equal corners are merged. Triangles that thereby lose a corner are omitted.
-
-    Raises:
-        ResourceError: the data is not a binary STL or has coordinates that are not finite.
     """
     count = int.from_bytes(data[_HEADER : _HEADER + 4], "little")
     if not is_binary_stl(data):

@@ -13,9 +13,7 @@ _CELLS = 16  # grid cells, by which points are grouped, along the longest side o
 def hausdorff_distance(surface: tuple[Array, Faces], other: tuple[Array, Faces], limit: float, samples: int) -> float:
     """Return the Hausdorff distance of two surfaces, measured at sampled points and vertices of both.
 
-    Args:
-        limit: distances above this limit count as infinite.
-        samples: points, and largest number of vertices, on each surface. All calls use the same points.
+    Distances above `limit` count as infinite. All calls use the same `samples` points and at most as many vertices.
     """
     rng = np.random.default_rng(0)
     farthest = 0.0

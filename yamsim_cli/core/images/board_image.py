@@ -21,10 +21,8 @@ def aruco_dictionary(name: str) -> cv2.aruco.Dictionary:
 def marker_cells(board: Board) -> Image:
     """Return the cells (n, k, k) of a board's markers in the order of `board.ids`: 0 is black, 255 is white.
 
-    A marker is `k` cells wide: the dictionary's bits, with a black border of one cell around them.
-
-    Raises:
-        ConfigError: OpenCV does not have the board's dictionary, or the dictionary does not have the board's ids.
+    A marker is `k` cells wide: the dictionary's bits, with a black border of one cell around them. ConfigError is
+    raised if OpenCV does not have the dictionary, or the dictionary does not have the ids.
     """
     try:
         dictionary = aruco_dictionary(board.dictionary)
@@ -48,10 +46,7 @@ def board_image(board: Board, cell_px: int, quiet_cells: int = 1) -> Image:
     """Return a grey image (height, width) of a board on white, with exactly `cell_px` pixels per marker cell.
 
     If the gap between markers is not a whole number of pixels, each marker is drawn within half a pixel of its true
-    position. These errors do not accumulate. Raises as `marker_cells`.
-
-    Args:
-        quiet_cells: width of the white border, cells. Detectors need at least one cell or a light background.
+    position. These errors do not accumulate. Detectors need at least one quiet cell or a light background.
     """
     markers = marker_cells(board)
     marker_px = markers.shape[1] * cell_px

@@ -18,8 +18,7 @@ _MAX_BYTES = 200_000_000  # bytes; photos of all cameras are smaller
 def read_image(path: Path) -> Image:
     """Read a PNG or JPEG file as an RGB image (height, width, 3), upright by its EXIF data.
 
-    Raises:
-        ResourceError: the file cannot be read, is larger than 200 MB, or is not a complete PNG or JPEG.
+    An unreadable or incomplete file, or one over 200 MB, raises ResourceError.
     """
     try:
         if path.stat().st_size > _MAX_BYTES:

@@ -92,8 +92,7 @@ def _import_av() -> Any:
 def read_video_frames(file: Path, begin: float, count: int, tolerance: float) -> Iterator[Image]:
     """Yield at most `count` RGB frames (height, width, 3) of a video file from `begin` (s) on.
 
-    Args:
-        tolerance: time by which the first frame may precede `begin`, s.
+    The first frame may precede `begin` by `tolerance` (s).
     """
     av = _import_av()
     try:

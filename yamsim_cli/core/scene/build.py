@@ -51,12 +51,7 @@ def build_scene(session: Session) -> CompiledScene:
 def build_rig_scene(
     rig: RigConfig, scene: SceneConfig, locations: Locations, timestep: float = TIMESTEP
 ) -> CompiledScene:
-    """Compile a rig's arms alone, without floor, table and boards.
-
-    Args:
-        scene: has no effect on physics; its table is ignored.
-        timestep: of physics, s.
-    """
+    """Compile a rig's arms alone, without floor, table and boards; `scene` has no effect on physics."""
     physics = TaskPhysics(timestep, impratio=None, weld_placeholder=None)
     bare = scene.model_copy(update={"table": None})
     blueprint = Blueprint(rig, bare, boards=False, background=False, physics=physics)

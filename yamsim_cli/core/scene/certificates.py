@@ -60,10 +60,7 @@ def store_certificate(
 ) -> Path:
     """Write the certificate of an object's present config and meshes, and return its file. Older ones are kept.
 
-    Args:
-        assets: folder of the asset store.
-        found: results as JSON values.
-        made_with: program -> version.
+    `assets` is the folder of the asset store, `found` the results as JSON values, and `made_with` program -> version.
     """
     inputs = inputs_hash(item, lock)
     path = _path(assets, item, inputs)

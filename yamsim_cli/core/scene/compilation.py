@@ -19,11 +19,7 @@ _FATAL = (
 
 
 def compile_spec(spec: mujoco.MjSpec, called: str = "", refused: type[YamsimError] = SimulationError) -> mujoco.MjModel:
-    """Compile a spec, or raise an error of type `refused` with MuJoCo's reason.
-
-    Args:
-        called: subject of the error message; by default the scene.
-    """
+    """Compile a spec, or raise an error of type `refused` with MuJoCo's reason about `called`, by default the scene."""
     silence_mujoco_warnings()
     try:
         return spec.compile()

@@ -254,10 +254,8 @@ class CompiledScene:
     def reset(self, data: mujoco.MjData, qpos: Array, commanded: Array | None = None) -> None:
         """Reset `data` to rest at `qpos` (nq,), with commands that hold each drive's position.
 
-        The result is the same bit for bit, whatever `data` contained before.
-
-        Args:
-            commanded: past commands (nu,) that delayed drives still execute; by default the present positions.
+        The result is the same bit for bit, whatever `data` contained before. Delayed drives still execute the past
+        commands `commanded` (nu,), by default the present positions.
         """
         mujoco.mj_resetData(self.model, data)
         data.qpos[:] = qpos

@@ -190,7 +190,7 @@ def add_home_key(
     """Add a keyframe `home`, in which the drives hold the arms at rest, and return the compiled model.
 
     Args:
-        start: object -> pose in `world`, in the keyframe and in the model's default state.
+        start: object -> pose in `world`, also in the model's default state.
         joints: (dof,) of each arm, rad; by default the robots' home.
         parts: joint of an articulated object -> position, m or rad.
     """

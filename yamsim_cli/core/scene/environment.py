@@ -89,12 +89,7 @@ def add_lights(spec: mujoco.MjSpec, scene: SceneConfig, centre: Sequence[float] 
 
 
 def add_table(spec: mujoco.MjSpec, table: Table, floor: float, bases: Sequence[Array]) -> None:
-    """Add the table, its legs, and a post from each arm's base to the floor. Legs and posts have no contacts.
-
-    Args:
-        floor: height, m.
-        bases: pose of each arm's base in `world`.
-    """
+    """Add the table, its legs, and a post from each arm's base to the floor. Legs and posts have no contacts."""
     spec.add_material(name="table", rgba=table.rgba, specular=0.1, shininess=0.1, reflectance=table.reflectance)
     _add_box(spec, "table", table.position, table.half_size, contact_numbers(table.contact))
     x, y, _ = table.position

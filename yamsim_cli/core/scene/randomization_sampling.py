@@ -22,9 +22,7 @@ def sample_variation(
 ) -> Variation:
     """Sample an attempt's variation without distractors, which `sim.placement` places when the motion is known.
 
-    Args:
-        lights: number of lights.
-        dofs: number of joints of each arm.
+    `lights` and `dofs` are the numbers of lights and of each arm's joints.
     """
 
     def rng(stream: Stream) -> np.random.Generator:

@@ -64,13 +64,9 @@ def add_randomized_parts(spec: mujoco.MjSpec, config: RandomizationConfig, meshe
 
 
 class RandomizedModel:
-    """A compiled model that is reset and then varied for each attempt.
+    """A compiled model with the parts of `add_randomized_parts`, which is reset and then varied for each attempt.
 
-    Attributes:
-        textures: ids of the textures that the last `apply` changed. Renderers must upload these textures.
-
-    Args:
-        model: the model as compiled, with the parts of `add_randomized_parts`.
+    Renderers must upload `textures`, whose ids the last `apply` changed.
     """
 
     def __init__(self, model: mujoco.MjModel, config: RandomizationConfig, scene: SceneConfig) -> None:
@@ -221,9 +217,7 @@ def _noise(rng: np.random.Generator, cells: int, size: int) -> NDArray[np.float6
 class RandomizedArms:
     """A compiled scene whose arms vary between attempts in delays, readings and gravity compensation.
 
-    Args:
-        scene: its model was compiled for the longest delays. Its `arms` have the delays of an attempt without
-            variation.
+    The model was compiled for the longest delays. The scene's `arms` have the delays of an attempt without variation.
     """
 
     def __init__(self, scene: CompiledScene) -> None:

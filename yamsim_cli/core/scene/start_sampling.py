@@ -60,11 +60,8 @@ def sample_placements(
 ) -> dict[str, ObjectPlacement] | str:
     """Sample object -> initial placement, in the order in which objects settle.
 
-    If 20 rounds of 60 tries find no free placement for an object, the result is this object's name.
-
-    Args:
-        box_of: object and its joint openings -> local bounding box (2, 3), m.
-        number: how many samples of this attempt the caller has already rejected.
+    If 20 rounds of 60 tries find no free placement for an object, the result is this object's name. `box_of` gives an
+    object's local bounding box (2, 3), m. `number` is how many samples of this attempt the caller has rejected.
     """
     if task.arrangements:
         return _arranged_placements(task, roles, job, number)

@@ -196,16 +196,12 @@ def moving_points(
 def crumple(
     scene: CompiledScene, start: Array, cloth: str, rng: np.random.Generator, share: float, timestep: float
 ) -> Array:
-    """Crumple a cloth, and return MuJoCo's positions (nq,) with the cloth at rest.
+    """Crumple a flat cloth, and return MuJoCo's positions (nq,) with the cloth at rest.
 
-    The function lifts a point of the cloth's outer half and moves it roughly towards the middle. Then it lowers the
-    point to half the height and drops the cloth. Up to 40 drops are tried, until the cloth is at least 4 layers high
-    and passes neither through itself nor through the table.
-
-    Args:
-        start: MuJoCo's positions (nq,) with the cloth flat.
-        share: height of the lift as a share of half the diagonal. The point moves towards the middle by twice this
-            share of its distance.
+    The function lifts a point of the cloth's outer half, by `share` of half the diagonal, and moves it towards the
+    middle by twice this share of its distance. Then it lowers the point to half the height and drops the cloth. Up to
+    40 drops are tried, until the cloth is at least 4 layers high and passes neither through itself nor through the
+    table.
     """
     sheet = scene.cloths[cloth]
     ends, corners = grid_edges(*sheet.grid), grid_triangles(*sheet.grid)

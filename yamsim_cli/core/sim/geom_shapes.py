@@ -37,10 +37,10 @@ def geom_aabb(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> Array:
 
 
 def body_box(model: mujoco.MjModel, geoms: Sequence[int], T: Array | None = None) -> Array:
-    """Return the lowest and highest corner (2, 3) of geoms of one body, m.
+    """Return the lowest and highest corner (2, 3) of geoms of one body, m, in its own frame or along the axes of a
+    frame.
 
-    Args:
-        T: pose of the body in the frame whose axes the box follows; by default the body's own frame.
+    `T` is the pose of the body in that frame.
     """
     boxes = []
     for geom in geoms:

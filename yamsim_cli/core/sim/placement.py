@@ -23,11 +23,7 @@ _MAX_OVERLAP = 5e-4  # m, penetration up to which a contact is no collision
 
 
 class DistractorPlacer:
-    """Samples places for a recording's distractors in a copy of the scene's model.
-
-    Args:
-        scene: without variations.
-    """
+    """Samples places for a recording's distractors in a copy of a scene without variations."""
 
     def __init__(self, config: RecordConfig, scene: CompiledScene) -> None:
         self._distractors = config.randomization.distractors
@@ -38,11 +34,8 @@ class DistractorPlacer:
     def sample_poses(self, job: AttemptJob, positions: Sequence[Array]) -> dict[str, UprightPose]:
         """Return distractor -> place `[x, y, z, yaw]` in `world`, m and rad, sampled for an attempt.
 
-        Distractors are placed after the motion is known, where nothing comes near, so they do not change the motion. A
-        distractor without a free place after 12 tries is left out.
-
-        Args:
-            positions: MuJoCo's positions (nq,) at all times of the attempt.
+        Distractors are placed after the motion (`qpos` at all times) is known, where nothing comes near, so they do not
+        change it. A distractor without a free place after 12 tries is left out.
         """
         config = self._distractors
         if config is None:
@@ -126,9 +119,7 @@ class ArmCollisionCheck:
     def depth(self, qpos: Array, joints: Array) -> tuple[float, str]:
         """Return the deepest penetration of the arm, m, and the name of the penetrated geom; 0 and "" if none.
 
-        Args:
-            qpos: (nq,) of the rest of the scene.
-            joints: (dof,) of the arm, rad.
+        `qpos` (nq,) are the positions of the rest of the scene.
         """
         data, model = self._data, self._scene.model
         data.qpos[:] = qpos

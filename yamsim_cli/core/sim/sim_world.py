@@ -20,11 +20,9 @@ _MIN_UPWARD_NORMAL = 0.5  # of a contact, above which a finger is under a cloth
 
 @dataclass(frozen=True)
 class ContainerRegion:
-    """A box-shaped region of an object, such as a compartment of a tray.
+    """A box-shaped region of an object, such as a compartment of a tray, of `size` (3,), m.
 
-    Attributes:
-        T_in_object: the region's origin is at the centre of the floor.
-        size: (3,), m.
+    The region's origin is at the centre of the floor.
     """
 
     thing: str

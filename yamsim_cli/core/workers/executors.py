@@ -35,9 +35,7 @@ class WorkerBugError(RuntimeError):
 class LostJobError(PartialJobError):
     """A job whose every try ended the worker. The executor continues with other jobs.
 
-    Attributes:
-        tries: number of workers that tried the job.
-        reason: how the last worker ended.
+    `tries` workers tried the job; `reason` is how the last one ended.
     """
 
     def __init__(self, job: object, tries: int, reason: str) -> None:
@@ -95,8 +93,7 @@ def run_all(
 ) -> Iterator[tuple[J, R]]:
     """Yield every job with its result, in the order in which jobs finish. Raises as `Executor.result`.
 
-    Args:
-        lost: returns the result of a job that ended every worker; with None, the `LostJobError` is raised.
+    `lost` returns the result of a job that ended every worker; with None, the `LostJobError` is raised.
     """
     waiting = iter(jobs)
     while True:

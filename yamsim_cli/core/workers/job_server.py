@@ -66,9 +66,7 @@ class WorkerJobRunner:
 def serve_jobs(pipe: Connection, factory: bytes) -> None:
     """Answer jobs from a pipe until it closes.
 
-    Args:
-        pipe: delivers numbered jobs, and takes pickled `worker_pool.Event`s, each after a `HEADER`.
-        factory: pickled.
+    The pipe delivers numbered jobs, and takes pickled `worker_pool.Event`s, each after a `HEADER`.
     """
     # The parent closed the pipe, or has ended.
     with contextlib.closing(WorkerJobRunner()) as server, contextlib.suppress(EOFError, OSError):

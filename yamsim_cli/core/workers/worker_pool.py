@@ -118,11 +118,7 @@ class _Slot(Generic[J]):
 
 
 class BaseWorkerPool(Closable, Generic[J, R]):
-    """An `Executor` for any kind of worker, which replaces workers that die or hang.
-
-    Args:
-        job_seconds: time limit of a job, s; after this time its worker is replaced.
-    """
+    """An `Executor` for any kind of worker, which replaces workers that die, hang, or need longer than `job_seconds`."""
 
     def __init__(self, backend: WorkerBackend[Worker[J], R], workers: int, job_seconds: float = JOB_SECONDS) -> None:
         self._backend = backend

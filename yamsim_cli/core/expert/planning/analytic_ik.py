@@ -44,11 +44,7 @@ HAND_LENGTH = 0.13  # m, from the flange to the fingertips: lever that converts 
 
 
 class AnalyticIk:
-    """Finds all joint positions that bring an arm's flange to a pose; made by `find_analytic_ik`.
-
-    Args:
-        model: see `scene.arm_model.kinematic_model`.
-    """
+    """Finds all joint positions that bring an arm's flange to a pose; made by `find_analytic_ik`."""
 
     def __init__(self, model: mujoco.MjModel) -> None:
         self._model, self._data = model, mujoco.MjData(model)
@@ -103,13 +99,11 @@ class AnalyticIk:
         return found
 
     def passes_reach_test(self, T_flange_in_base: Array, margin: float) -> Array:
-        """Return for which flange poses (n, 4, 4) in the base `solutions` may not be empty, as (n,).
+        """Return which flange poses (n, 4, 4) in the base may have `solutions` with a `margin` (rad) to all limits, as
+        (n,).
 
         A batch is some 30 times as fast as single poses. Its rounding differs between processors, so borderline poses
         give True.
-
-        Args:
-            margin: least distance of every joint from its limits, rad.
         """
         T = self._T_basis @ T_flange_in_base @ self._T_zero
         R, wrist = T[:, :3, :3], T[:, :3, :3] @ self._centre + T[:, :3, 3] - self._a1
@@ -141,10 +135,10 @@ class AnalyticIk:
         return reached
 
     def _solve_all(self, joint: int, a: ArrayLike, b: ArrayLike, c: Array, margin: float) -> tuple[Array, Ids]:
-        """Return both angles q with `a cos q + b sin q = c` that keep a margin to a joint's limits.
+        """Return both angles (m,) with `a cos q + b sin q = c` that keep a margin to a joint's limits, and their
+        indices into `c`.
 
-        Returns:
-            The angles (m,), and their indices into `c`. The angle is 0 where every angle is a solution.
+        The angle is 0 where every angle is a solution.
         """
         length = np.hypot(a, b)
         is_undetermined = length <= _REACH_SLACK

@@ -17,11 +17,7 @@ _ITERATIONS = 100  # of a search, which may start far from the pose
 
 
 class ArmKinematics:
-    """Forward kinematics of an arm.
-
-    Args:
-        model: see `scene.arm_model.kinematic_model`.
-    """
+    """Forward kinematics of a `scene.arm_model.kinematic_model`."""
 
     def __init__(self, model: mujoco.MjModel) -> None:
         self._model = model
@@ -75,12 +71,8 @@ def solve_or_raise(
 ) -> ReachResult:
     """Return joints that bring the solvers' frame to a pose, by a search from each start (dof,) in turn.
 
-    Args:
-        solvers: each starts from the previous solver's result.
-        position_tolerance, rotation_tolerance: m and rad.
-
-    Raises:
-        OutOfReachError: no joints are within the tolerances; the error holds the nearest ones.
+    Each solver starts from the previous solver's result. Tolerances are in m and rad. If no joints are within them,
+    `OutOfReachError` holds the nearest ones.
     """
     nearest: ReachResult | None = None
     for start in starts:

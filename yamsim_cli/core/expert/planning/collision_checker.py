@@ -40,9 +40,8 @@ class AttachedObject:
 class CollisionChecker:
     """Checks for contacts of a moved arm or object, in a copy of an otherwise static scene.
 
-    Args:
-        fingers: geoms of each arm's fingers, in the order of `arms`.
-        absent: bodies that are no obstacles: distractors, which are placed after planning.
+    `fingers` are the geoms of each arm's fingers. The bodies `absent` are no obstacles: distractors, which are placed
+    after planning.
     """
 
     def __init__(

@@ -9,11 +9,7 @@ from ...scene.arm_model import finger_addresses
 
 
 class ArmDynamics:
-    """Inverse dynamics of one arm, for feed-forward commands.
-
-    Args:
-        model: the whole arm with its gripper, see `scene.arm_model.arm_spec`.
-    """
+    """Inverse dynamics of a whole arm with its gripper, see `scene.arm_model.arm_spec`, for feed-forward commands."""
 
     def __init__(self, model: mujoco.MjModel, robot: Robot) -> None:
         self._model = model
@@ -25,12 +21,9 @@ class ArmDynamics:
         model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
 
     def torques(self, joints: Array, gripper: Array, tick: float) -> Array:
-        """Return torques (n, dof), N m, at the middle of each tick: inertia, friction and uncompensated gravity.
+        """Return torques (n, dof), N m, at the middle of each tick (s): inertia, friction and uncompensated gravity.
 
-        Args:
-            joints: positions (n + 1, dof) at the tick boundaries, rad.
-            gripper: opening (n,) of one finger, m.
-            tick: s.
+        Joints (n + 1, dof), rad, are at the tick boundaries; `gripper` (n,) is the opening of each finger, m.
         """
         positions = (joints[1:] + joints[:-1]) / 2
         velocities = np.diff(joints, axis=0) / tick

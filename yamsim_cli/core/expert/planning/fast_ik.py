@@ -22,9 +22,7 @@ _MIN_PROGRESS_RATIO = 0.97  # ratio of the error to the error two steps before, 
 class FastIkSolver:
     """Rejects poses out of reach faster than `IkSolver`, less exactly, for arms without analytic inverse kinematics.
 
-    Args:
-        model: see `scene.arm_model.kinematic_model`; its site `tool` is the held frame.
-        T_base_in_world: targets are given in `world`.
+    The model is a `scene.arm_model.kinematic_model`, whose site `tool` is the held frame. Targets are given in `world`.
     """
 
     def __init__(self, model: mujoco.MjModel, T_base_in_world: Array) -> None:

@@ -59,8 +59,7 @@ class IkSolution:
 class Tolerance:
     """Largest position error, m, and rotation error, rad, and least distance of joints from their limits, rad.
 
-    Attributes:
-        allow_tilt: whether the hand may tilt by up to `rotation` if the pose itself is out of reach.
+    With `allow_tilt`, the hand may tilt by up to `rotation` if the pose itself is out of reach.
     """
 
     position: float
@@ -82,12 +81,8 @@ class IkSolver:
 
     An arm that `find_analytic_ik` accepts is solved exactly. For other arms, and for poses out of reach, a search
     iterates differential inverse kinematics to convergence, and the hand may tilt. Solutions bring the held frame, the
-    site `tool`, to a target. At first it is the pinch frame.
-
-    Args:
-        model: see `scene.arm_model.kinematic_model`.
-        T_base_in_world: targets are given in `world`.
-        rotation_costs: costs (3,) of an error of 1 rad about the held frame's axes; an error of 1 m costs 10.
+    site `tool`, to a target in `world`. At first it is the pinch frame. An error of 1 rad about its axes costs
+    `rotation_costs` (3,), an error of 1 m costs 10.
     """
 
     def __init__(
@@ -127,9 +122,8 @@ class IkSolver:
     def solve(self, T_tool_in_world: Array, start: Array, iterations: int) -> IkSolution:
         """Return a solution that brings the held frame to a pose, or the nearest one that a search finds.
 
-        Args:
-            start: joints (dof,), rad; the exact solution nearest to them is returned.
-            iterations: limit of the search, which runs if there is no exact solution.
+        The exact solution nearest to joints `start` (dof,) is returned. `iterations` limits the search, which runs if
+        there is no exact solution.
         """
         exact = self._solve_exact(T_tool_in_world, start)
         return self._search(T_tool_in_world, start, iterations) if exact is None else exact
@@ -137,9 +131,8 @@ class IkSolver:
     def solve_next(self, T_tool_in_world: Array, before: IkSolution, iterations: int) -> IkSolution:
         """Return a solution for the next pose of the held frame on a path, without a jump of a joint.
 
-        Args:
-            before: the solution for the previous pose; `solution_at` gives the first one.
-            iterations: limit of the search, which runs if no exact solution is near `before`.
+        `before` is the solution for the previous pose; `solution_at` gives the first one. `iterations` limits the
+        search, which runs if no exact solution is near `before`.
         """
         start = before.joints
         if before.tilt_error + before.heading_error <= _MAX_ROTATION_LAG and self._is_regular(start):
@@ -155,9 +148,8 @@ class IkSolver:
     def solve_from(self, T_tool_in_world: Array, starts: Sequence[Array], tolerance: Tolerance) -> Array | None:
         """Return joints (dof,) that bring the held frame to a pose; None if none are found.
 
-        Args:
-            starts: joints (dof,), rad. The exact solution nearest to the first start is returned. Without analytic
-                inverse kinematics, a search runs from each start in turn until one succeeds.
+        The exact solution nearest to the first start (dof,) is returned. Without analytic inverse kinematics, a search
+        runs from each start in turn until one succeeds.
         """
         if self._analytic is not None:
             exact = self._solve_exact(T_tool_in_world, starts[0], tolerance.margin)

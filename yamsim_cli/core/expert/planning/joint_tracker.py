@@ -9,10 +9,8 @@ _MAX_ACCELERATION = 12.0  # rad/s^2, of each joint
 
 
 class JointTracker:
-    """A joint reference that follows a moving goal with bounded speed and acceleration, and stops on it.
-
-    Attributes:
-        joints: the present reference (dof,), rad.
+    """The reference `joints` (dof,), rad, which follow a moving goal with bounded speed and acceleration, and stop on
+    it.
 
     Args:
         motor_speed: no-load speed (dof,), rad/s.

@@ -41,11 +41,7 @@ def plan_rrt_connect(
 ) -> list[Array] | None:
     """Return waypoints (dof,) from start to goal with collision-free straight edges; None if none are found.
 
-    Source: Kuffner and LaValle, "RRT-Connect", ICRA 2000.
-
-    Args:
-        bounds: joint limits (dof, 2), rad.
-        find_contact: returns the contact at joints (dof,) as text.
+    `bounds` are joint limits (dof, 2), rad. Source: Kuffner and LaValle, "RRT-Connect", ICRA 2000.
     """
     if find_contact(goal):
         return None

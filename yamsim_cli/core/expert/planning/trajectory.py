@@ -31,10 +31,7 @@ def minimum_jerk(fraction: float) -> float:
 def time_waypoints(points: Sequence[Array], motor_speed: Array, tick: float) -> Array:
     """Return joints (n + 1, dof) at tick boundaries that pass through waypoints, from rest to rest within speed limits.
 
-    Args:
-        points: waypoints (dof,), rad; the first one is the present joints.
-        motor_speed: no-load speed (dof,), rad/s.
-        tick: s.
+    The first waypoint is the present joints. `motor_speed` (dof,) is the no-load speed, rad/s.
     """
     limit = np.minimum(motor_speed * _MAX_SPEED_SHARE, _MAX_SPEED)
     knots = np.asarray(points)
@@ -65,11 +62,7 @@ def cartesian_line(
 ) -> Array | None:
     """Return joints (n + 1, dof) that move the held frame of `ik` straight to a pose, from rest to rest.
 
-    The result is None if the line leaves the arm's reach.
-
-    Args:
-        start: the present joints (dof,), rad.
-        speed: peak speed of the frame, m/s.
+    The frame's peak speed is `speed`, m/s. The result is None if the line leaves the arm's reach.
     """
     T_start = ik.pose_of(start)
     distance = float(np.linalg.norm(T_tool_in_world[:3, 3] - T_start[:3, 3]))
@@ -88,12 +81,8 @@ def cartesian_curve(
 ) -> Array | None:
     """Return joints (n + 1, dof) that move the held frame of `ik` on a curve, from rest to rest.
 
-    The result is None if the curve leaves the arm's reach.
-
-    Args:
-        start: the present joints (dof,), rad.
-        pose_at: share of the curve, 0..1 -> the frame's pose in `world`.
-        seconds: length of the curve by the peak speed, s; the motion lasts 1.875 times as long.
+    `pose_at` gives the pose in `world` at a share of the curve, 0..1. The curve takes `seconds` at the peak speed; the
+    motion lasts 1.875 times as long. The result is None if the curve leaves the arm's reach.
     """
     number = max(_MIN_TICKS, math.ceil(seconds * _PEAK / tick))
     rows, solution = [start], ik.solution_at(start)

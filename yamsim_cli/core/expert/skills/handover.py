@@ -45,7 +45,7 @@ _TURNED_SEARCH_ORDER = (
     *((_MIN_APART, math.inf, lower, turn) for turn in _TURNS for lower in (0.0, 0.06)),
 )
 
-# giver's grasps for which `Handover.infeasibility` searches a handover while nothing moves. A search without success
+# Giver's grasps for which `Handover.infeasibility` searches a handover while nothing moves. A search without success
 # takes half a second, and an object in a pile has hundreds of grasps.
 _MAX_SEARCHES = 24
 
@@ -72,12 +72,7 @@ class _HandoverPose:
 
 
 class Handover(Skill):
-    """Move an object to where both hands reach it, grasp it with the other hand, and release it.
-
-    Attributes:
-        to: the hand that takes the object.
-        height: of the object's origin over the table, m.
-    """
+    """Move an object to `height` m over the table, where both hands reach it, grasp it with hand `to`, and release it."""
 
     ROLES: ClassVar[tuple[str, ...]] = ("thing",)
     NEEDS_HELD: ClassVar[bool | None] = True
@@ -204,8 +199,7 @@ class _TurnedHandover(Handover):
 class _ReceiverGrasps:
     """Grasp candidates of the receiver, the most reliable first.
 
-    Attributes:
-        faults: index of each tested candidate -> why the next skills would fail with it.
+    `faults` has, for each tested candidate's index, why the next skills would fail with it.
     """
 
     def __init__(

@@ -31,9 +31,8 @@ _SWING_TICKS = 40  # control ticks in which the object swings to rest
 class Hang(Skill):
     """Move the eye of a held object over a peg, and release the object.
 
-    Attributes:
-        thing: a role; its object has a handle called `eye`, which points through an opening.
-        onto: a role; its object has a handle called `peg`, which points from the peg's tip to its root.
+    The object's handle `eye` points through an opening. The handle `peg` of `onto` points from the peg's tip to its
+    root.
     """
 
     ROLES: ClassVar[tuple[str, ...]] = ("thing", "onto")

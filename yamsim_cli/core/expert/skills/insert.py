@@ -32,11 +32,7 @@ _TURNS = tuple(math.radians(angle) for angle in (0, 180, 90, -90))
 
 
 class Insert(PlaceSkill):
-    """Put a held object where it rests lowest in a container, near the container's middle.
-
-    Attributes:
-        into: the role of the container.
-    """
+    """Put a held object where it rests lowest in the container `into`, near the container's middle."""
 
     ROLES: ClassVar[tuple[str, ...]] = ("thing", "into")
     into: str

@@ -24,11 +24,7 @@ _LIFT_SPEED = 0.10  # m/s
 
 
 class Lift(Skill):
-    """Grasp an object at two places, one with each hand, and lift it level.
-
-    Attributes:
-        by: height of the lift, m.
-    """
+    """Grasp an object at two places, one with each hand, and lift it level, `by` m."""
 
     ROLES: ClassVar[tuple[str, ...]] = ("thing",)
     NEEDS_HELD: ClassVar[bool | None] = False

@@ -25,11 +25,9 @@ _MAX_GOAL_ERROR = 0.1  # share of the joint's range within which the joint is at
 
 
 class Operate(Skill):
-    """Grasp a handle, move it along the path of its joint, and release it.
+    """Grasp a handle, move the part `joint`, such as `drawer`, along its path, and release it.
 
-    Attributes:
-        joint: name of the part that moves, such as `drawer`.
-        to: share of the joint's range: 1 is open, 0 is closed.
+    The goal `to` is a share of the joint's range: 1 is open, 0 is closed.
     """
 
     ROLES: ClassVar[tuple[str, ...]] = ("thing",)

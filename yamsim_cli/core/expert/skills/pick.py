@@ -41,11 +41,7 @@ class ReachableGrasp:
 
 
 class Pick(Skill):
-    """Grasp an object and lift it, with an arm and a grasp that leave the next skills possible.
-
-    Attributes:
-        lift: height of the lift, m.
-    """
+    """Grasp an object and `lift` it (m), with an arm and a grasp that leave the next skills possible."""
 
     ROLES: ClassVar[tuple[str, ...]] = ("thing",)
     NEEDS_HELD: ClassVar[bool | None] = False

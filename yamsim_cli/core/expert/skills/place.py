@@ -36,8 +36,7 @@ _TURNS = tuple(math.radians(angle) for angle in (0, 30, -30, 60, -60, 90, -90, 1
 class PlaceSkill(Skill):
     """Base class of the skills that put down a held object; `goals` says where and how it may lie.
 
-    Attributes:
-        drop: height over the goal at which the object is released, m, so that fingers do not touch the support.
+    The object is released `drop` (m) over the goal, so that fingers do not touch the support.
     """
 
     ROLES: ClassVar[tuple[str, ...]] = ("thing",)
@@ -60,6 +59,7 @@ class PlaceSkill(Skill):
         return context.cached((self, thing), lambda: CachedIterable(self.goals(context, roles, thing)))
 
     def without_preferences(self, context: PlanningContext, roles: RoleAssignment) -> PlaceSkill:
+        """Return the skill itself: it has no preferences."""
         return self
 
     def _ordered_goals(

@@ -54,8 +54,7 @@ V = TypeVar("V")
 class MotionSegment:
     """A motion of all arms: paths of equal length.
 
-    Attributes:
-        wait_for_arrival: whether the next segment starts only when the arms have reached the last reference.
+    With `wait_for_arrival`, the next segment starts only when the arms have reached the last reference.
     """
 
     paths: tuple[JointPath, ...]
@@ -132,8 +131,7 @@ class PlanningContext:
     def update_held(self, hand: Hand) -> HeldObject:
         """Measure the pose of the object in a hand, store it in `hand.held`, and return it.
 
-        Raises:
-            SkillFailedError: the hand no longer holds the object.
+        If the hand no longer holds the object, SkillFailedError is raised.
         """
         held = hand.held
         assert held is not None, "a hand that holds nothing is not asked what it holds"
@@ -278,12 +276,10 @@ class PlanningContext:
     def plan_free_path(
         self, hand: Hand, goal: Array, opening: float | None = None, attached: AttachedObject | None = None
     ) -> Array:
-        """Return the simplest collision-free motion (n + 1, dof) of a hand to joints `goal`.
+        """Return the simplest collision-free motion (n + 1, dof) of a hand to joints `goal`, or raise SkillFailedError.
 
-        A hand in contact at the start may first rise straight up.
-
-        Args:
-            opening: of each finger at the end, m. Collisions are checked with the larger opening of start and end.
+        A hand in contact at the start may first rise straight up. Collisions are checked with the larger opening of
+        each finger (m) of start and end.
         """
         opening_on_way = max(hand.opening, opening if opening is not None else 0.0)
 

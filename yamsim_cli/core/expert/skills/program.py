@@ -78,8 +78,7 @@ class RecoveryLog:
 def build_program(task: ProgramTask, roles: RoleAssignment) -> list[Skill]:
     """Return the skills of a task's expert, with loops unrolled.
 
-    Raises:
-        ConfigError: the program is not valid. Only unchecked configs, such as a dataset's, have such programs.
+    Only unchecked configs, such as a dataset's, have invalid programs, which raise ConfigError.
     """
     try:
         return parse_program(task.expert, roles)
@@ -90,14 +89,11 @@ def build_program(task: ProgramTask, roles: RoleAssignment) -> list[Skill]:
 def parse_program(
     steps: Sequence[Mapping[str, Any]], roles: RoleAssignment, path: tuple[str | int, ...] = ()
 ) -> list[Skill]:
-    """Return the skills of a program, with loops unrolled.
+    """Return the skills of a program, with loops unrolled. An invalid step raises ConflictError with its path.
 
     Args:
         steps: as in a task's YAML: each step has one key, a skill's name or `each`.
         path: keys that lead to the steps in the config, for error messages.
-
-    Raises:
-        ConflictError: a step is not valid; the error has the path of the step.
     """
     return [skill for _, skill in parse_steps(steps, roles, path)]
 

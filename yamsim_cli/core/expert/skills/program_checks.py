@@ -36,8 +36,7 @@ _GRIDS = {"diagonal": "as many points along both sides", "thirds": "6, 9, 12 or 
 def check_task_config(config: Config) -> None:
     """Check that the task of a task or recording config can be performed.
 
-    Raises:
-        ConflictError: the task cannot be performed; the error's paths lead from the config's root.
+    If not, ConflictError has the paths from the config's root.
     """
     if isinstance(config, ProgramTask):
         check_program(config)
@@ -58,8 +57,7 @@ def check_task_config(config: Config) -> None:
 def check_program(task: ProgramTask, sides: Sequence[str] | None = None) -> None:
     """Check that a task's program names existing skills, roles and parts, and that hands are free when needed.
 
-    Args:
-        sides: "left" and "right", of the acting arms; None if unknown.
+    `sides` are "left" and "right" of the acting arms; None if unknown. ConflictError has the path from the task's root.
     """
     roles = task.typical_roles
     arms = len(sides) if sides is not None else 2 if task.arms == "all" else 1

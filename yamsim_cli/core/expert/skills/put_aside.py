@@ -89,11 +89,7 @@ def _lower_straight(context: PlanningContext, hand: Hand, thing: str) -> Iterato
 
 
 class Regrasp(Skill):
-    """Put a held object down and pick it up again, with an arm and a grasp that leave the next skills possible.
-
-    Attributes:
-        arm: the arm that picks the object up.
-    """
+    """Put a held object down and pick it up again with `arm` and a grasp that leave the next skills possible."""
 
     ROLES: ClassVar[tuple[str, ...]] = ("thing",)
     NEEDS_HELD: ClassVar[bool | None] = True

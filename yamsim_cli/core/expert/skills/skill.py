@@ -35,13 +35,9 @@ class Skill(Config):
     def run(
         self, context: PlanningContext, roles: RoleAssignment, next_skills: Sequence[Skill]
     ) -> Iterator[MotionSegment]:
-        """Yield the segments of motion that perform the skill.
+        """Yield the segments of motion that perform the skill, or raise SkillFailedError.
 
-        Args:
-            next_skills: the next one first. Choices such as a grasp have to suit them.
-
-        Raises:
-            SkillFailedError: no motion was found, or the skill did not have its effect.
+        Choices such as a grasp have to suit the next skills.
         """
 
     def infeasibility(

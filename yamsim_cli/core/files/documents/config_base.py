@@ -48,8 +48,7 @@ class ConfigReference:
 class ConflictError(ValueError):
     """A contradiction between several values. The message points to the value that a flag set, else to the first value.
 
-    Attributes:
-        paths: key paths of the values, relative to the model that raises; the most likely mistake first.
+    `paths` are relative to the model that raises; the most likely mistake comes first.
     """
 
     def __init__(self, message: str, *paths: tuple[str | int, ...]) -> None:

@@ -22,8 +22,7 @@ def explain_validation_error(
 ) -> tuple[str, str]:
     """Return the place ("file:line" or flag) of the first error, and one line about it with the number of others.
 
-    Args:
-        flags: key path -> the flag that set its value.
+    `flags` has the flag that set the value at each key path.
     """
     found = error.errors(include_url=False)
     # Pydantic also reports a list with an invalid item as too short.

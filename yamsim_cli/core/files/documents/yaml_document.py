@@ -135,11 +135,9 @@ class Document:
 
 
 def load_yaml(path: Path) -> Document:
-    """Return the content of a YAML file.
+    """Return the content of a YAML file, with a mapping at the top level, or raise ConfigError.
 
-    Raises:
-        ConfigError: the file is unreadable, larger than 1 MB or no YAML. Or the file has a duplicate key, no mapping at
-            the top level, or several documents.
+    Files over 1 MB, duplicate keys and several documents are errors.
     """
     return parse_yaml(read_config(path), str(path))
 

@@ -13,12 +13,9 @@ _MODEL_SCHEMES = ("model", "package", "fuel")  # URI schemes that identify a mod
 
 
 class ConfinedFolder:
-    """Reads untrusted files below one folder, with limits on their number and size.
+    """Reads untrusted files below one folder, not even through links to others, with limits on their number and size.
 
-    Files outside are not read, not even through links.
-
-    Attributes:
-        refused: the last error of `read`. Callers check it after libraries that swallow exceptions.
+    Callers check `refused`, the last error of `read`, after libraries that swallow exceptions.
     """
 
     def __init__(self, root: Path) -> None:
@@ -30,8 +27,7 @@ class ConfinedFolder:
     def read(self, name: str, base: Path | None = None) -> bytes:
         """Return the content of a file by its name relative to `base` (default: the root), or its `model://` URI.
 
-        Raises:
-            RefusedError: the file is outside, missing or not regular, or a limit is exceeded.
+        A file that is outside, missing or not regular, or exceeds a limit, raises RefusedError.
         """
         try:
             path = self.find(name, base)

@@ -58,10 +58,9 @@ class Reduction(_Frozen):
 
 
 class LockedFile(_Frozen):
-    """A locked mesh file; `member` is its path inside the set's archive, `size` in bytes.
+    """A locked mesh file of `size` bytes; `member` is its path inside the set's archive.
 
-    Attributes:
-        reduction: best reduction found by `tools/bench/reduction.py`.
+    `tools/bench/reduction.py` finds the best `reduction`.
     """
 
     sha256: Sha256
@@ -119,11 +118,9 @@ class AssetSet(_Frozen):
 
 
 class AssetLock(_Frozen):
-    """All asset sets, with the archives that contain them and their license texts.
+    """All asset sets, the archives that contain them, and file name -> license text.
 
-    Attributes:
-        notices: file name of a license text -> text.
-        made: set -> file -> content, for the meshes that `load_lock` generates.
+    `made` is set -> file -> content, for the meshes that `load_lock` generates.
     """
 
     version: Literal[1]

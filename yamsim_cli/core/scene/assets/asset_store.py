@@ -100,8 +100,7 @@ class AssetStore:
     def write_lock(self) -> Iterator[Path]:
         """Lock the store for writing, and yield a scratch folder in it. Other processes wait for the lock.
 
-        Raises:
-            ResourceError: the store cannot be written, at the start or within the block.
+        If the store cannot be written, at the start or within the block, ResourceError is raised.
         """
         try:
             self.root.mkdir(parents=True, exist_ok=True)
@@ -122,9 +121,7 @@ class AssetStore:
     def publish(self, assets: AssetSet, files: Mapping[str, bytes], notice: str) -> Path:
         """Write a set's files and license text into the store in one step, and return the folder.
 
-        Raises:
-            MismatchError: a file is missing or differs from the locked file; nothing was published.
-            OSError: the disk failed; nothing was published.
+        After MismatchError (a missing or changed file) or OSError, nothing is published.
         """
         wrong = [name for name, file in assets.files.items() if sha256_bytes(files.get(name, b"")) != file.sha256]
         if wrong:
@@ -168,9 +165,7 @@ def _set_name(thing: str, hashes: Mapping[str, str]) -> str:
 def publish_user_set(store: AssetStore, thing: str, files: Mapping[str, bytes], about: Mapping[str, Any]) -> str:
     """Write an imported object's files into the store as a user set in one step, and return the set's name.
 
-    Args:
-        files: file name -> content.
-        about: origin of the object, for humans: the source's name and hash, its unit, and the conversion.
+    `about` is the object's origin, for humans: the source's name and hash, its unit, and the conversion.
     """
     if wrong := [name for name in files if not _FILE.fullmatch(name) or name == USER_SET_INFO_FILE]:
         raise ValueError(f"no names for a set's files: {wrong}")

@@ -41,16 +41,13 @@ def python_call(function: Callable[..., object], *arguments: str | int) -> list[
 def run_child(
     command: Sequence[str], scratch: Path, *, limit_s: float, idle_s: float, watch: Callable[[], int] | None = None
 ) -> ChildResult:
-    """Run a program to its end. At a time limit, kill the program and its children.
+    """Run a program to its end. At a time limit, kill it and its children, and raise SourceError.
 
     Args:
         scratch: folder for files with the program's output, so that no full pipe can block the program.
         limit_s: longest total time.
         idle_s: longest time without a change of `watch`. This limit ends dead downloads but not slow ones.
         watch: a number that changes as the program progresses, such as bytes; called ten times a second.
-
-    Raises:
-        SourceError: the program cannot be started, or a time limit is reached.
     """
     out, err = scratch / "stdout.txt", scratch / "stderr.txt"
     with out.open("wb") as stdout, err.open("wb") as stderr:

@@ -116,13 +116,10 @@ def find_reduced(store: AssetStore, assets: AssetSet) -> ReducedSet | None:
 def make_reduced(
     store: AssetStore, assets: AssetSet, source: Path, notice: str, progress: FilesDone = lambda done, total: None
 ) -> ReducedSet:
-    """Return a set's reduced meshes. If they are missing, create and publish them in one step.
+    """Return a set's reduced meshes. If they are missing, create and publish them with a license `notice`.
 
-    If two processes call this function at once, one creates the meshes and the other waits.
-
-    Args:
-        source: folder of the set's unreduced files, from `AssetStore.resolve`.
-        notice: licence text that is published with the meshes.
+    If two processes call this function at once, one creates the meshes and the other waits. `source` is the folder of
+    the unreduced files, from `AssetStore.resolve`.
     """
     if (there := find_reduced(store, assets)) is not None:
         return there

@@ -34,6 +34,5 @@ class AssetSource(Protocol):
     def read(self, assets: AssetSet, scratch: Path, progress: FetchProgress) -> dict[str, bytes]:
         """Return file name -> content for the set's files, or raise SourceError.
 
-        Args:
-            scratch: an empty folder, which is deleted afterwards. Its parent exists until all sets are read.
+        `scratch` is empty, and deleted afterwards. Its parent exists until all sets are read.
         """

@@ -93,12 +93,11 @@ def add_collision(
 ) -> None:
     """Add one collision part of an object to a body: a primitive, a convex hull or a signed distance field.
 
+    A missing collision mesh raises ResourceError: no other shape would have the same physics.
+
     Args:
         files: name of the asset set with the mesh file, and the folders of all sets.
         hidden: whether a visual mesh is shown instead.
-
-    Raises:
-        ResourceError: the collision mesh is not available. No other shape would have the same physics.
     """
     if not isinstance(part, HullPart | SdfPart):
         add_primitive(body, name, part, contact, material, hidden=hidden)

@@ -55,11 +55,9 @@ def predicted_points(
 def carry_points(
     context: PlanningContext, thing: str, grasps: Sequence[PointGrasp], arch: float = ARCH, speed: float = SPEED
 ) -> Iterator[MotionSegment]:
-    """Grasp points of a cloth, carry them to their targets, and release them.
+    """Grasp points of a cloth, carry them to their targets at a speed (m/s), and release them.
 
-    Args:
-        arch: height of the path, as a share of its length.
-        speed: m/s.
+    `arch` is the height of the path, as a share of its length.
     """
     opened = {grasp.hand: FingerTarget(APPROACH_OPENING) for grasp in grasps}
     yield from _approach(context, grasps)

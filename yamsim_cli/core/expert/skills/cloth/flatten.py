@@ -79,9 +79,8 @@ def flatten_cloth(
 ) -> Iterator[MotionSegment]:
     """Pull a cloth until it lies flat or no pull makes it flatter.
 
-    Args:
-        layers: the largest height of flat cloth, in layer thicknesses.
-        displacement: the largest distance of a point from its place in flat cloth, as a share of the side.
+    Flat cloth has at most a height of `layers` thicknesses, and points within `displacement`, a share of the side, of
+    their places.
     """
     cloth, missed = context.world.cloth_addresses(thing), list[Array]()
     miss: SkillFailedError | None = None
@@ -130,9 +129,7 @@ def _best_pull(
 ) -> _PlannedPull | None:
     """Return the pull with the flattest simulated result; None if no pull makes the cloth flatter.
 
-    Args:
-        missed: points (3,) near which no pull is tried.
-        scale: factor on pull lengths, height limits and the least improvement.
+    No pull is tried near `missed` points. `scale` is a factor on pull lengths, height limits and the least improvement.
     """
     cloth, points = context.world.cloth_addresses(thing), context.world.cloth_points(thing)
     thickness = cloth.thickness

@@ -35,11 +35,7 @@ Target = Callable[[Array], Array]
 
 @dataclass(frozen=True, eq=False)
 class PointPlacement:
-    """A point of cloth to grasp, by row and column, and its target.
-
-    Attributes:
-        single_layer: whether the point is grasped without the layers below it.
-    """
+    """A point of cloth to grasp, by row and column, and its target; if `single_layer`, without the layers below it."""
 
     point: tuple[int, int]
     target: Target
@@ -83,8 +79,7 @@ def reachable_grasps(
 ) -> list[PointGrasp] | None:
     """Return grasps of a cloth's points by free hands, one for each point; None if a point or target is out of reach.
 
-    Args:
-        points: (along y, along x, 3) in `world`, m; the present ones by default.
+    `points` (along y, along x, 3) are in `world`, m; the present ones by default.
     """
     points = context.world.cloth_points(thing) if points is None else points
     free = context.free_hands("any")

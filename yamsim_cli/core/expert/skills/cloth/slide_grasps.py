@@ -24,9 +24,7 @@ def slide_grasps(
 ) -> list[PointGrasp] | None:
     """Return grasps with which two hands slide a flat cloth to where `wanted` is true; None if no slide achieves that.
 
-    Args:
-        turns: angles by which the cloth may be turned, rad.
-        wanted: whether the cloth is in place, given its points (along y, along x, 3) in `world`, m.
+    The cloth may be turned by `turns`, rad. `wanted` gets its points (along y, along x, 3) in `world`, m.
     """
     points, trials = context.world.cloth_points(thing), 0
     rows, columns = points.shape[:2]
