@@ -8,7 +8,7 @@ import numpy as np
 
 _Z95 = 1.959963984540054  # two-sided 95 % quantile of the normal distribution
 THRESHOLDS = (0.05, 0.08)  # m, distances from the target that count as success. Source: the lab reports both
-_MAX_BINS = 40  # of a histogram
+_MAX_BINS = 40
 _MIN_SPAN = 1e-4  # of values from which the width of bins is computed
 
 

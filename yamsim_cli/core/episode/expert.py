@@ -16,9 +16,7 @@ from ..geometry.se3 import Array, pose, rotation_from_vector, rotation_z
 from ..scene.compiled import CompiledScene, GeomOwner
 from ..sim.sim_world import SimWorld
 
-TILT_ANGLES = tuple(
-    math.radians(angle) for angle in (0, 30, 60)
-)  # rad, tilts of the hand from straight down, tried to reach a point
+TILT_ANGLES = tuple(math.radians(angle) for angle in (0, 30, 60))  # rad, of the hand from straight down
 TILT_DIRECTIONS = tuple(math.radians(angle) for angle in range(0, 360, 60))  # rad, of the tilt
 ROLL_ANGLES = tuple(math.radians(angle) for angle in (0, 90, 45, -45))  # rad, about the hand's own axis
 

@@ -13,7 +13,7 @@ from .execution import demonstrate
 from .sampling import sample_attempt
 from .simulator import Simulators
 
-# the expected and the found meshes in an error message
+# Places of the expected and of the found meshes, in an error message.
 _PLACE_NAMES = ("for the recorder", "there")
 
 

@@ -19,7 +19,7 @@ _NETWORK = re.compile(
     "pvfs2|smb3|smbfs|vboxsf|wekafs"
 )
 _LOCAL_FUSE = re.compile(r"fuse\.(fuse-overlayfs|lxcfs|portal|snapfuse|squashfuse)")
-# Locks (flock) between machines. Source: flock(2) for NFS and CIFS; the others' manuals.
+# Filesystems whose locks (flock) reach other machines. Source: flock(2) for NFS and CIFS; the others' manuals.
 _SHARED_LOCKS = re.compile(r"ceph|cifs|gfs2|glusterfs|fuse\.glusterfs|gpfs|nfs|nfs4|ocfs2|smb3")
 _UNSHARED_OPTIONS = frozenset(["nolock", "local_lock=all", "local_lock=flock", "nobrl", "localflock"])
 

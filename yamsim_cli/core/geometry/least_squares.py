@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from .se3 import Array
 
-# As shares of the normal matrix's diagonal: at the start, the least, and the limit for stopping.
+# Shares of the normal matrix's diagonal: at the start, the least, and the limit for stopping.
 _START_DAMPING, _MIN_DAMPING, _MAX_DAMPING = 1e-3, 1e-6, 1e4
 _SHRINK, _GROW = 1 / 8, 8.0  # of the damping after an accepted and after a rejected step
 _REGULARIZATION = 1e-9  # added to the diagonal; variables without influence then keep their values

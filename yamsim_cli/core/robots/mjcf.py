@@ -11,12 +11,12 @@ from .dynamics import Dynamics, JointDynamics
 from .finray.segment_chain import add_fingers, get_or_add_child
 from .models import ArmModel, Element, Fit, Gripper, JointChange, Mjcf, Placement, parse_root
 
-# Merged into the arm's MJCF, besides body and default classes.
+# Sections that are merged into the arm's MJCF, besides body and default classes.
 _SECTIONS = ("asset", "equality", "tendon", "contact", "actuator", "sensor")
 # Only an arm may have these. A keyframe fits only one model, so keyframes are not allowed.
 _ARM_SECTIONS = ("option", "size", "visual", "statistic", "custom")
 
-# These read files or load plugins, which MJCFs of robots must not do. Includes are expanded before.
+# Elements that read files or load plugins, which MJCFs of robots must not do. Includes are expanded before.
 _FORBIDDEN_ELEMENTS = ("include", "plugin", "extension", "attach", "model", "hfield", "skin", "flexcomp", "composite")
 
 # Sites that every gripper must have: where the fingers meet, and the hand frame whose pose is recorded.

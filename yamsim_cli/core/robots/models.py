@@ -39,7 +39,7 @@ from .finray.finger import FinRay
 
 Element = ElementTree.Element
 
-# An included file is not in the folder of the MJCF.
+# For an included file that is not in the folder of the MJCF.
 _OUTSIDE_CODES = ("outside", "missing", "not-a-file")
 
 Part = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9_/-]+$")]

@@ -10,8 +10,8 @@ from ..config.rig import RigConfig
 from ..config.scene import SceneConfig
 from .cameras import SceneCamera, fixed_camera, station_camera, wrist_camera
 
-# For grasps by friction, and for objects held at one end, as for a handover. With MuJoCo's default of 1, an object
-# rotates in the hand by a few degrees per second. With 10, an object held at its end droops by 11 degrees.
+# `impratio` for grasps by friction, and for objects held at one end, as for a handover. With MuJoCo's default of 1, an
+# object rotates in the hand by a few degrees per second. With 10, an object held at its end droops by 11 degrees.
 _IMPRATIO, _IMPRATIO_AT_THE_END = 10.0, 100.0
 
 

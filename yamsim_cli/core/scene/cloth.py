@@ -15,10 +15,10 @@ from ..geometry.se3 import Array
 
 _CHECK_PX = 16  # px, of one square of the checker texture
 _TIME_CONSTANT = 0.01  # s, of cloth contacts and grasp constraints; at least two time steps
-# Of grasp constraints for cloth with `held: layers`. With 0.9 and 0.95, points of 0.1 g lag 4 cm.
+# `solimp` of grasp constraints for cloth with `held: layers`. With 0.9 and 0.95, points of 0.1 g lag 4 cm.
 _GRASP_SOLIMP = (0.999, 0.9999)
 _CONDIM = 3  # normal and tangential forces
-# Of the CG solver. With MuJoCo's 1e-8, a fold of 21 x 21 points takes a third longer, for less than 0.02 mm.
+# CG solver. With MuJoCo's 1e-8, a fold of 21 x 21 points takes a third longer, for less than 0.02 mm.
 _TOLERANCE = 1e-6
 _INERTIA_PER_MASS = 1e-6  # m2, of a point, about that of a 1 mm ball; no torque acts on points
 

@@ -31,7 +31,7 @@ def add_background(spec: mujoco.MjSpec, scene: SceneConfig) -> None:
     )
     for name, colour in zip(("floor", "floor_tiles"), scene.floor_rgba, strict=True):
         spec.add_material(name=name, rgba=(*colour, 1), specular=0.1, shininess=0.1)
-    # The floor could only shade itself falsely.
+    # No shadow: the floor could only shade itself falsely.
     spec.worldbody.add_geom(
         name="safety_plane",
         type=mujoco.mjtGeom.mjGEOM_PLANE,

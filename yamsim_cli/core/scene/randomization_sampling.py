@@ -13,7 +13,7 @@ from ..config.variation import ArmVariation, LightVariation, LookVariation, Surf
 from .random_streams import Stream, random_generator
 
 _REPEATS = (2, 9)  # half-open range of a pattern's repetitions along each edge of a surface
-_SEEDS = 2**31  # number of possible seeds of a texture
+_SEEDS = 2**31
 TABLE = "table"  # key in `Variation.friction`, whose other keys are objects
 
 

@@ -14,7 +14,7 @@ from .geom_shapes import geom_points
 
 _INNER_POINTS = 24  # points inside an object through which lines are tried, besides the centre of mass
 
-# In the object's frame: its axes, and the bisectors of two and of three axes.
+# The object's axes, and the bisectors of two and of three axes.
 _DIRECTIONS = tuple(
     np.array(direction) / math.sqrt(sum(map(abs, direction)))
     for direction in itertools.product((0, 1, -1), repeat=3)

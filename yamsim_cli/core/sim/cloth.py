@@ -18,8 +18,8 @@ _CLOSED_OPENING = 0.006  # m, of each finger at which a hand grasps cloth
 _MIN_FORCE = 2.0  # N, of each finger at which a hand grasps cloth
 _RELEASE_OPENING = 0.002  # m, a hand releases cloth if its commanded opening exceeds the present one by more
 
-_PAD_WIDTH = 0.0072  # m, half the width of a finger pad
-_PAD_LENGTH = 0.0082  # m, half the length of a finger pad
+_PAD_WIDTH = 0.0072  # m, half
+_PAD_LENGTH = 0.0082  # m, half
 _BELOW_TIPS = 0.002  # m, reach of closing fingers beyond their tips, in addition to the cloth's thickness
 
 # m, x and y of the lines along which layers are found, in the pinch frame.
@@ -28,7 +28,7 @@ _LINES = np.array([(0.0, 0.0), (-_PAD_WIDTH, 0.0), (_PAD_WIDTH, 0.0)])
 _MOVED_MASS = 1.0  # kg, of each point while `moving_points` moves it, so that the cloth cannot pull it back
 
 _LIFT_SPEED = 0.3  # m/s, of the point by which cloth is lifted before a drop
-# Of a lift before a drop: the smaller of this height, m, and this share of half the cloth's diagonal.
+# A lift before a drop has at least the smaller of this height, m, and this share of half the cloth's diagonal.
 _MIN_LIFT, _MIN_LIFT_SHARE = 0.08, 0.3
 _MAX_HEADING = 0.5  # rad, from a lifted point's path to the direction to the cloth's middle
 

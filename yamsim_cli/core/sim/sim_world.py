@@ -15,7 +15,7 @@ from .geom_shapes import body_box, body_surface, enclosing_box, geom_aabb, geom_
 from .interior import Interior
 
 _VOLUME_POINTS = 1000  # sample points in a body, which give volume shares a resolution of 0.001
-_MIN_UPWARD_NORMAL = 0.5  # of a contact, above which a finger is under a cloth
+_MIN_UPWARD_NORMAL = 0.5  # vertical component of a contact, above which a finger is under a cloth
 
 
 @dataclass(frozen=True)

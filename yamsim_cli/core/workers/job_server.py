@@ -20,7 +20,7 @@ from .worker_pool import Event, JobFailed, JobFinished, WorkerCrashed, WorkerRea
 # All processes of the parent's group receive these signals, but only the parent reacts.
 STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
-# Of every answer: the id of the answering process, and the number of the job, or 0 for "ready".
+# Header of an answer: the id of the answering process, and the number of the job, or 0 for "ready".
 HEADER = struct.Struct("!QQ")
 
 
@@ -107,7 +107,7 @@ def kill_forks_at_exit() -> Iterator[None]:
         yield
     except SystemExit as end:
         if os.getpid() != own:
-            # As `sys.exit` derives it from its argument.
+            # The exit code that `sys.exit` derives from its argument.
             os._exit(0 if end.code is None else end.code if isinstance(end.code, int) else 1)
         raise
     finally:

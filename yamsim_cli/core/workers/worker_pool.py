@@ -22,7 +22,7 @@ from .executors import J, JobIn, LostJobError, R, WorkerBugError
 JOB_SECONDS = 600.0  # s, of a job; a longer job means a hung driver or a swapping machine
 START_SECONDS = 300.0  # s, for imports, compilation of the scene, OpenGL
 _MAX_TRIES = 3  # of a job, each on another worker
-_MAX_STARTS = 3  # consecutive, after which a worker is dropped
+_MAX_STARTS = 3  # failed in a row, after which a worker is dropped
 _POLL_SECONDS = 0.5  # between checks of time limits
 
 
@@ -118,7 +118,7 @@ class _Slot(Generic[J]):
 
 
 class BaseWorkerPool(Closable, Generic[J, R]):
-    """An `Executor` for any kind of worker, which replaces workers that die, hang, or need longer than `job_seconds`."""
+    """An `Executor` for any kind of worker, which replaces workers that die, hang, or exceed `job_seconds`."""
 
     def __init__(self, backend: WorkerBackend[Worker[J], R], workers: int, job_seconds: float = JOB_SECONDS) -> None:
         self._backend = backend

@@ -13,9 +13,9 @@ from ...config.goals.world import TABLE
 from ...geometry.se3 import Array, pose, quat_from_rotation
 from ...scene.compiled import ArmAddresses, Ids
 
-_ARM_DISTANCE = 0.004  # m, of an arm from everything else
-_OBJECT_DISTANCE = 0.003  # m, of an object from everything else
-_FINGER_DEPTH = 5e-4  # m, of fingers into a grasped object: contacts are soft in physics
+_ARM_DISTANCE = 0.004  # m that an arm keeps from everything else
+_OBJECT_DISTANCE = 0.003  # m that an object keeps from everything else
+_FINGER_DEPTH = 5e-4  # m that fingers may penetrate a grasped object: contacts are soft in physics
 
 _DESCENT_STEP = 0.004  # m, of the search for a resting height
 _BISECTIONS = 6  # of the last step of that search
@@ -64,7 +64,6 @@ class CollisionChecker:
             self._object_of_geom[root == model.body(name).id] = k
         self._finger = np.isin(np.arange(model.ngeom), np.concatenate(list(fingers)))
         self._table = np.arange(model.ngeom) == model.geom(TABLE).id
-        # Cloth is no obstacle.
         self._model.flex_contype[:] = self._model.flex_conaffinity[:] = self._model.flex_selfcollide[:] = 0
         away = np.isin(root, [model.body(name).id for name in absent])
         self._model.geom_contype[away] = self._model.geom_conaffinity[away] = 0

@@ -35,8 +35,8 @@ _CONVERGED_COST = 1e-14  # squared weighted error, as of 10 nm; rounding makes s
 _MAX_STEP = 0.35  # rad, of a joint between poses of a path; more may be another IK branch
 _MAX_ROTATION_LAG = 1e-3  # rad, at the previous pose: above it, an exact solution would be a jump
 
-# rad, for exact solutions on a path. Nearer to a singular posture, as at the edge of the reach, exact joints move fast
-# and then turn back. The search slows them down: below 0.2 rad, its steps differ from exact ones.
+# rad. Nearer to a singular posture, as at the edge of the reach, exact joints on a path move fast and then turn back.
+# The search slows them down: below 0.2 rad, its steps differ from exact ones.
 _MIN_FROM_SINGULAR = 0.3
 
 _TILT_SHARE = 0.95  # share of the largest rotation error by which a hand tilts if the pose itself is out of reach

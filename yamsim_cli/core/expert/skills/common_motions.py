@@ -11,11 +11,11 @@ from .grasp_candidates import GraspCandidate
 from .hand import WAYPOINT_TOLERANCE, Hand
 from .planning_context import FingerTarget, MotionSegment, PlanningContext, SkillFailedError
 
-GRIP_TICKS = 10  # control ticks in which fingers close
-_OPEN_TICKS = 8  # control ticks in which fingers open
-_REST_TICKS = 4  # control ticks in which the arms and a released object come to rest
+GRIP_TICKS = 10
+_OPEN_TICKS = 8
+_REST_TICKS = 4  # control ticks in which arms and a released object come to rest
 
-# m, of a hand from a released object; the shorter one is used if the other ends near a joint limit
+# m from a released object; the shorter retreat is used if the other ends near a joint limit
 _RETREAT_DISTANCE, _SHORT_RETREAT_DISTANCE = 0.07, 0.04
 
 

@@ -11,8 +11,8 @@ from ...config.objects.object_config import ObjectConfig
 from ...geometry.se3 import Array, pose, rotation_from_vector, rotation_z
 from ...sim.antipodal import AntipodalPair
 
-# rad, about the closing axis, in the order tried. Flat pads press on the same two points for each. For an object that
-# lies on its side, a quarter turn is the grasp from above.
+# rad, tilts about the closing axis, in the order tried. Flat pads press on the same two points for each. For an object
+# that lies on its side, a quarter turn is the grasp from above.
 _TILT_ANGLES = tuple(math.radians(angle) for angle in (0, 15, -15, 30, -30, 45, -45, 60, -60, 75, -75, 90, -90))
 
 # rad, tilts from straight down, in the order tried, and headings of the tilt (object frame)

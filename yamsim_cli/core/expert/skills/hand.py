@@ -14,7 +14,7 @@ from ..planning.ik import IkSolver, Tolerance
 GRASP_TOLERANCE = Tolerance(1.5e-3, math.radians(2.0))  # m and rad, where fingers close or open
 WAYPOINT_TOLERANCE = Tolerance(4e-3, math.radians(6.0), allow_tilt=True)  # m and rad
 
-# rad, that every joint keeps from its limits if some grasp allows. Tracking errors and a gripper's load move joints by
+# rad from its limits that every joint keeps if some grasp allows. Tracking errors and a gripper's load move joints by
 # up to 0.05 rad, and a real arm differs from its model.
 PREFERRED_JOINT_MARGIN = 0.15
 

@@ -51,7 +51,7 @@ _MAX_SEARCHES = 24
 
 _BATCH_SIZE = 256  # grasps whose poses are tested in one call; the fixed cost of a call is that of 200 poses
 
-# rad, of the object about the line between hands that face each other, in the order tried
+# rad, rolls of the object about the line between hands that face each other, in the order tried
 _ROLLS = tuple(math.radians(angle) for angle in (0, 90, 180, -90))
 
 
@@ -72,7 +72,9 @@ class _HandoverPose:
 
 
 class Handover(Skill):
-    """Move an object to `height` m over the table, where both hands reach it, grasp it with hand `to`, and release it."""
+    """Move an object to `height` m over the table, where both hands reach it, grasp it with hand `to`, and open the
+    other.
+    """
 
     ROLES: ClassVar[tuple[str, ...]] = ("thing",)
     NEEDS_HELD: ClassVar[bool | None] = True

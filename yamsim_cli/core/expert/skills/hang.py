@@ -20,7 +20,7 @@ from .skill import Skill, require_holding_hand
 _DEPTHS = (0.045, 0.055, 0.035)  # m, of the eye behind the peg's tip, in the order tried
 _APPROACH = 0.04  # m, from the eye to the peg's tip when the straight approach starts
 
-# rad, of the object about the peg, in the order tried; the object may turn when released
+# rad, tilts of the object about the peg, in the order tried; the object may turn when released
 _TILTS = tuple(math.radians(angle) for angle in (0, 20, -20, 40, -40))
 
 _HANG_SPEED = 0.10  # m/s, onto the peg and down

@@ -12,13 +12,12 @@ from ...geometry.se3 import Array, pose, rotation_z, yaw
 from .place import PlaceSkill
 from .planning_context import PlanningContext
 
-# m, of the grid of places in a container. The finer step is used if no place of the coarse grid is free down to the
-# floor.
+# m, grid of places in a container. The finer step is used if no place of the coarse grid is free down to the floor.
 _GRID_STEPS = (0.03, 0.01)
 _FLOOR_MARGIN = 0.02  # m above a container's lowest point; an object whose lowest point is lower stands on the floor
 _HEIGHT_STEP = 0.01  # m, resolution of resting heights; at equal height the more central place is better
 
-# of the volume of an object that fell over, from which it counts as inserted; tall objects stick out
+# share of a fallen object's volume in the container, from which it counts as inserted; tall objects stick out
 _MIN_SHARE_INSIDE = 0.3
 
 # shares of a container's height; a place must be inside the container at one of them. A container's bounding box also
@@ -27,7 +26,7 @@ _HEIGHT_SHARES = (0.25, 0.5, 0.75)
 
 _MAX_TILT = math.radians(3.0)  # rad, an object that tilts more may also keep its tilt in the container
 
-# rad, of the object relative to the container, in the order tried
+# rad, headings relative to the container, in the order tried
 _TURNS = tuple(math.radians(angle) for angle in (0, 180, 90, -90))
 
 

@@ -26,10 +26,10 @@ _RELEASE_GAP = 0.002  # m, height of the release over the goal
 
 _MAX_GOAL_ERROR = 0.03  # m, an object farther than this from its goal has not been placed
 
-# sine of the hand's angle above horizontal when it puts an object down in another stable pose than upright
+# sine of the hand's angle above horizontal in stable poses of the object other than upright
 _MAX_UPWARD = 0.1
 
-# rad, relative to the present heading, the smallest first
+# rad, headings relative to the present one, the smallest first
 _TURNS = tuple(math.radians(angle) for angle in (0, 30, -30, 60, -60, 90, -90, 120, -120, 150, -150, 180))
 
 

@@ -41,7 +41,7 @@ from .hand import WAYPOINT_TOLERANCE, Hand, HeldObject
 _GRAVITY = 9.81  # m/s^2
 
 # The search for free places on the table.
-_FREE_MARGIN = 0.02  # m, of an object that is put down from other objects
+_FREE_MARGIN = 0.02  # m that an object keeps from others when put down
 _CENTRAL_X = (0.34, 0.42, 0.28)  # m in front of the midpoint between the bases, in the order tried
 _CENTRAL_Y = (0.0, 0.10, -0.10, 0.20, -0.20)  # m to the side of that midpoint, in the order tried
 

@@ -24,11 +24,11 @@ _PUSH_HEIGHT = 0.02  # m, of the fingertips over the table
 
 _PUSH_SPEED = 0.10  # m/s
 
-_MAX_PUSHES = 3  # pushes before the skill fails
+_MAX_PUSHES = 3
 
-# rad, of the hand about the vertical axis, in the order tried; at 0, the fingers stand side by side
+# rad about the vertical axis, in the order tried; at 0, the fingers stand side by side
 _TURNS = (0.0, math.pi, math.pi / 2, -math.pi / 2)
-# rad, of the hand from straight down, in the order tried
+# rad from straight down, in the order tried
 _TILTS = tuple(math.radians(angle) for angle in (0, 20, -20, 40))
 
 

@@ -16,7 +16,7 @@ from .place import PlaceSkill
 from .planning_context import MotionSegment, PlanningContext, SkillFailedError
 from .skill import ArmSelector, Skill, require_holding_hand
 
-# rad, relative to the present heading, in the order tried
+# rad, headings relative to the present one, in the order tried
 _TURNS = (0.0, math.pi / 2, -math.pi / 2, math.pi)
 
 # m and count: radii of rings around the object's position, and places on each; tried if no central place is free

@@ -68,7 +68,7 @@ class SetUpright(PlaceSkill):
             raise SkillFailedError(FailureCause.OFF_TARGET, f"the {thing} leans by {math.degrees(leans):.0f} degrees")
 
 
-# rad, of the upper end from the direction towards the arms, in the order tried
+# rad, from the direction towards the arms to the upper end, in the order tried
 _DEVIATIONS = tuple(math.radians(angle) for angle in (0, 30, -30, 60, -60))
 _SHIFTS = (0.0, 0.06, 0.12)  # m, towards the arms, which reach nearer places best
 

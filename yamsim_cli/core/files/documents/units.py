@@ -12,7 +12,7 @@ from pydantic_core import CoreSchema, core_schema
 
 from .config_base import require_ordered
 
-# Bounds are not checked: a recorded dataset's config stays valid after a change of bounds.
+# Context without checks of bounds: a recorded dataset's config stays valid after a change of bounds.
 AS_RECORDED: Mapping[str, bool] = {"as_recorded": True}
 
 # Correct unit -> mistaken unit -> size of the mistaken unit in the correct unit.
@@ -77,7 +77,7 @@ def _refuse_radians(value: tuple[float, float], info: ValidationInfo) -> tuple[f
     )
 
 
-Place = Annotated[FiniteFloat, QuantityBounds("m", -10, 10)]  # coordinate in `world`
+Place = Annotated[FiniteFloat, QuantityBounds("m", -10, 10)]  # in `world`
 Size = Annotated[FiniteFloat, QuantityBounds("m", 1e-3, 10)]  # half-size of a table
 Offset = Annotated[FiniteFloat, QuantityBounds("m", -1, 1)]  # coordinate in the frame of an object
 Distance = Annotated[FiniteFloat, QuantityBounds("m", 0, 1)]  # gap or relative height

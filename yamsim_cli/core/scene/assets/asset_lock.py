@@ -41,7 +41,7 @@ def _check_member(path: str) -> str:
 
 
 Sha256 = Annotated[str, StringConstraints(pattern=r"^[0-9a-f]{64}$")]
-# Without folders, leading dots, or characters that a shell or pip would interpret.
+# No folders, leading dots, or characters that a shell or pip would interpret.
 Name = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.+-]*$")]
 Member = Annotated[str, AfterValidator(_check_member)]
 

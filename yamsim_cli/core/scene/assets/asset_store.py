@@ -24,7 +24,7 @@ from .asset_lock import AssetSet, LockedFile
 USER_SET_INFO_FILE = "thing.json"  # beside the meshes of a user set, with their hashes and origin
 
 _NAME = re.compile(r"own-[A-Za-z][A-Za-z0-9_]*-[0-9a-f]{12}")  # of a user set
-_FILE = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]*")  # in a user set
+_FILE = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]*")  # file name in a user set
 
 
 class MismatchError(ResourceError):

@@ -14,7 +14,7 @@ from pathlib import Path
 from .sources import SourceError
 
 _POLL_S = 0.1  # between two polls of the child process
-_PR_SET_PDEATHSIG = 1  # of prctl(2)
+_PR_SET_PDEATHSIG = 1  # option of prctl(2)
 _LIBC = ctypes.CDLL(None) if sys.platform == "linux" else None  # loaded early: a forked child must not take locks
 
 

@@ -21,7 +21,7 @@ ARCH = 0.45  # height of a fold's path, as a share of its length
 
 _FORCE = 20.0  # N, of closed fingers on cloth
 
-# m, by which a hand grasps lower on each retry after a miss
+# m, a hand grasps lower by a step on each retry after a miss
 _DEPTH_STEP = 0.002
 _DEPTHS = (_DEPTH_STEP, 2 * _DEPTH_STEP, 3 * _DEPTH_STEP, 4 * _DEPTH_STEP)
 _OPEN_TICKS = 4  # control ticks

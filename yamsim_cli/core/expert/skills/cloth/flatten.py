@@ -26,7 +26,7 @@ from .cloth_motions import carry_points, predicted_points
 from .point_grasps import PointGrasp, PointPlacement, reachable_grasps, target_at_place
 
 FLAT_LAYERS = 3.5  # layer thicknesses, largest height of flat cloth
-FLAT_DISPLACEMENT = 0.06  # share of the cloth's side, of a point from its place in flat cloth
+FLAT_DISPLACEMENT = 0.06  # share of the cloth's side, of a point from its flat place
 
 _MAX_PULLS = 6
 _PULL_SPEED = 0.15  # m/s

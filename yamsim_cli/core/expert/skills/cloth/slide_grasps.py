@@ -12,7 +12,7 @@ from .point_grasps import PointGrasp, PointPlacement, reachable_grasps, target_a
 
 SLIDE_SPEED = 0.2  # m/s
 
-# m, towards the arms, in the order tried: a cloth that is pulled by its nearer side follows straight.
+# m, slides towards the arms, in the order tried: a cloth that is pulled by its nearer side follows straight
 _SLIDE_LENGTHS = (0.1, 0.15, 0.05, 0.0, -0.05)
 
 _MAX_HEIGHT_RANGE = 0.02  # m, after a slide
