@@ -23,7 +23,7 @@ WeldStates = NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class Layout:
-    """Initial poses of all objects. If all are `upright`, with z axes that point up, records keep only their yaws."""
+    """Initial poses of all objects. If all are `upright`, records keep only their yaws."""
 
     T_in_world: Mapping[str, Array]
     upright: bool = True

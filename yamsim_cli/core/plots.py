@@ -282,7 +282,7 @@ def _rectangle(axes: Axes, x: Point, y: Point, kind: str) -> Markup:
 
 
 def _marks(axes: Axes, points: Sequence[Point], offset: float, stroke: str, kind: str) -> Markup | None:
-    """Return one path with a stroke at every point, which starts `offset` px above and left of the point."""
+    """Return one path with a stroke at every point, from `offset` px above and left of it."""
     if not points:
         return None
     kept = points[:: math.ceil(len(points) / _MAX_DOTS)]

@@ -111,7 +111,7 @@ def _frame(simulator: Simulator, attempt: Attempt, state: StepState, tick: int) 
 
 
 def max_openings(config: RecordConfig) -> list[float]:
-    """Return each arm's largest finger opening, m, in the recordings' order, without arms that have no fingers."""
+    """Return each arm's largest finger opening, m, in the recordings' order, without arms that lack fingers."""
     fingers = [config.rig.arms[k].robot.fingers for k in config.rig.recording_order]
     return [each.full_opening for each in fingers if each is not None]
 
@@ -168,7 +168,7 @@ def _renderer(simulator: Simulator, attempt: Attempt) -> SceneRenderer:
 
 
 class GroundTruthCollector:
-    """Collects an episode's ground truth: `add` every frame of every camera in order, then read `files`."""
+    """Collects an episode's ground truth: `add` every camera's frames in order, then read `files`."""
 
     def __init__(self, labels: SceneLabels, cameras: Sequence[str], T_base_in_world: Array) -> None:
         self._labels = labels

@@ -192,14 +192,14 @@ class Episode:
         self._tick(command, magnet, joints)
 
     def run_commands(self, actions: ActionSequence, *, until_success: bool = False) -> None:
-        """Execute actions until the episode ends, or with `until_success` until the goal has held for its hold time."""
+        """Execute actions until the episode ends, or if `until_success`, until the goal has held for its time."""
         for ctrl, magnet, joints in zip(actions.ctrl, actions.magnet, actions.joints, strict=True):
             if self.end is not None or (until_success and self.succeeds):
                 return
             self._tick(ctrl, magnet, joints)
 
     def finish(self) -> EpisodeResult:
-        """End the episode on behalf of its actor if it has not ended, and return its result."""
+        """End the episode on behalf of its actor if it runs, and return its result."""
         if self.end is None:
             self._end(EndReason.ACTOR)
         assert self.end is not None

@@ -25,7 +25,7 @@ _REACH_TOLERANCE = Tolerance(3e-3, math.radians(4.0), margin=0.0)
 
 
 class ExpertPlanner:
-    """Makes the planning contexts of all attempts in one scene, and answers queries of reach and resting height."""
+    """Makes the planning contexts of all attempts in one scene."""
 
     def __init__(self, config: RecordConfig, scene: CompiledScene, tools: tuple[ArmSolvers, ...]) -> None:
         self._config, self._scene, self._tools = config, scene, tools

@@ -38,7 +38,7 @@ class FrictionGraspSimulator:
 
 
 class WeldGraspSimulator:
-    """A weld in each hand: while commanded on, it fixes the object nearest to the pinch point, within `reach` (m; None:
+    """A weld in each hand, which if commanded on fixes the object nearest to the pinch point, within `reach` (m; None:
     any).
     """
 
@@ -106,7 +106,7 @@ def is_weld_active(data: mujoco.MjData, arm: ArmAddresses) -> bool:
 
 
 def set_weld_pose(model: mujoco.MjModel, arm: ArmAddresses, data: mujoco.MjData, body: int) -> None:
-    """Write a body's present pose relative to the flange into an arm's weld, so that switching it on moves nothing."""
+    """Write a body's present pose in the flange into an arm's weld, so that switching it on moves nothing."""
     assert arm.weld is not None, "an arm without a weld attaches nothing"
     hand, item = data.body(arm.flange), data.body(body)
     position, quat, inverse_quat = np.empty(3), np.empty(4), np.empty(4)

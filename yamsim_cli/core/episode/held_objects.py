@@ -12,9 +12,7 @@ SETTLED_TICKS = 8  # control ticks of holding after which an object counts as se
 
 
 class HeldObjectMonitor:
-    """Keeps the largest `slip` (m) of settled objects in hands, and `tilt` (rad) of their vertical axes since the
-    grasp.
-    """
+    """Keeps the largest `slip` (m) of settled objects in hands, and `tilt` (rad) of held objects since their grasps."""
 
     def __init__(self, scene: CompiledScene, world: SimWorld) -> None:
         self._scene, self._world = scene, world

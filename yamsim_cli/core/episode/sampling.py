@@ -96,7 +96,6 @@ def _local_box_function(simulator: Simulator) -> LocalBoxFunction:
 
 
 def _set_openings(scene: CompiledScene, qpos: Array, name: str, opened: Mapping[str, float]) -> None:
-    """Write the openings of an object's parts, as shares of their ranges, into `qpos`."""
     for part, share in opened.items():
         joint = scene.model.joint(f"{name}_{part}")
         low, high = joint.range

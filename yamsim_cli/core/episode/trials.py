@@ -198,7 +198,8 @@ class _ExpertFilmer(TrialFilmer):
 class TrialFilms:
     """Writes videos of trials: one file if `path` ends in `.mp4`, else a folder with a file per trial.
 
-    `frame_period` is in s. With `overwrite`, an existing `path` becomes a backup; otherwise it raises UsageError.
+    `frame_period` is in s. With `overwrite`, an existing `path` becomes a backup; else it raises UsageError unless
+    empty.
     """
 
     def __init__(self, path: Path, frame_period: float, *, overwrite: bool) -> None:

@@ -254,7 +254,7 @@ def scratch_directory(prefix: str) -> Iterator[Path]:
 
 @contextlib.contextmanager
 def _locked_folder(make: Callable[[], Path]) -> Iterator[Path]:
-    """Yield a new folder, whose lock marks it as in use by a living process."""
+    """Yield a new folder, whose lock marks it as in use."""
     while True:
         folder = make()
         # Another process may remove the folder as stale before this process locks it. Then create another.

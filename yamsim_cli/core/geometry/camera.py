@@ -26,7 +26,7 @@ class Intrinsics:
 
     @classmethod
     def from_fovy(cls, width: int, height: int, fovy: float) -> Intrinsics:
-        """Return the camera of MuJoCo renderings with a vertical field of view of `fovy` rad and square pixels."""
+        """Return the camera of MuJoCo renderings with a vertical field of view `fovy`, rad."""
         focal = height / 2 / math.tan(fovy / 2)
         return cls(width, height, focal, focal, (width - 1) / 2, (height - 1) / 2)
 

@@ -65,7 +65,7 @@ def fit_flat_places(points: Array, rest: Array, thickness: float) -> Array:
 
 
 def _fit_side(points: Array, rest: Array, thickness: float) -> Array:
-    """Fit the flat sheet `rest` with its upper side up by a planar rigid fit that is reweighted against outliers."""
+    """Fit the flat sheet `rest` with its upper side up, by a planar rigid fit reweighted against outliers."""
     seen, flat = points.reshape(-1, 3)[:, :2], rest[:, :2]
     low = points[..., 2].ravel() - points[..., 2].min()
     weights = (low < _ON_TABLE * thickness).astype(float)
@@ -145,7 +145,7 @@ def square_side(rest: Array) -> float:
 
 
 def _is_graspable_point(points: Array, point: Point, spacing: float, high: float, thickness: float) -> bool:
-    """Return whether no layer covers a point, and neither point nor surroundings are too high in layers of `high` m."""
+    """Return whether no layer covers a point, and it and its surroundings are not too high in layers of `high` m."""
     place, lowest = points[point], float(points[..., 2].min())
     away = np.linalg.norm(points[..., :2] - place[:2], axis=-1)
     over = points[..., 2] - place[2]

@@ -41,7 +41,7 @@ def loft_closed(loops: Sequence[Array]) -> Surface:
 
 
 def _strip(low: int, high: int, count: int) -> list[NDArray[np.int_]]:
-    """Return the triangles between two loops of `count` points with the first indices `low` and `high`."""
+    """Return the triangles between two loops of `count` points, from the indices `low` and `high`."""
     around = np.arange(count)
     following = (around + 1) % count
     return [

@@ -65,7 +65,6 @@ def yuv420(image: Image, matrix: ColorMatrix) -> NDArray[np.uint8]:
 
 
 def _yuv_from_rgb(matrix: ColorMatrix) -> NDArray[np.float64]:
-    """Return the matrix (3, 3) from RGB in 0..1 to Y, Cb and Cr."""
     luma = np.array([matrix.red, 1 - matrix.red - matrix.blue, matrix.blue])
     return np.array(
         [

@@ -86,7 +86,7 @@ def parse_mjcf(mjcf: Mjcf) -> Element:
 
 
 def _check_files(root: Element, mjcf: Mjcf) -> None:
-    """Make sure that MuJoCo opens no file by itself: an MJCF may only name meshes as `<set>/<file>`."""
+    """MuJoCo must open no file by itself: an MJCF may only name meshes as `<set>/<file>`."""
     for element in root.iter():
         if element.tag in _FORBIDDEN_ELEMENTS:
             raise ConfigError(f"{mjcf.file}: <{element.tag}> is not read here; write what it stands for into this file")

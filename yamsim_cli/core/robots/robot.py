@@ -104,7 +104,7 @@ def assemble(arm: ArmModel, gripper: Gripper, dynamics: Dynamics | None = None) 
 
 
 def widest_joint_limits(arm: ArmModel) -> tuple[JointLimits, ...]:
-    """Return an arm's joints, each with its lowest and highest limit over all grippers in the arm's file."""
+    """Return an arm's joints, each with its widest limits over all grippers in the arm's file."""
 
     def widest(joint: JointLimits) -> tuple[float, float]:
         changed = (how.joints.get(joint.name, JointChange()).range for how in arm.grippers.values())

@@ -22,7 +22,7 @@ _CONTENT = re.compile(r"-[0-9a-f]{12}$")  # content hash at the end of an import
 
 
 class CertificateStatus(StrEnum):
-    """The state of an object's certificate; `STALE` if it was made for another config, other meshes or other checks."""
+    """State of a certificate; `STALE` if it was made for another config, other meshes or other checks."""
 
     NONE = "not certified"
     GOOD = "certified"

@@ -85,7 +85,7 @@ def add_cloth(spec: mujoco.MjSpec, item: ObjectConfig) -> None:
 
 
 def _masses(cloth: Cloth) -> Array:
-    """Return the mass of each point (n,), kg: a quarter of the mass of each cell around the point."""
+    """Return each point's mass (n,), kg: a quarter of the mass of each cell around it."""
     columns, rows = (np.where(np.isin(np.arange(n), (0, n - 1)), 0.5, 1.0) / (n - 1) for n in cloth.grid)
     shares: Array = np.outer(rows, columns).ravel() * cloth.mass
     return shares

@@ -226,7 +226,7 @@ class CompiledScene:
 
     @functools.cached_property
     def _forbidden(self) -> NDArray[np.bool_]:
-        """(ngeom + 1, ngeom + 1); the last row and column are for cloth, geom -1."""
+        """Shape (ngeom + 1, ngeom + 1): the last row and column are for cloth, geom -1."""
         kinds, arms = self.geom_kind, self.geom_arm
         two_arms = (arms[:, None] != arms) & (arms[:, None] >= 0) & (arms >= 0)
         return np.pad(FORBIDDEN[kinds[:, None], kinds] | two_arms, (0, 1))

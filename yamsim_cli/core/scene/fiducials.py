@@ -84,7 +84,7 @@ def _add_mount(spec: mujoco.MjSpec, arm: ArmConfig, config: MountConfig, T_base_
 
 
 def _mount_stl(config: MountConfig, board: BoardConfig | None) -> bytes:
-    """Return the mount's STL, mm, in the frame of the base's mesh: the user's file, or a generated mesh."""
+    """Return the mount's STL, mm, in the frame of the base's mesh."""
     if config.stl is not None:
         try:
             return Path(config.stl).read_bytes()

@@ -37,10 +37,8 @@ def geom_aabb(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> Array:
 
 
 def body_box(model: mujoco.MjModel, geoms: Sequence[int], T: Array | None = None) -> Array:
-    """Return the lowest and highest corner (2, 3) of geoms of one body, m, in its own frame or along the axes of a
-    frame.
-
-    `T` is the pose of the body in that frame.
+    """Return the lowest and highest corner (2, 3) of geoms of one body, m, in the frame where the body has pose `T`, by
+    default its own.
     """
     boxes = []
     for geom in geoms:
@@ -165,7 +163,7 @@ def _vertices(model: mujoco.MjModel, geom: int) -> Array:
 
 
 def _halton(start: int, count: int) -> Array:
-    """Return points (count, 3) of Halton's sequence in the unit cube, with bases 2, 3 and 5, from `start` on."""
+    """Return points (count, 3) of Halton's sequence in the unit cube, from `start` on."""
     columns = []
     for base in (2, 3, 5):
         numbers, value, share = np.arange(start + 1, start + count + 1), np.zeros(count), 1.0

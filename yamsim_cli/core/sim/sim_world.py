@@ -273,7 +273,7 @@ class SimWorld:
         return thing
 
     def local_box(self, thing: str) -> Array:
-        """Return the lowest and highest corner (2, 3) of an object at its present joint positions, in its frame, m."""
+        """Return an object's lowest and highest corner (2, 3) at its present joint positions, in its frame, m."""
         if region := self._regions.get(thing):
             return region.corners
         if cloth := self._cloths.get(thing):
@@ -297,7 +297,7 @@ class SimWorld:
         return pose(self._data.xpos[body], self._data.xmat[body].reshape(3, 3))
 
     def _volume_samples(self, thing: str) -> Iterator[tuple[Array, float]]:
-        """Yield, for each body of an object, evenly spread points (n, 3) in `world`, m, and the volume, m3."""
+        """Yield evenly spread points (n, 3) in `world`, m, and the volume, m3, of each body of an object."""
         if cloth := self._cloths.get(thing):
             yield cloth.points, 1.0
             return

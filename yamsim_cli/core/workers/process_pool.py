@@ -57,7 +57,7 @@ class _Process(Generic[J, R]):
         self.pipe.send((self._sent, job))
 
     def receive(self) -> Event[R] | None:
-        """Return the event that is arriving; None if a forked copy of the worker sent it, or for an earlier job."""
+        """Return the event that is arriving; None if it is from a forked copy of the worker, or for an earlier job."""
         # A worker that stops during a message would block the parent forever.
         guard = threading.Timer(_MESSAGE_SECONDS, self._process.kill)
         guard.daemon = True

@@ -228,7 +228,7 @@ class BaseWorkerPool(Closable, Generic[J, R]):
             raise PartialJobError(f"workers do not start: each tried {_MAX_STARTS} times, and the last one {how}")
 
     def _assign(self) -> None:
-        """Give waiting jobs, in order, to ready workers; a last try only while no other worker is busy."""
+        """Give waiting jobs to ready workers; a last try only while no other worker is busy."""
         for slot in self._slots:
             if not self._waiting or (self._waiting[0].last_try and self._working):
                 return

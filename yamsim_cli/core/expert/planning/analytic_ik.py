@@ -283,7 +283,7 @@ def _as_complex(points: Array) -> Array:
 
 
 def _angle_between(v: Vector, u: Vector, axis: Vector) -> tuple[float, ...]:
-    """Return the angle about a unit axis between two vectors; sample angles if both are parallel to the axis."""
+    """Return the angle about a unit axis between two vectors; sample angles if both are parallel to it."""
     # Near a singular pose the components across the axis are short: take them first, so that products stay precise.
     v, u = _cross(axis, v), _cross(axis, u)
     if max(*map(abs, v), *map(abs, u)) < _MIN_COEFFICIENT:

@@ -21,7 +21,7 @@ class ArmSolvers:
 
 
 def make_arm_solvers(rig: RigConfig) -> tuple[ArmSolvers, ...]:
-    """Return the solvers of each arm in a rig's scene, built from the arms' model files."""
+    """Return the solvers of each arm in a rig's scene."""
 
     def tools(number: int) -> ArmSolvers:
         arm = rig.arms[number]

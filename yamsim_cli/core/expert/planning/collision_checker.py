@@ -30,7 +30,7 @@ _MASKS = ("geom_contype", "geom_conaffinity", "body_contype", "body_conaffinity"
 
 @dataclass(frozen=True)
 class AttachedObject:
-    """A held object in collision checks, and the names of objects, or `TABLE`, that it may touch."""
+    """A held object, and the names of objects, or `TABLE`, that it may touch."""
 
     thing: str
     T_thing_in_pinch: Array
@@ -107,7 +107,7 @@ class CollisionChecker:
         return f"{one} and {other}"
 
     def has_self_collision(self, arm: int, joints: Array) -> bool:
-        """Return whether links of an arm, except the fingers, collide with each other at joints (dof,), rad."""
+        """Return whether an arm's links, except the fingers, collide at joints (dof,), rad."""
         data = self._pose(self._data.qpos, arm, joints, 0.0, None)
         self._update_contacts(None, None)
         of_arm = (self._arm_of[data.contact.geom] == arm) & ~self._finger[data.contact.geom]
@@ -161,7 +161,7 @@ class CollisionChecker:
         return maximum
 
     def _clearance_below(self, data: mujoco.MjData, thing: str) -> float:
-        """Return a lower bound of the distance by which an object can be lowered, from bounding boxes, m."""
+        """Return a lower bound of the distance by which an object can be lowered, m, from bounding boxes."""
         low, high = _bounding_boxes(self._model, data)
         of_thing = self._object_of_geom == self._object_names.index(thing)
         mine = np.flatnonzero(self._solid & of_thing)

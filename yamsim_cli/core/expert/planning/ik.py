@@ -248,6 +248,6 @@ class IkSolver:
 
 @functools.cache
 def _tilt_rotations(angle: float) -> Array:
-    """Return rotations (4, 4, 4) by an angle (rad) about the x and y axes, in both directions."""
+    """Return rotations (4, 4, 4) by an angle about the x and y axes, in both directions."""
     axes = np.array([(1.0, 0.0, 0.0), (-1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, -1.0, 0.0)])
     return np.array([pose(rotation=rotation_from_vector(angle * axis)) for axis in axes])

@@ -94,7 +94,7 @@ def weld_candidates(item: ObjectConfig) -> Iterator[GraspCandidate]:
 
 
 def sideways_candidates(item: ObjectConfig) -> Iterator[GraspCandidate]:
-    """Yield grasps of a narrow object with a hand that tilts to the side, for places beside a wall."""
+    """Yield grasps of a narrow object beside a wall, with a hand that tilts to the side."""
     points = [point for point in _grasp_points(item) if point[1] <= _MAX_NARROW_HALF_WIDTH]
     for tilt in _SIDE_TILTS:
         for T, opening, clearance, force in points:
@@ -106,7 +106,7 @@ def sideways_candidates(item: ObjectConfig) -> Iterator[GraspCandidate]:
 
 
 def antipodal_candidates(item: ObjectConfig, spans: Sequence[AntipodalPair]) -> Iterator[GraspCandidate]:
-    """Yield grasps at antipodal pairs of an object, with approaches all around each closing line."""
+    """Yield grasps at antipodal pairs, with approaches all around each closing line."""
     grasp = item.grasp
     force = grasp.friction.force if grasp is not None and grasp.friction is not None else _DEFAULT_FORCE
     clearance = grasp.clearance if grasp is not None else CLEARANCE
@@ -121,7 +121,7 @@ def antipodal_candidates(item: ObjectConfig, spans: Sequence[AntipodalPair]) -> 
 
 
 def fingertip_candidates(item: ObjectConfig) -> Iterator[GraspCandidate]:
-    """Yield grasps of a narrow object by the fingertips, one of them close to it, for places beside a wall."""
+    """Yield grasps of a narrow object beside a wall by the fingertips, one of them close to it."""
     points = [point for point in _grasp_points(item) if point[1] <= _MAX_NARROW_HALF_WIDTH]
     for raised, tilt in itertools.product(_FINGERTIP_RAISES, _SIDE_TILTS):
         for T, opening, clearance, force in points:

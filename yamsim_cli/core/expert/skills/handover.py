@@ -138,7 +138,7 @@ class Handover(Skill):
         return faults[-1] if faults and all(faults) else f"no place where the {receiver.side} hand can take it"
 
     def without_preferences(self, context: PlanningContext, roles: RoleAssignment) -> Handover:
-        """Return a handover whose line from hand to hand may be turned from the line between the bases."""
+        """Return a handover whose line from hand to hand may be turned from that between the bases."""
         return _TurnedHandover.model_construct(**dict(self))
 
     def _find_handover(
@@ -233,7 +233,7 @@ class _ReceiverGrasps:
 def _receiver_grasps(
     context: PlanningContext, roles: RoleAssignment, receiver: Hand, thing: str, next_skills: Sequence[Skill]
 ) -> _ReceiverGrasps:
-    """Return the receiver's candidates with their test results, which all searches share while nothing moves."""
+    """Return the receiver's candidates, whose test results all searches share while nothing moves."""
     key = ("taking grips", receiver.side, thing, tuple(next_skills))
     return context.cached(key, lambda: _ReceiverGrasps(context, roles, receiver, thing, next_skills))
 
@@ -245,7 +245,7 @@ def _reachable_poses(
     grips: Iterator[tuple[int, GraspCandidate]],
     poses: _HandoverPoseSampler,
 ) -> Iterator[tuple[int, GraspCandidate, Array]]:
-    """Yield each candidate with the object's poses (n, 4, 4) in `world` at which both hands may reach it."""
+    """Yield each candidate with the object's poses (n, 4, 4) at which both hands may reach it."""
     while batch := list(itertools.islice(grips, _BATCH_SIZE)):
         T, k = poses.poses_for([grip for _, grip in batch])
         T_grips = np.array([grip.T_pinch_in_thing for _, grip in batch])

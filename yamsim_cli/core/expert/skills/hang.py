@@ -120,7 +120,6 @@ class Hang(Skill):
         T_thing_in_pinch: Array,
         seeds: Sequence[Array],
     ) -> Iterator[tuple[Array, Array]]:
-        """Yield joints with a held object before the peg, and the object's pose on the peg."""
         T_peg = context.world.handle_pose(roles.object_of(self.onto), "peg")
         T_eye_in_thing = inverse(context.world.pose(thing)) @ context.world.handle_pose(thing, "eye")
         for T_eye in _eye_poses(T_peg):

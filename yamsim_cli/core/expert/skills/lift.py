@@ -69,7 +69,7 @@ class Lift(Skill):
     def _find_grasp_pair(
         self, context: PlanningContext, hand_a: Hand, hand_b: Hand, thing: str
     ) -> list[tuple[Hand, GraspCandidate, Array, Array]]:
-        """Return the most distant free grasps: each hand with its grasp, and joints before and at the grasp."""
+        """Return the most distant free grasps: each hand, its grasp, and joints before and at it."""
         reached = {hand: list(self._reachable_grasps(context, hand, thing)) for hand in (hand_a, hand_b)}
         pairs = sorted(
             itertools.product(*reached.values()),

@@ -83,7 +83,7 @@ class Pick(Skill):
         raise SkillFailedError(FailureCause.UNREACHABLE, f"no way to take the {thing}: {summary}")
 
     def _hands(self, context: PlanningContext, thing: str, goals: Sequence[Array]) -> list[Hand]:
-        """Return the hands that may pick; the hand with the shortest reach to the object and its goals comes first."""
+        """Return the hands that may pick, that with the shortest reach to the object and its goals first."""
         places = [context.world.pose(thing)[:2, 3], *goals]
         hands = context.free_hands(self.arm)
 
@@ -191,7 +191,7 @@ def _approach_joints(
     opening: float,
     finger_distance: float | None,
 ) -> tuple[Array | None, str]:
-    """Return joints before the straight approach to an object; else None and the reason."""
+    """Return joints before the straight approach; else None and the reason."""
     why = context.find_contact(hand, at, opening, grasped=thing, finger_clearance=finger_distance)
     if why is not None:
         return None, why

@@ -65,7 +65,6 @@ class PlaceSkill(Skill):
     def _ordered_goals(
         self, context: PlanningContext, roles: RoleAssignment, thing: str, T_thing_in_pinch: Array
     ) -> Iterable[Array]:
-        """Return the goals in the order tried for an object's pose in the hand."""
         return self._cached_goals(context, roles, thing)
 
     def approximate_targets(self, context: PlanningContext, roles: RoleAssignment, thing: str) -> Sequence[Array]:
@@ -208,7 +207,7 @@ class Place(PlaceSkill):
             yield pose((*place, context.rest_height_over(thing, place, onto, heading)), rotation_z(heading))
 
     def without_preferences(self, context: PlanningContext, roles: RoleAssignment) -> Place:
-        """Return a skill that may put the object down in other stable poses than upright, if its config allows that."""
+        """Return a skill that may choose other stable poses than upright, if the object's config allows that."""
         fixed = self.upright or self.heading_deg is not None
         if fixed or not context.object_configs[roles.object_of(self.thing)].rests_in_any_pose:
             return self
@@ -230,7 +229,7 @@ class _PlaceInAnyStablePose(Place):
     def _ordered_goals(
         self, context: PlanningContext, roles: RoleAssignment, thing: str, T_thing_in_pinch: Array
     ) -> Iterator[Array]:
-        """Yield upright goals first, then the others, sorted by how steeply the hand would point down."""
+        """Yield upright goals first, then the others by how steeply the hand would point down."""
         yield from self._cached_goals(context, roles, thing)
         lying = context.cached((self, "others", thing), lambda: self._lying_goals(context, roles, thing))
         T_pinch_in_thing = inverse(T_thing_in_pinch)
@@ -243,7 +242,7 @@ class _PlaceInAnyStablePose(Place):
         yield from sorted(reachable, key=lambda T: float(forward(T)[2]))
 
     def _lying_goals(self, context: PlanningContext, roles: RoleAssignment, thing: str) -> list[Array]:
-        """Return the goals in stable poses other than upright, with the centre of mass over the point."""
+        """Return goals in stable poses other than upright, with the centre of mass over the point."""
         place, _ = self._goal_point_and_support(context, roles)
         centre = np.array(context.object_configs[thing].inertia.centre)
         heading = yaw(context.world.pose(thing))

@@ -173,7 +173,7 @@ class PlanningContext:
         self._cache = (b"", {})
 
     def grasp_candidates(self, thing: str, max_opening: float) -> Iterator[GraspCandidate]:
-        """Yield grasp candidates of an object for fingers that open up to `max_opening` (m), most reliable first."""
+        """Yield an object's grasp candidates for an opening of up to `max_opening` (m), most reliable first."""
         if self.hands[0].grasps_by_weld:
             yield from weld_candidates(self.object_configs[thing])
             return
@@ -195,11 +195,11 @@ class PlanningContext:
         return half
 
     def rest_height_over(self, thing: str, place: Array, onto: str, heading: float) -> float:
-        """Return the height in `world` at which an upright object's origin comes to rest over a point (2,), m."""
+        """Return the height in `world`, m, at which an upright object comes to rest over a point (2,)."""
         return self.rest_height_of(thing, pose((*place, 0.0), rotation_z(heading)), onto)
 
     def rest_height_of(self, thing: str, T: Array, onto: str) -> float:
-        """Return the height in `world` at which an object with a pose's rotation comes to rest, m."""
+        """Return the height in `world`, m, at which an object with a pose's rotation comes to rest."""
         top = float(self.cached(("bounds", onto), lambda: self.world.aabb(onto))[1][2])
         low, high = self._local_box(thing)
         T_over = T.copy()
@@ -454,7 +454,7 @@ def _retreat_up(hand: Hand, find_contact: ContactQuery, tick: float) -> Array | 
 
 
 def _heuristic_waypoints(hand: Hand, start: Array, goal: Array) -> list[list[Array]]:
-    """Return waypoints of simple motions: direct; up, across and down; or over one intermediate posture."""
+    """Return simple waypoints: direct; up, across and down; or over one intermediate posture."""
     raised = []
     for joints in (start, goal):
         T = hand.pinch_pose(joints)

@@ -146,7 +146,6 @@ def _check_support(task: ProgramTask, roles: RoleAssignment, skill: Place, path:
 
 
 def _check_hung(task: ProgramTask, roles: RoleAssignment, hung: Hung, path: tuple[str | int, ...]) -> None:
-    """Check for eyes on the objects that are to hang, and for pegs on those to hang them on."""
     for argument, role, handle in (("thing", hung.thing, hung.eye), ("onto", hung.onto, hung.peg)):
         for item in _candidate_objects(task, roles, role):
             if handle not in (names := [known_handle.name for known_handle in item.handles]):
@@ -155,7 +154,6 @@ def _check_hung(task: ProgramTask, roles: RoleAssignment, hung: Hung, path: tupl
 
 
 def _candidate_objects(task: ProgramTask, roles: RoleAssignment, role: str) -> tuple[ObjectConfig, ...]:
-    """Return the objects that may play a role; `role` may also be the name of an object."""
     return next(player.of for name, player in task.things.items() if role in (name, *roles.objects_of(name)))
 
 
@@ -219,7 +217,7 @@ def _arms(config: RecordConfig) -> list[tuple[Array, float]]:
 
 
 def _arm_length(model: mujoco.MjModel) -> float:
-    """Return an upper bound on the distance from an arm's base to its pinch point, m: the sum of all offsets."""
+    """Return an upper bound on the distance from base to pinch point, m: the sum of all offsets."""
     site = model.site("pinch_site")
     length, body = float(np.linalg.norm(site.pos)), int(np.ravel(site.bodyid)[0])
     while model.body_parentid[body]:

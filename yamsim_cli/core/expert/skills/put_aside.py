@@ -50,7 +50,6 @@ class PutAside(PlaceSkill):
 
     @staticmethod
     def _blocks_a_start(context: PlanningContext, thing: str, place: Array) -> bool:
-        """Return whether an object at a point (2,) would overlap the start of an object, which may have to return."""
         radius = float(np.hypot(*context.half_footprint(thing, 0.0)))
         return any(
             float(np.linalg.norm(context.world.start_pose(other)[:2, 3] - place))

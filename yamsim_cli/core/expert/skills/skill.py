@@ -74,7 +74,7 @@ class Skill(Config):
 def preference_levels(
     next_skills: Sequence[Skill], context: PlanningContext, roles: RoleAssignment
 ) -> Iterator[Sequence[Skill]]:
-    """Yield the next skills with their preferences, then without preferences if that changes any of them."""
+    """Yield the next skills with their preferences, then without if that changes any of them."""
     yield next_skills
     relaxed = [skill.without_preferences(context, roles) for skill in next_skills]
     if any(one is not other for one, other in zip(relaxed, next_skills, strict=True)):

@@ -87,7 +87,7 @@ def format_key_path(path: KeyPath) -> str:
 
 
 def _offending_value(document: Document, paths: list[KeyPath], flags: Mapping[KeyPath, str]) -> tuple[KeyPath, str]:
-    """Return key path and place of the first value that a flag set, or else of the first value."""
+    """Return key path and place of the first value that a flag set, else of the first value."""
     for path in paths:
         for whole in (path, path[:-1]) if path and isinstance(path[-1], int) else (path,):
             if whole in flags:
@@ -159,7 +159,7 @@ def _plain(annotation: Any) -> Any:
 
 
 def _is_tag(data: Any, loc: tuple[int | str, ...], key: int | str) -> bool:
-    """Return whether a part of pydantic's location is the name of a union's branch, and no key of the document."""
+    """Return whether a part of pydantic's location names a union's branch, and is no key of the document."""
     if isinstance(key, str) and key.startswith(BRANCH):
         return True
     here = data

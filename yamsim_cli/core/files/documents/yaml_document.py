@@ -193,7 +193,6 @@ def _without_opencv_header(text: str | bytes) -> str | bytes:
 
 
 def _index(node: yaml.Node, path: KeyPath, document: Document) -> None:
-    """Record the line of each value, and refuse duplicate keys and keys other than text."""
     document.places[path] = f"{document.source}:{node.start_mark.line + 1}"
     if isinstance(node, yaml.MappingNode):
         seen: dict[str, int] = {}

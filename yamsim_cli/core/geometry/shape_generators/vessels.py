@@ -110,7 +110,7 @@ def _outer_radius(size: VesselSizes, inside: Array, height: float) -> float:
 
 
 def _handles(size: VesselSizes) -> list[tuple[Surface, Array, float]]:
-    """Return the surface, centre line (n, 3), m, and radius, m, of each handle."""
+    """Return each handle's surface, centre line (n, 3) and radius, m."""
     inside, top = size.inner_profile(), size.height
     if size.handles == "loop":
         low, high = 0.22 * top, 0.85 * top
@@ -139,7 +139,7 @@ def _handles(size: VesselSizes) -> list[tuple[Surface, Array, float]]:
 
 
 def _vessel_grasps(size: VesselSizes, inside: Array) -> list[ShapeGrasp]:
-    """Return grasps across the body if it fits between the fingers, then grasps at the rim."""
+    """Return grasps across the body if it fits between the fingers, then at the rim."""
     found: list[ShapeGrasp] = []
     neck = size.neck is not None
     height = max(0.55 * size.height, size.height - _MAX_DEPTH)

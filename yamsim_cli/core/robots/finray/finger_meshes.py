@@ -69,7 +69,7 @@ def _around(cell: Sequence[T]) -> list[tuple[T, T]]:
 
 
 def _segment(finger: FinRay, k: int) -> _Section:
-    """Return the segment at hinge `k`: a piece of each wall, and the rib at the hinge or the end of the tip."""
+    """Return a piece of each wall, and the rib at hinge `k` or the end of the tip."""
     half, bay, low = finger.wall / 2, finger.bay, k * finger.bay
     section = _Section()
 

@@ -73,7 +73,7 @@ def run_child(
 
 
 def _end_with_parent(parent: int) -> None:
-    """In a new child process: let the kernel kill this process when its parent ends for any reason."""
+    """Let the kernel kill this new child process when its parent ends for any reason."""
     if _LIBC is not None:
         _LIBC.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
         if os.getppid() != parent:

@@ -35,7 +35,7 @@ Surface = tuple[Array, Faces]
 
 
 def reduction_fingerprint() -> str:
-    """Return a text of all constants and library versions on which the result of a reduction depends."""
+    """Return all constants and library versions on which a reduction depends, as text."""
     libraries = " ".join(f"{name} {version(name)}" for name in ("manifold3d", "fast-simplification"))
     return f"1 {_SLIVERS_MM} {_AGGRESSIVENESS} {MAX_DEVIATION_MM} {_SAMPLES} {libraries}"
 
@@ -68,7 +68,7 @@ def collapse_edges(source: Surface, reduction: Reduction) -> Surface:
 
 
 def _without_slits(vertices: Array, triangles: Faces) -> Faces:
-    """Return the triangles without those whose area is zero at the precision of an STL file (float32)."""
+    """Omit triangles whose area is zero at the precision of an STL file (float32)."""
     a, b, c = np.moveaxis(vertices.astype(np.float32).astype(np.float64)[triangles], 1, 0)
     return triangles[np.cross(b - a, c - a).any(axis=1)]
 

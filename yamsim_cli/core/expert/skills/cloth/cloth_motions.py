@@ -170,7 +170,6 @@ def _fingers_closed(context: PlanningContext, hand: Hand) -> bool:
 
 
 def _retreat_path(context: PlanningContext, grasp: PointGrasp) -> Array:
-    """Return a motion out from under the cloth, lateral or else forward; without motion if unreachable."""
     for direction in (grasp.lateral, grasp.forward):
         T = grasp.hand.pinch_pose(grasp.hand.joints)
         T[:2, 3] += _RETREAT_DISTANCE * direction

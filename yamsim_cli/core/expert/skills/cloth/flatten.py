@@ -50,7 +50,7 @@ class _PlannedPull:
 
 
 class Flatten(Skill):
-    """Flatten cloth by pulls at its border; each pull is the one with the flattest simulated result."""
+    """Flatten cloth by pulls at its border, each with the flattest simulated result."""
 
     ROLES: ClassVar[tuple[str, ...]] = ("thing",)
     NEEDS_HELD: ClassVar[bool | None] = False

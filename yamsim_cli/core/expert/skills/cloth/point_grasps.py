@@ -100,7 +100,7 @@ def reachable_grasps(
 
 
 def _point_grasp(context: PlanningContext, hand: Hand, points: Array, placement: PointPlacement) -> PointGrasp | None:
-    """Return a hand's grasp with the least tilt that reaches both the point and its target."""
+    """Return a hand's grasp with the least tilt that reaches the point and its target."""
     place = points[placement.point]
     path = placement.target(points) - place
     middle = place[:2] + path[:2] / 2
@@ -180,7 +180,7 @@ def _hands_stay_clear(context: PlanningContext, grasps: Sequence[PointGrasp]) ->
 
 
 def hands_clear(context: PlanningContext, one: tuple[Hand, Array], other: tuple[Hand, Array]) -> bool:
-    """Return whether hands at joints (dof,) do not touch each other, with fingers open for an approach or wider."""
+    """Return whether hands at joints (dof,) do not touch each other, with fingers at least open for an approach."""
     (hand, joints), (other_hand, other_joints) = one, other
     there = context.qpos_with_hand(hand, joints, max(APPROACH_OPENING, hand.opening), None)
     return (
