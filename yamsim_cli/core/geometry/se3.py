@@ -36,7 +36,7 @@ def rotation_z(angle: float) -> Array:
 
 
 def pose_from_quat(position: ArrayLike, quat: ArrayLike) -> Array:
-    """Return a pose (4, 4) from a position (3,) and a quaternion (4,), which need not be normalized; zero is an error."""
+    """Return a pose (4, 4) from a position (3,) and a quaternion (4,), not zero, which need not be normalized."""
     q = np.asarray(quat, dtype=np.float64)
     norm = float(np.linalg.norm(q))
     if norm == 0.0:
