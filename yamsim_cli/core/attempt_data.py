@@ -1,4 +1,4 @@
-"""Immutable results that sampling, simulation and storage of an attempt exchange; none contains MuJoCo objects."""
+"""Immutable values that sampling, simulation and storage of an attempt exchange, without MuJoCo objects."""
 
 from __future__ import annotations
 
@@ -14,33 +14,28 @@ from .config.goals.role_assignment import RoleAssignment
 from .config.variation import Variation
 from .geometry.se3 import Array, UprightPose, pose, pose_from_quat, quat_from_rotation, rotation_z, yaw
 
-# Recorded pose of an object that may be tilted: x, y, z in m, and a unit quaternion w, x, y, z.
+# Pose of an object that may be tilted: x, y, z in m, and a unit quaternion w, x, y, z.
 FullPose = tuple[float, float, float, float, float, float, float]
 
-# Whether the weld between hand and grasped object is active: (ticks, arms), or (arms,) for one tick; left arm first.
+# (ticks, arms), or (arms,) for one tick, left arm first: whether the weld between hand and object is active.
 WeldStates = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
 class Layout:
-    """The initial poses of all objects in an episode.
-
-    Attributes:
-        T_in_world: object name -> pose (4, 4) in `world`.
-        upright: whether the z axis of every object points up. Records then contain only its yaw as orientation.
-    """
+    """Initial poses of all objects. If all are `upright`, records keep only their yaws."""
 
     T_in_world: Mapping[str, Array]
     upright: bool = True
 
     @classmethod
     def from_places(cls, places: Mapping[str, UprightPose | FullPose]) -> Layout:
-        """Return the layout for object name -> (x, y, z, yaw) or `FullPose`, in m and rad in `world`."""
+        """Return the layout of places as in `places`."""
         return cls({name: _pose(place) for name, place in places.items()}, all(len(p) == 4 for p in places.values()))
 
     @property
     def places(self) -> dict[str, UprightPose | FullPose]:
-        """Object name -> its recorded pose in `world`: (x, y, z, yaw) in m and rad if `upright`, else `FullPose`."""
+        """Object name -> pose in `world`: (x, y, z, yaw) in m and rad if `upright`, else `FullPose`."""
         return {name: self._place(T) for name, T in self.T_in_world.items()}
 
     def _place(self, T: Array) -> UprightPose | FullPose:
@@ -57,7 +52,7 @@ def _pose(place: UprightPose | FullPose) -> Array:
 
 @dataclass(frozen=True)
 class ArmPosture:
-    """Joint positions (dof,) of an arm in rad, and the distance of one finger from its closed position in m."""
+    """Joints (dof,) in rad, and the opening of each finger in m, 0 if closed."""
 
     joints: Array
     opening: float
@@ -68,12 +63,12 @@ class JointPath:
     """A path of one arm in joint space, for n control ticks.
 
     Attributes:
-        joints: reference positions (n + 1, dof) at the ticks' boundaries, rad; the first row is the arm's start.
-        torques: torques (n, dof) that the motion needs in the middle of each tick, N m.
-        gripper: distance (n,) of one finger from its closed position, m.
+        joints: references (n + 1, dof) at the ticks' boundaries, rad.
+        torques: torques (n, dof) that the motion needs, N m.
+        gripper: opening (n,) of each finger, m.
         grip_force: closing force (n,) of each finger, N.
-        weld_on: (n,) of bool, whether a weld constraint fixes the object to the hand during each tick.
-        tick: length of a tick, s.
+        weld_on: whether a weld holds the object (n,).
+        tick: s.
     """
 
     joints: Array
@@ -85,20 +80,19 @@ class JointPath:
 
     @property
     def velocities(self) -> Array:
-        """Mean joint velocities (n, dof) during each tick, rad/s."""
+        """Mean joint velocities (n, dof) of each tick, rad/s."""
         change: Array = self.joints[1:] - self.joints[:-1]
         return change / self.tick
 
 
 @dataclass(frozen=True)
 class ActionSequence:
-    """All commands during n control ticks. The same actions from the same start give the same states.
+    """Commands of n control ticks. The same actions from the same start give the same states.
 
     Attributes:
-        ctrl: drive commands (n, nu) during each tick, rad and m, in MuJoCo's order.
-        magnet: (n, arms), whether each arm's weld constraint on its grasped object is active during each tick.
-        joints: planned joints and finger opening of each arm (n, arms, drives) at the end of each tick, rad and m.
-            The simulation does not use them.
+        ctrl: drive commands (n, nu), rad and m, in MuJoCo's order.
+        magnet: whether each arm's weld is active (n, arms).
+        joints: planned joints and finger openings (n, arms, drives), rad and m, for records only.
     """
 
     ctrl: Array
@@ -108,14 +102,12 @@ class ActionSequence:
 
 @dataclass(frozen=True)
 class StepState:
-    """The simulation state at a recorded frame, and the actions until the next frame.
+    """The state at a recorded frame, and the actions until the next frame.
 
     Attributes:
-        time: simulated time, s.
-        qpos: MuJoCo's positions (nq,) before the frame's first command.
-        actions: the actions of the ticks until the next frame.
-        encoder_readings: delayed positions (arms, drives) that the encoders report now, rad and m; None without a
-            sensor delay.
+        time: s.
+        qpos: (nq,), before the frame's first command.
+        encoder_readings: delayed positions (arms, drives), rad and m; None without a sensor delay.
     """
 
     time: float
@@ -125,7 +117,7 @@ class StepState:
 
 
 class FailureCause(StrEnum):
-    """Why an attempt failed. `WORKER_LOST` has no cause in the task: the worker process died or hung."""
+    """Why an attempt failed. `WORKER_LOST` is no failure of the task: the worker process died or hung."""
 
     NO_LAYOUT = "no_layout"
     UNREACHABLE = "unreachable"
@@ -143,14 +135,14 @@ class FailureCause(StrEnum):
 
 @dataclass(frozen=True)
 class MotionMargins:
-    """How close a simulated motion came to the limits of arm and grasp: the worst values over all joints and times.
+    """The worst values of a motion over all joints and times.
 
     Attributes:
-        velocity: largest speed of a joint, as a share of its motor's no-load speed.
-        torque: largest torque of a drive, as a share of the drive's limit.
-        joint: smallest distance of a joint from its nearer joint limit, rad; negative beyond the limit.
-        slip: largest distance that a held object moved in the hand, m; None if not measured.
-        tilt: largest rotation of a held object's vertical axis since its grasp, rad; None if not measured.
+        velocity: speed of a joint, as a share of its motor's no-load speed.
+        torque: torque of a drive, as a share of its limit.
+        joint: distance of a joint from its nearer limit, rad; negative beyond the limit.
+        slip: motion of a held object in the hand, m; None if not measured.
+        tilt: rotation of a held object's vertical axis since its grasp, rad; None if not measured.
     """
 
     velocity: float
@@ -165,10 +157,8 @@ class Recovery:
     """A skill that failed and was tried again.
 
     Attributes:
-        step: number of the skill in the executed program.
-        skill: name of the skill.
-        detail: why the skill failed, as text.
-        frame: the first recorded frame of the new try.
+        step: number of the skill in the program.
+        frame: first recorded frame of the new try.
     """
 
     step: int
@@ -182,15 +172,11 @@ class Outcome:
     """The result of an attempt in numbers, so that other thresholds can be applied later.
 
     Attributes:
-        success: whether the attempt succeeded by the task's own threshold.
-        cause: why the attempt failed; None on success.
-        detail: the figures behind the cause, as text.
-        dxy: horizontal distance of the object from the target's centre at the end, m; None if never simulated.
-        dz: height of the object's origin above the target's, m; None if never simulated.
-        speed: speed of the object at the end, m/s; None if never simulated.
-        margins: margins of the motion; None if never simulated.
-        measures: by how much each condition of the goal holds or fails; empty for a task without a goal.
-        recoveries: skills that failed during the attempt and were tried again.
+        detail: the figures behind the cause.
+        dxy: final horizontal distance of the object from the target's centre, m.
+        dz: final height of the object's origin above the target's, m.
+        speed: final speed of the object, m/s.
+        measures: by how much each condition of the goal holds or fails.
     """
 
     success: bool
@@ -206,7 +192,7 @@ class Outcome:
 
 @dataclass(frozen=True)
 class AttemptJob:
-    """The seed and the number of an attempt, which determine everything random in the attempt."""
+    """The seed and the number, which determine everything random in an attempt."""
 
     seed: int
     attempt: int
@@ -214,15 +200,12 @@ class AttemptJob:
 
 @dataclass(frozen=True, eq=False)
 class Attempt:
-    """The random samples of one attempt. These and the commands to the drives determine its whole simulation.
+    """The random samples of one attempt. With the drives' commands, they determine its whole simulation.
 
     Attributes:
-        job: seed and number of the attempt.
-        layout: initial poses of the objects; None if the sampling found no free poses.
-        variation: samples of the domain randomization.
-        start: MuJoCo's `qpos` (nq,) at the start, with arms and objects at rest; None without a layout.
-        roles: which objects have which roles of the task; None for a task without roles.
-        phrasing: the sampled instruction; empty if the task's default instruction applies.
+        layout: None if the objects have no room.
+        start: MuJoCo's `qpos` (nq,) at the start, at rest.
+        phrasing: the sampled instruction; empty for the task's default.
     """
 
     job: AttemptJob
@@ -234,7 +217,7 @@ class Attempt:
 
     @property
     def places(self) -> dict[str, UprightPose | FullPose]:
-        """Object name -> its initial pose in `world`; empty without a layout."""
+        """Object name -> initial pose in `world`; empty without a layout."""
         return {} if self.layout is None else self.layout.places
 
 
@@ -243,13 +226,10 @@ class AttemptPayload:
     """The result and the files that a worker process returns for one attempt.
 
     Attributes:
-        attempt: the samples of the attempt.
-        outcome: the result of the attempt.
-        files: relative POSIX path -> content of each file of the episode except `episode.json`; empty after a failure.
-        frames: number of frames in `files`.
-        content_sha256: SHA-256 of the episode's decoded numbers (no images); independent of the pickle format.
-        versions: package -> version in the worker, for each package that affects the bytes of `files`.
-        renderer: the OpenGL implementation that rendered the images; empty without images.
+        files: relative POSIX path -> content, without `episode.json`; empty after a failure.
+        content_sha256: of the episode's decoded numbers, without images.
+        versions: package -> version in the worker, for packages that affect the bytes of `files`.
+        renderer: the OpenGL implementation; empty without images.
     """
 
     attempt: Attempt
@@ -262,5 +242,5 @@ class AttemptPayload:
 
     @property
     def job(self) -> AttemptJob:
-        """Seed and number of the attempt."""
+        """The seed and the number of the attempt."""
         return self.attempt.job

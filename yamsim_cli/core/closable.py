@@ -1,5 +1,3 @@
-"""Base class of context managers that have a `close` method."""
-
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
@@ -7,11 +5,11 @@ from typing import Self
 
 
 class Closable(ABC):
-    """Base of objects that own a resource, such as a renderer or workers. A `with` statement closes the object."""
+    """Base of objects that own a resource, such as a renderer or workers; a context manager."""
 
     @abstractmethod
     def close(self) -> None:
-        """Free the resources of this object."""
+        """Free the resource."""
 
     def __enter__(self) -> Self:
         return self

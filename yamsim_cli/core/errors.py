@@ -60,12 +60,12 @@ class InterruptedJobError(YamsimError):
 
 
 def count_noun(number: int, noun: str) -> str:
-    """Return a number with its noun, in the plural if needed: ``"1 episode"``, ``"2 episodes"``."""
+    """Return a number with its noun: ``"1 episode"``, ``"2 episodes"``."""
     return f"{number} {noun}" + ("" if number == 1 else "s")
 
 
 def join_ranges(numbers: Iterable[int]) -> str:
-    """Return ordered numbers as text with consecutive ones joined: ``"0-4, 7, 9-10"``."""
+    """Return ordered numbers with consecutive ones joined: ``"0-4, 7, 9-10"``."""
     runs: list[list[int]] = []
     for number in numbers:
         if runs and number == runs[-1][1] + 1:

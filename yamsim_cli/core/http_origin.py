@@ -15,14 +15,10 @@ _LOOPBACK_NAME = "localhost"
 
 
 def refusal_reason(hosts: Sequence[str], origins: Sequence[str], bound: str) -> str | None:
-    """Return the reason to refuse a request; None if the request is accepted.
+    """Return the reason to refuse a request to a server that listens on `bound`; None if it is accepted.
 
-    Requests from pages of this server are accepted. So are requests without `Origin`, which come from other programs.
-
-    Args:
-        hosts: values of the header `Host`.
-        origins: values of the header `Origin`.
-        bound: address or name that the server listens on; `0.0.0.0` or `::` for all addresses of this machine.
+    Requests from pages of this server are accepted, as are requests without `Origin`, which come from other programs.
+    `bound` is `0.0.0.0` or `::` for all addresses of this machine.
     """
     if len(hosts) > 1 or len(origins) > 1:
         return "more than one Host or Origin"
@@ -39,7 +35,7 @@ def refusal_reason(hosts: Sequence[str], origins: Sequence[str], bound: str) -> 
 
 
 def _split(url: str) -> SplitResult | None:
-    """Return the parts of a URL; None if the URL is invalid, or has more parts than scheme, host and port."""
+    """Return the parts of a URL; None if it is invalid, or has more parts than scheme, host and port."""
     try:
         parts = urlsplit(url)
         _ = parts.port
@@ -49,7 +45,6 @@ def _split(url: str) -> SplitResult | None:
 
 
 def _is_own(name: str, bound: str) -> bool:
-    """Return whether a host name, without its port, is a name of the server that listens on `bound`."""
     name, bound = name.lower().rstrip("."), bound.lower()
     try:
         address = ipaddress.ip_address(name)

@@ -1,7 +1,4 @@
-"""HTML and SVG as text, and the common parts of report pages.
-
-All text except `Markup` is escaped, so that data cannot inject elements into a page.
-"""
+"""HTML and SVG as text. All text except `Markup` is escaped, so that data cannot inject elements into a page."""
 
 from __future__ import annotations
 
@@ -17,7 +14,7 @@ from .files.writing import write_output
 # HTML elements without content.
 _VOID = frozenset({"meta", "img", "br", "hr"})
 
-_SPACES = "\n\N{NO-BREAK SPACE}"  # characters that a page keeps although `str.isprintable` is false for them
+_SPACES = "\n\N{NO-BREAK SPACE}"  # kept by a page although `str.isprintable` is false for them
 
 # The browser loads only the page itself: no script, font or picture from other sources, whatever the data contains.
 _POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
@@ -26,7 +23,7 @@ _STYLE = Path(__file__).with_name("report.css")
 
 
 class Markup(str):
-    """Markup made by `html_tag` and `join_markup`. All other text in a page is escaped."""
+    """Markup made by `html_tag` and `join_markup`."""
 
     __slots__ = ()
 
@@ -57,13 +54,7 @@ def join_markup(children: Iterable[Child]) -> Markup:
 
 
 def html_page(title: str, kicker: str, heading: str, body: Iterable[Child], made: str) -> str:
-    """Return a whole HTML page.
-
-    Args:
-        title: title of the browser's tab.
-        kicker: the kind of page, shown above the heading.
-        made: text of the footer, such as that of `page_footer`.
-    """
+    """Return a whole HTML page; `kicker`, the kind of page, is above the heading, and `made` is the footer."""
     head = [
         html_tag("meta", charset="utf-8"),
         html_tag("meta", http_equiv="Content-Security-Policy", content=_POLICY),
@@ -84,11 +75,7 @@ def page_footer() -> str:
 
 
 def write_page(text: str, path: Path) -> None:
-    """Write a page, replacing an existing file.
-
-    Raises:
-        ResourceError: the file cannot be written.
-    """
+    """Write a page, replacing an existing file; raise ResourceError if it cannot be written."""
     write_output(path, text.encode(), "--html")
 
 
@@ -98,11 +85,7 @@ def section(title: str, *children: Child) -> Markup:
 
 
 def grid_section(title: str, figures: Sequence[Markup], kind: str, legend: Markup | None = None) -> Markup | None:
-    """Return a section of figures in a grid; None without figures.
-
-    Args:
-        kind: the grid's class in the style sheet: `columns`, `plans` or `strips`.
-    """
+    """Return a section of figures in a grid of class `columns`, `plans` or `strips`; None without figures."""
     return section(title, legend, html_tag("div", figures, class_=kind)) if figures else None
 
 
@@ -116,7 +99,7 @@ def key_figures(figures: Iterable[tuple[str, str]]) -> Markup:
 
 
 def verdict(text: str, kind: str) -> Markup:
-    """Return the markup of the sentence that summarizes a page; `kind` is `fine`, `warning` or `error`."""
+    """Return the sentence that summarizes a page; `kind` is `fine`, `warning` or `error`."""
     return html_tag("p", html_tag("span", text), class_=f"verdict {kind}")
 
 
@@ -126,7 +109,7 @@ def captioned(title: str, picture: Markup, caption: str) -> Markup:
 
 
 def jpeg_image(data: bytes, alt: str, width: int | None = None) -> Markup:
-    """Return a JPEG file as an image embedded in the page; `width` in px."""
+    """Return a JPEG file as an embedded image; `width` in px."""
     return html_tag("img", src=f"data:image/jpeg;base64,{base64.b64encode(data).decode()}", alt=alt, width=width)
 
 
@@ -148,14 +131,14 @@ def header_row(headings: Iterable[str]) -> Markup:
 
 
 def table_rows(cells: Iterable[Sequence[str]]) -> list[Markup]:
-    """Return the rows of a table; the first cell of each row is the heading of the row."""
+    """Return the rows of a table; the first cell of each row is its heading."""
     return [
         html_tag("tr", html_tag("th", row[0], scope="row"), [html_tag("td", cell) for cell in row[1:]]) for row in cells
     ]
 
 
 def html_table(headings: Iterable[str], cells: Iterable[Sequence[str]]) -> Markup:
-    """Return a table with column headings; the first cell of each row is the heading of the row."""
+    """Return a table with column headings; the first cell of each row is its heading."""
     return html_tag("table", html_tag("thead", header_row(headings)), html_tag("tbody", table_rows(cells)))
 
 

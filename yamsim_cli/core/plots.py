@@ -1,7 +1,4 @@
-"""Plots as SVG: histograms, bars, rates, curves over time, and the workspace from above.
-
-The page's style sheet defines the colours.
-"""
+"""Plots as SVG."""
 
 from __future__ import annotations
 
@@ -15,13 +12,13 @@ from numpy.typing import NDArray
 from .markup import Markup, html_tag, join_markup, percent
 from .statistics import Coverage
 
-_WIDTH = 460.0  # px, width of every plot except that of the workspace
-_PLAN_WIDTH, _PLAN_MAX_HEIGHT = 300.0, 330.0  # px, width and largest height of the workspace plot
+_WIDTH = 460.0  # px, except the workspace plot
+_PLAN_WIDTH, _PLAN_MAX_HEIGHT = 300.0, 330.0  # px, of the workspace plot
 
-_MAX_LIMIT_RATIO = 2.0  # multiple of the largest distance; a line at a limit beyond it would squeeze the bars
-_MAX_CURVE_POINTS = 500  # points of a curve: minimum and maximum of each of 250 intervals, which keeps every peak
-_CURVE_ROOM = 0.06  # margin above and below curves, as a share of their span
-_MAX_DOTS = 4000  # marks of one series in a workspace plot; more cannot be distinguished, and make the page large
+_MAX_LIMIT_RATIO = 2.0  # of the largest distance; a line at a limit beyond it would squeeze the bars
+_MAX_CURVE_POINTS = 500  # minimum and maximum of each of 250 intervals, which keeps every peak
+_CURVE_ROOM = 0.06  # above and below curves, as a share of their span
+_MAX_DOTS = 4000  # of one series in a workspace plot; more cannot be distinguished, and make the page large
 _MAX_NAME = 20  # characters of a bar's label; longer labels are cut
 
 Values = NDArray[np.float64]
@@ -30,7 +27,7 @@ Point = tuple[float, float]
 
 @dataclass(frozen=True)
 class PixelScale:
-    """A linear scale from values to pixels. `start` is the pixel of `low`, `end` the pixel of `high`."""
+    """A linear scale from values to pixels: from `low` at pixel `start` to `high` at pixel `end`."""
 
     low: float
     high: float
@@ -64,7 +61,7 @@ class Axes:
     y: PixelScale
 
     def draw(self, x_label: str, y_label: str, *, x_ticks: int = 6, y_ticks: int = 5, x_grid: bool = True) -> Markup:
-        """Return the markup of grid lines, their numbers, and the labels of both axes."""
+        """Return grid lines, their numbers, and the labels of both axes."""
         left, right = sorted((self.x.start, self.x.end))
         top, bottom = sorted((self.y.start, self.y.end))
         parts = []
@@ -96,13 +93,9 @@ def format_number(value: float) -> str:
 def plot_distances(
     edges: Sequence[float], counts: Sequence[float], limits: Sequence[float], title: str, counted: str = "episodes"
 ) -> Markup:
-    """Return a histogram of distances, with a line at every limit; limits far beyond the data are written as text.
+    """Return a histogram of distances (m), with a line at every limit; limits far beyond the data are written as text.
 
-    Args:
-        edges: edges of the bins, m.
-        counts: counts in the bins.
-        limits: distances to mark, m.
-        counted: label of the vertical axis.
+    `counted` labels the vertical axis.
     """
     height, right = 240.0, _WIDTH - 12
     low, high = edges[0] * 1000, edges[-1] * 1000
@@ -137,7 +130,7 @@ def plot_distances(
 
 
 def plot_failures(counts: Mapping[str, int]) -> Markup:
-    """Return a plot with a horizontal bar for each cause of failure, the longest first."""
+    """Return a plot with a bar for each cause of failure, the longest first."""
     row, left = 26.0, 130.0
     scale = PixelScale(0, max(counts.values()), 0, _WIDTH - left - 56)
     parts = []
@@ -193,10 +186,10 @@ def plot_curves(
     """Return a plot of curves over time.
 
     Args:
-        times: times (n,), s.
+        times: (n,), s.
         lines: class in the style sheet -> values (n,) of a curve, NaN where unknown.
-        mark: time at which a vertical line is drawn, s.
-        min_span: smallest span of the vertical axis, so that noise does not look large.
+        mark: time of a vertical line, s.
+        min_span: of the vertical axis, so that noise does not look large.
     """
     height = 200.0
     known = np.concatenate([values[np.isfinite(values)] for values in lines.values()])
@@ -233,10 +226,10 @@ class ObjectPlaces:
     """Positions (x, y) of one object at the start or at the end of attempts, m.
 
     Attributes:
-        good: positions in successful episodes.
-        bad: positions in episodes without success.
-        failed: positions in failed attempts.
-        grid: counts of the positions in cells of the box from which starts are sampled; None if the box is unknown.
+        good: in successful episodes.
+        bad: in episodes without success.
+        failed: in failed attempts.
+        grid: counts of the positions in cells of the box from which starts are sampled.
     """
 
     good: Sequence[Point]
@@ -248,9 +241,7 @@ class ObjectPlaces:
 def plot_workspace(places: ObjectPlaces, box: tuple[Point, Point] | None, frame: str, title: str) -> Markup:
     """Return a plot of the workspace from above, the robot's base at the bottom: x points up, y to the left, in m.
 
-    Args:
-        box: the box from which starts are sampled, as ranges of x and y, m; None if unknown.
-        frame: name of the points' frame.
+    Starts are sampled from `box`, ranges of x and y. `frame` is the name of the points' frame.
     """
     points = [*places.good, *places.bad, *places.failed]
     corners = [*points, *zip(*box, strict=True)] if box else points
@@ -275,7 +266,6 @@ def plot_workspace(places: ObjectPlaces, box: tuple[Point, Point] | None, frame:
 
 
 def _cells(axes: Axes, box: tuple[Point, Point], grid: Coverage) -> list[Markup]:
-    """Return a rectangle for every cell of the sampling box that contains points."""
     (x0, x1), (y0, y1) = box
     dx, dy = (x1 - x0) / grid.shape[0], (y1 - y0) / grid.shape[1]
     return [
@@ -287,13 +277,12 @@ def _cells(axes: Axes, box: tuple[Point, Point], grid: Coverage) -> list[Markup]
 
 
 def _rectangle(axes: Axes, x: Point, y: Point, kind: str) -> Markup:
-    """Return a rectangle that covers ranges of the workspace's x and y, m."""
     left, top = axes.x(y[1]), axes.y(x[1])
     return html_tag("rect", x=left, y=top, width=axes.x(y[0]) - left, height=axes.y(x[0]) - top, class_=kind)
 
 
 def _marks(axes: Axes, points: Sequence[Point], offset: float, stroke: str, kind: str) -> Markup | None:
-    """Return one path with a stroke at every point, which starts `offset` px above and left of the point."""
+    """Return one path with a stroke at every point, from `offset` px above and left of it."""
     if not points:
         return None
     kept = points[:: math.ceil(len(points) / _MAX_DOTS)]
@@ -308,7 +297,6 @@ def _padded(values: Sequence[float]) -> Point:
 
 
 def _svg(title: str, width: float, height: float, *parts: Markup | Sequence[Markup] | None) -> Markup:
-    """Return an SVG picture of `parts`, with a title for screen readers; width and height in px."""
     return html_tag(
         "svg",
         html_tag("title", title),

@@ -1,8 +1,6 @@
-"""Progress of a job, for callbacks."""
-
 from __future__ import annotations
 
 from collections.abc import Callable
 
-# Called with the number of finished parts and the total number of parts.
+# Is called with the number of finished parts and the total number of parts of a job.
 Progress = Callable[[int, int], None]

@@ -1,5 +1,3 @@
-"""Commands and measurements of arms over time: a recording without images."""
-
 from __future__ import annotations
 
 from dataclasses import dataclass
@@ -11,15 +9,15 @@ from .geometry.se3 import Array
 
 @dataclass(frozen=True)
 class ArmMotion:
-    """The motion of one arm; rows are samples.
+    """The motion of one arm; rows are samples. Arrays are None if not recorded.
 
     Attributes:
         side: `left` or `right` for two arms, empty for a single arm.
         joints: measured joints (n, dof), rad; NaN in samples that have only a command.
-        commands: commands (n, dof) of the joints' drives, rad; None if not recorded.
-        openings: measured openings (n,) of one finger, m; NaN as for `joints`, None if not recorded.
-        commanded_openings: commanded openings (n,) of one finger, m; None if not recorded.
-        velocities: measured joint velocities (n, dof), rad/s; NaN as for `joints`, None if not recorded.
+        commands: of the joints' drives (n, dof), rad.
+        openings: measured openings (n,) of one finger, m; NaN as for `joints`.
+        commanded_openings: (n,) of one finger, m.
+        velocities: measured joint velocities (n, dof), rad/s; NaN as for `joints`.
     """
 
     side: str
@@ -32,17 +30,9 @@ class ArmMotion:
 
 @dataclass(frozen=True)
 class RecordedMotion:
-    """A recorded motion of one or two arms.
+    """Commands and measurements of one or two arms, the left one first, without images.
 
-    A command acts from its sample's time until the next sample's.
-
-    Attributes:
-        name: name of the recording, for messages.
-        times: times (n,) of the samples, s, strictly increasing from 0.
-        arms: the motion of each arm, the left arm first.
-
-    Raises:
-        ValueError: times do not increase from 0, or an array has another number of rows.
+    Times (n,), s, increase strictly from 0, else ValueError is raised. A command acts until the next sample's time.
     """
 
     name: str

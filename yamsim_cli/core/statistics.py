@@ -1,5 +1,3 @@
-"""Statistics for batches and summaries."""
-
 from __future__ import annotations
 
 import math
@@ -9,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 _Z95 = 1.959963984540054  # two-sided 95 % quantile of the normal distribution
-THRESHOLDS = (0.05, 0.08)  # m, default distances from the target that count as success. Source: the lab reports both
-_MAX_BINS = 40  # bins of a histogram
-_MIN_SPAN = 1e-4  # m, least span of values from which the width of bins is computed
+THRESHOLDS = (0.05, 0.08)  # m, distances from the target that count as success. Source: the lab reports both
+_MAX_BINS = 40
+_MIN_SPAN = 1e-4  # of values from which the width of bins is computed
 
 
 def wilson95(successes: int, n: int) -> tuple[float, float]:
@@ -41,7 +39,7 @@ def summarize_values(values: Sequence[float]) -> dict[str, float] | None:
 
 
 def histogram(values: Sequence[float]) -> dict[str, list[float] | list[int]] | None:
-    """Return the bins' `edges`, which are round numbers, and `counts` of a histogram; None without values."""
+    """Return the bins' `edges`, which are round numbers, and `counts`; None without values."""
     if not values:
         return None
     span = max(max(values) - min(values), _MIN_SPAN)
@@ -56,13 +54,7 @@ def histogram(values: Sequence[float]) -> dict[str, list[float] | list[int]] | N
 
 @dataclass(frozen=True)
 class Coverage:
-    """Counts of points in the cells of a grid that covers a rectangle.
-
-    Attributes:
-        shape: number of cells along x and y.
-        hits: `hits[ix][iy]` is the number of points in a cell.
-        outside: number of points outside the rectangle.
-    """
+    """Counts of points in a grid of cells (x, y), `hits[ix][iy]`, and of points outside it."""
 
     shape: tuple[int, int]
     hits: list[list[int]]
@@ -95,7 +87,7 @@ def compute_coverage(
 
 
 def _cells(span: tuple[float, float], cell: float) -> int:
-    # Subtract a tolerance, so that rounding does not divide 0.25 m into six cells of 0.05 m.
+    # The tolerance keeps rounding from dividing 0.25 m into six cells of 0.05 m.
     return max(1, math.ceil((span[1] - span[0]) / cell - 1e-9))
 
 

@@ -5,5 +5,5 @@
 - `grasps`: how hands hold objects: by friction, by a weld, or cloth by a constraint.
 - `held_objects`: measures how far objects slip and tilt in hands.
 - `monitor`: watches joint limits, forbidden contacts and unstable physics.
-- `commands`: computes drive commands that make arms follow planned paths.
+- `commands`: drive commands that make arms follow planned paths.
 """

@@ -1,5 +1,3 @@
-"""The payload of an attempt: the outcome and the rendered files that a worker process returns."""
-
 from __future__ import annotations
 
 import platform
@@ -29,18 +27,18 @@ from ..sim.encoder_readings import encoder_readings
 from .execution import SimulatedAttempt
 from .simulator import Simulator
 
-# Version of the rendering, raised when the same config gives other images: 2 since the table and the posts cast
-# shadows. A recording that states no version has `FIRST_APPEARANCE_REVISION`.
+# Increased when the same config gives other images; recordings without a revision have the first. 2: the table and the
+# posts cast shadows.
 APPEARANCE_REVISION, FIRST_APPEARANCE_REVISION = "2", "1"
 
-# Version of the engine, raised when the same config and seed give other actions. 2: all tasks are programs of skills,
-# with analytic inverse kinematics. 3: waypoints may tilt, containers take objects beside each other, and starts with
-# moving objects are sampled again. A recording that states no version has `FIRST_ENGINE`.
+# Increased when the same config and seed give other actions; recordings without one have the first. 2: all tasks are
+# programs of skills, with analytic inverse kinematics. 3: waypoints may tilt, containers take objects beside each
+# other, and starts with moving objects are sampled again.
 ENGINE, FIRST_ENGINE = "3", "1"
 
 
 def library_versions() -> dict[str, str]:
-    """Return name -> version of all software that determines an episode's files; `looks` affects only its images."""
+    """Return name -> version of software that determines an episode's files; `looks` affects only images."""
     packages = {name: name for name in ("mujoco", "mink", "daqp", "numpy")} | {"opencv": "opencv-python-headless"}
     return {
         "yamsim": __version__,
@@ -51,11 +49,7 @@ def library_versions() -> dict[str, str]:
 
 
 def build_payload(simulator: Simulator, simulated: SimulatedAttempt) -> AttemptPayload:
-    """Return the payload of an attempt: with rendered files for a success, without files for a failure.
-
-    Raises:
-        ResourceError: no OpenGL context could be made.
-    """
+    """Return the payload of an attempt, with rendered files for a success."""
     if not simulated.outcome.success:
         return payload_without_files(simulated)
     recorded = frame_records(simulator, simulated.attempt, simulated.states)
@@ -73,12 +67,12 @@ def build_payload(simulator: Simulator, simulated: SimulatedAttempt) -> AttemptP
 
 
 def payload_without_files(simulated: SimulatedAttempt) -> AttemptPayload:
-    """Return the payload of an attempt with its outcome, but without files."""
+    """Return the payload of an attempt with its outcome only."""
     return AttemptPayload(simulated.attempt, simulated.outcome)
 
 
 def frame_records(simulator: Simulator, attempt: Attempt, states: Sequence[StepState]) -> list[dict[str, Any]]:
-    """Return joints, poses and commands of each recorded state, by the keys of `dataset.lowdim`, without rendering."""
+    """Return joints, poses and commands of each state, by the keys of `dataset.lowdim`."""
     ticks_per_frame = simulator.config.task.timing.ticks_per_frame
     return [_frame(simulator, attempt, state, k * ticks_per_frame) for k, state in enumerate(states)]
 
@@ -117,17 +111,13 @@ def _frame(simulator: Simulator, attempt: Attempt, state: StepState, tick: int) 
 
 
 def max_openings(config: RecordConfig) -> list[float]:
-    """Return the largest opening of one finger of each arm with fingers, m, with the arms in the recordings' order."""
+    """Return each arm's largest finger opening, m, in the recordings' order, without arms that lack fingers."""
     fingers = [config.rig.arms[k].robot.fingers for k in config.rig.recording_order]
     return [each.full_opening for each in fingers if each is not None]
 
 
 def render_cameras(simulator: Simulator, attempt: Attempt, qpos: Array, cameras: Sequence[str]) -> dict[str, Image]:
-    """Return camera -> RGB image (height, width, 3) at MuJoCo's positions (nq,), without simulated image noise.
-
-    Raises:
-        ResourceError: no OpenGL context could be made.
-    """
+    """Return camera -> RGB image (height, width, 3), without image noise."""
     renderer = _renderer(simulator, attempt)
     simulator.state_replay.set_state(qpos)
     return {camera: renderer.render(simulator.state_replay.data, camera) for camera in cameras}
@@ -136,13 +126,7 @@ def render_cameras(simulator: Simulator, attempt: Attempt, qpos: Array, cameras:
 def recorded_pictures(
     simulator: Simulator, attempt: Attempt, positions: Iterable[Array]
 ) -> Iterator[tuple[int, str, Image]]:
-    """Yield the frame, the camera and the recorded RGB image (height, width, 3) at each of MuJoCo's positions (nq,).
-
-    Each image reuses the memory of the previous one.
-
-    Raises:
-        ResourceError: no OpenGL context could be made.
-    """
+    """Yield frame, camera and RGB image (height, width, 3); each image reuses the memory of the last."""
     width, height = simulator.config.image.size_px
     image = np.empty((height, width, 3), np.uint8)
     renderer = _renderer(simulator, attempt)
@@ -155,11 +139,7 @@ def recorded_pictures(
 
 
 def encode_images(simulator: Simulator, attempt: Attempt, positions: Iterable[Array]) -> dict[str, bytes]:
-    """Return path in the episode -> content, for each JPEG, and for the ground truth if the config has `truth`.
-
-    Raises:
-        ResourceError: no OpenGL context could be made.
-    """
+    """Return path in the episode -> content, for JPEGs, and for ground truth if the config has `truth`."""
     files: dict[str, bytes] = {}
     truth: GroundTruthCollector | None = None
     if simulator.labels is not None:
@@ -172,11 +152,7 @@ def encode_images(simulator: Simulator, attempt: Attempt, positions: Iterable[Ar
 
 
 def render_depth(simulator: Simulator, attempt: Attempt, qpos: Array, camera: str) -> NDArray[np.uint16]:
-    """Return a depth image (height, width) in mm at MuJoCo's positions (nq,), for a config that sets `truth`.
-
-    Raises:
-        ResourceError: no OpenGL context could be made.
-    """
+    """Return a depth image (height, width) in mm, for a config with `truth`."""
     assert simulator.labels is not None, "depth is part of truth"
     renderer = _renderer(simulator, attempt)
     simulator.state_replay.set_state(qpos)
@@ -192,7 +168,7 @@ def _renderer(simulator: Simulator, attempt: Attempt) -> SceneRenderer:
 
 
 class GroundTruthCollector:
-    """Collects an episode's ground truth: `add` every frame of every camera in order, then read `files`."""
+    """Collects an episode's ground truth: `add` every camera's frames in order, then read `files`."""
 
     def __init__(self, labels: SceneLabels, cameras: Sequence[str], T_base_in_world: Array) -> None:
         self._labels = labels
@@ -202,7 +178,7 @@ class GroundTruthCollector:
         self._files: dict[str, bytes] = {}
 
     def add(self, data: mujoco.MjData, camera: str, renderer: SceneRenderer) -> None:
-        """Measure and keep depth, labels and further ground truth of a camera's next frame, at the present state."""
+        """Measure a camera's next frame."""
         truth = measure_frame(data, camera, renderer, self._labels, self._T_base_in_world)
         frame = len(self._rows[camera])
         self._rows[camera].append(truth.arrays)
@@ -212,7 +188,7 @@ class GroundTruthCollector:
 
     @property
     def files(self) -> dict[str, bytes]:
-        """Path in the episode -> content, for each ground-truth file."""
+        """Path in the episode -> content."""
         files = dict(self._files)
         for camera, rows in self._rows.items():
             specs = array_specs(self._labels.names, len(rows))

@@ -1,5 +1,3 @@
-"""Drive commands that make arms follow planned paths."""
-
 from __future__ import annotations
 
 from collections.abc import Sequence
@@ -12,11 +10,10 @@ from ..scene.compiled import ArmAddresses, CompiledScene, FingerAddresses
 
 
 def drive_commands(arm: ArmAddresses, path: JointPath) -> Array:
-    """Return the commands (n, dof) of an arm's joint drives on each control tick of a path, rad.
+    """Return the commands (n, dof) of an arm's joint drives on each control tick, rad.
 
-    A drive pulls towards its command and damps all motion, with the torque `kp (ctrl - q) - kv qvel`. The command is
-    the reference in the middle of the tick plus two terms. `kv / kp` times the velocity compensates the damping, and
-    the planned torque over `kp` the inertia and the weight. The arm then has neither lag nor overshoot.
+    A drive's torque is `kp (ctrl - q) - kv qvel`. Its command is the reference plus `kv / kp` times the velocity,
+    against the damping, plus the planned torque over `kp`. The arm then has neither lag nor overshoot.
     """
     references = (path.joints[:-1] + path.joints[1:]) / 2
     command = references + (arm.velocity_gain * path.velocities + path.torques) / arm.position_gain
@@ -25,13 +22,13 @@ def drive_commands(arm: ArmAddresses, path: JointPath) -> Array:
 
 
 def grip_command(fingers: FingerAddresses, path: JointPath) -> Array:
-    """Return a gripper drive's commands (n,), m: `opening - 2 grip_force / gain`. The two fingers share its force."""
+    """Return a gripper drive's commands (n,), m: `opening - 2 grip_force / gain`, as two fingers share its force."""
     clipped: Array = np.clip(path.gripper - 2 * path.grip_force / fingers.gain, *fingers.ctrl_range)
     return clipped
 
 
 def path_actions(scene: CompiledScene, paths: Sequence[JointPath]) -> ActionSequence:
-    """Return the actions that make each of the scene's arms follow its path; all paths have the same length."""
+    """Return the actions that make the arms follow their paths, which have the same length."""
     ctrl = np.zeros((len(paths[0].gripper), scene.model.nu))
     for arm, path in zip(scene.arms, paths, strict=True):
         ctrl[:, arm.arm_ctrl] = drive_commands(arm, path)

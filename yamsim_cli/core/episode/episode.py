@@ -1,5 +1,3 @@
-"""`Episode`: executes an actor's commands in a scene, records the states, and evaluates the goal."""
-
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
@@ -21,12 +19,12 @@ from .grasps import is_weld_active, make_grasp_simulator
 from .held_objects import HeldObjectMonitor
 from .monitor import StepMonitor, describe_exceeded_limits
 
-#: Function that is called with MuJoCo's state at the start and after every physics step. It must not change the state.
+# Is called with MuJoCo's state at the start and after every physics step, and must not change it.
 OnStep = Callable[[mujoco.MjData], None]
 
 
 class Timing(Protocol):
-    """The durations of a task's physics steps, control ticks and frames."""
+    """Durations of a task's physics steps, control ticks and frames."""
 
     @property
     def physics_steps_per_tick(self) -> int:
@@ -34,7 +32,7 @@ class Timing(Protocol):
 
     @property
     def ticks_per_frame(self) -> int:
-        """Control ticks from one recorded frame to the next."""
+        """Control ticks between recorded frames."""
 
     @property
     def tick(self) -> float:
@@ -43,13 +41,7 @@ class Timing(Protocol):
 
 @dataclass(frozen=True)
 class EpisodeGoal:
-    """The goal of an episode.
-
-    Attributes:
-        goal: the predicates that have to hold.
-        roles: which objects play the roles that the goal names.
-        hold_ticks: control ticks for which the goal has to hold.
-    """
+    """A goal, the objects in its roles, and for how many control ticks the goal has to hold."""
 
     goal: Goal
     roles: RoleAssignment
@@ -61,14 +53,12 @@ class EpisodeResult:
     """The result of an episode.
 
     Attributes:
-        states: the state of each recorded frame, before the frame's first command acts.
-        end: how the episode ended.
-        verdict: evaluation of the goal at the end. If the goal held then, but not for its hold time, the last
-            evaluation in which it did not hold. None without a goal.
+        states: the state of each recorded frame, before the frame's first command.
+        verdict: evaluation of the goal at the end. If the goal held, but not for its hold time, the last evaluation in
+            which it did not hold.
         held_ticks: control ticks for which the goal held without a break until the end.
-        margins: how near joints came to their limits, and how far objects moved in hands; None if no tick passed.
-        collision: the first contact of an arm with the table or another arm, as text; None without one.
-        T_at_start, T_at_end: object -> pose (4, 4) in `world`.
+        collision: the first contact of an arm with the table or another arm.
+        T_at_start, T_at_end: object -> pose in `world`.
         speeds: object -> speed at the end, m/s.
     """
 
@@ -84,32 +74,25 @@ class EpisodeResult:
 
     @property
     def success(self) -> bool:
-        """Whether the goal had held for its hold time when the episode ended, and no rule failed the episode."""
+        """Whether the goal held for its hold time at the end, and no rule failed the episode."""
         return self.end.cause is None
 
 
 class Episode:
     """Simulate one attempt. The same commands from the same start give bit-identical states, however calls divide them.
 
-    The goal is evaluated after every control tick, for every actor. `end` says when and how the episode ended.
-
     Attributes:
-        scene: the compiled scene.
         data: MuJoCo's present state, with poses and contacts up to date.
-        world: answers queries of the present state by the names of objects.
-        ticks: number of control ticks that have passed.
-        verdict: evaluation of the goal now, with the measured values; None without a goal.
+        ticks: control ticks that have passed.
+        verdict: present evaluation of the goal.
         held_ticks: control ticks for which the goal has held without a break.
         end: how the episode ended; None while it runs.
 
     Args:
-        start: MuJoCo's positions (nq,); everything starts at rest.
-        timing: durations of the task's physics steps, control ticks and frames.
-        sides: "left" or "right" for each of the scene's arms.
-        goal: the goal that is evaluated; None if the caller decides about success.
-        rules: which events end the episode; `EpisodeRules()` by default.
-        world: makes the `SimWorld` that answers queries of the state; by default one with all objects of the scene.
-        on_step: function that is called with MuJoCo's state after every physics step.
+        start: MuJoCo's positions (nq,), at rest.
+        sides: "left" or "right" for each arm.
+        goal: None if the caller decides about success.
+        world: makes the `SimWorld`; by default one with all objects.
     """
 
     def __init__(
@@ -150,12 +133,12 @@ class Episode:
 
     @property
     def frames(self) -> int:
-        """Number of frames recorded so far."""
+        """Frames recorded so far."""
         return len(self._frames)
 
     @property
     def seconds(self) -> float:
-        """Simulated time that has passed, s."""
+        """Simulated time, s."""
         return self.ticks * self._timing.tick
 
     @property
@@ -171,12 +154,12 @@ class Episode:
 
     @property
     def joint_velocities(self) -> Array:
-        """Each arm's joint velocities in rad/s and its finger's velocity in m/s, (arms, drives)."""
+        """Velocities of each arm's joints, rad/s, and finger, m/s, (arms, drives)."""
         return np.array([self.data.qvel[arm.recorded_dof] for arm in self.scene.arms])
 
     @property
     def actions(self) -> ActionSequence:
-        """The actions of all control ticks that have passed."""
+        """The actions so far."""
         return ActionSequence(np.array(self._ctrl), np.array(self._weld_on), np.array(self._joints))
 
     @property
@@ -191,36 +174,32 @@ class Episode:
         return "the goal holds" + (f", and has to for {left:.1f} s more" if left > 0 else "")
 
     def readings(self, job: AttemptJob) -> Array:
-        """Return simulated encoder readings with a job's noise: joints in rad, finger opening in m, (arms, drives)."""
+        """Return simulated encoder readings of joints, rad, and finger openings, m, (arms, drives)."""
         now = np.array([self.data.qpos[arm.recorded_qpos] for arm in self.scene.arms])
         seen = delayed_positions(self.scene, self.data)
         return encoder_readings(self.scene, now if seen is None else seen, job, self.ticks)
 
     def step(self, ctrl: Array, magnet: Sequence[bool] | WeldStates, joints: Array | None = None) -> None:
-        """Execute a command for one control tick; nothing happens once the episode has ended.
+        """Execute a command for one control tick; do nothing once the episode has ended.
 
         Args:
-            ctrl: commands of each arm's drives (arms, drives), rad and m.
+            ctrl: drive commands (arms, drives), rad and m.
             magnet: whether each arm's weld is commanded on (arms,).
-            joints: references (arms, drives) at the end of the tick, for the recording; the commands by default.
+            joints: recorded references (arms, drives); the commands by default.
         """
         command = np.empty(self.scene.model.nu)
         command[self.scene.drives] = ctrl
         self._tick(command, magnet, joints)
 
     def run_commands(self, actions: ActionSequence, *, until_success: bool = False) -> None:
-        """Execute the actions of several control ticks, until the episode ends.
-
-        Args:
-            until_success: whether to stop once the goal has held for its hold time.
-        """
+        """Execute actions until the episode ends, or if `until_success`, until the goal has held for its time."""
         for ctrl, magnet, joints in zip(actions.ctrl, actions.magnet, actions.joints, strict=True):
             if self.end is not None or (until_success and self.succeeds):
                 return
             self._tick(ctrl, magnet, joints)
 
     def finish(self) -> EpisodeResult:
-        """End the episode on behalf of its actor if it has not ended, and return its result."""
+        """End the episode on behalf of its actor if it runs, and return its result."""
         if self.end is None:
             self._end(EndReason.ACTOR)
         assert self.end is not None
@@ -269,7 +248,7 @@ class Episode:
         self._check_end()
 
     def _refresh(self) -> None:
-        """Compute poses and contacts at the present positions: `mj_step` leaves those from before the step."""
+        """`mj_step` leaves poses and contacts from before the step: compute the present ones."""
         model, data = self.scene.model, self.data
         mujoco.mj_kinematics(model, data)
         mujoco.mj_comPos(model, data)

@@ -1,5 +1,3 @@
-"""Simulation of attempts: by a task's expert, which plans its motions, or by given actions."""
-
 from __future__ import annotations
 
 import math
@@ -24,13 +22,7 @@ from .simulator import Simulator, open_episode
 
 @dataclass(frozen=True)
 class SimulatedAttempt:
-    """An attempt and its result.
-
-    Attributes:
-        attempt: the sampled attempt, with the distractors that were placed after its simulation.
-        outcome: how the attempt ended.
-        result: the result of the episode; None if nothing moved.
-    """
+    """An attempt, with the distractors placed after its simulation, and its result; None if nothing moved."""
 
     attempt: Attempt
     outcome: Outcome
@@ -38,15 +30,14 @@ class SimulatedAttempt:
 
     @property
     def states(self) -> tuple[StepState, ...]:
-        """The state of every recorded frame; empty if nothing moved."""
+        """The state of every recorded frame."""
         return self.result.states if self.result else ()
 
 
 def demonstrate(simulator: Simulator, attempt: Attempt, *, grips: bool = True) -> SimulatedAttempt:
     """Simulate an attempt by the task's expert, without rendering. If it succeeds, place its distractors.
 
-    Args:
-        grips: whether fingers close. If not, every task that needs a grasp fails.
+    Without `grips`, fingers do not close, and every task that needs a grasp fails.
     """
     if attempt.start is None:
         return SimulatedAttempt(
@@ -93,7 +84,7 @@ def demonstrate(simulator: Simulator, attempt: Attempt, *, grips: bool = True) -
 def _expert_motions(
     simulator: Simulator, episode: Episode, context: PlanningContext, log: RecoveryLog
 ) -> Iterator[MotionSegment]:
-    """Yield the expert's motions: the task's program, then hands back to their ready postures unless the goal holds."""
+    """Yield the program's motions, then move hands to their ready postures unless the goal holds."""
     task, roles = simulator.config.task, simulator.roles
     yield from run_program(build_program(task, roles), context, roles, log)
     if not episode.succeeds:
@@ -103,12 +94,7 @@ def _expert_motions(
 def run_actions(
     simulator: Simulator, attempt: Attempt, actions: ActionSequence, rules: EpisodeRules, on_step: OnStep | None = None
 ) -> SimulatedAttempt:
-    """Simulate an attempt with given actions, and evaluate its goal.
-
-    Args:
-        rules: with the rules under which the actions were recorded, the verdict is the same.
-        on_step: is called with MuJoCo's state after every physics step.
-    """
+    """Simulate an attempt with given actions. The rules of their recording give the same verdict."""
     episode = open_episode(simulator, attempt, rules, on_step)
     episode.run_commands(actions)
     played = episode.finish()
@@ -118,11 +104,7 @@ def run_actions(
 def build_outcome(
     simulator: Simulator, result: EpisodeResult, failure: tuple[FailureCause, str] | None = None
 ) -> Outcome:
-    """Return the outcome of an episode.
-
-    Args:
-        failure: cause and details of an expert's failure; None without one.
-    """
+    """Return the outcome of an episode; `failure` is an expert's failure."""
     end = result.end
     cause, detail = end.cause, end.detail
     if failure is not None and end.reason not in (EndReason.UNSTABLE, EndReason.FORBIDDEN):
@@ -135,11 +117,7 @@ def build_outcome(
 
 
 def with_distractors(simulator: Simulator, attempt: Attempt, states: Sequence[StepState]) -> Attempt:
-    """Return the attempt with distractors placed clear of all recorded motion; unchanged if the config has none.
-
-    Args:
-        states: all states of the simulated attempt.
-    """
+    """Return the attempt with distractors clear of all its `states`."""
     if simulator.placer is None:
         return attempt
     places = simulator.placer.sample_poses(attempt.job, [state.qpos for state in states])
@@ -147,9 +125,9 @@ def with_distractors(simulator: Simulator, attempt: Attempt, states: Sequence[St
 
 
 def with_reserved_distractors(simulator: Simulator, attempt: Attempt) -> Attempt:
-    """Return the attempt, for other actors, with distractors placed clear of the expert's motion.
+    """Return the attempt, for other actors, with distractors clear of the expert's motion.
 
-    The demonstration is simulated only if the config has distractors. If it fails, no distractors are placed.
+    The demonstration is simulated only if the config has distractors. If it fails, none are placed.
     """
     return attempt if simulator.placer is None else demonstrate(simulator, attempt).attempt
 
@@ -164,10 +142,7 @@ def _is_off_target(simulator: Simulator, result: EpisodeResult) -> bool:
 
 
 def _final_distances(simulator: Simulator, result: EpisodeResult) -> tuple[float | None, float | None, float | None]:
-    """Return an object's final distance from its target, horizontal and vertical, m; and the object's speed, m/s.
-
-    All are None for a goal that measures no distance from a target.
-    """
+    """Return an object's horizontal and vertical distance from its target, m, and its speed, m/s."""
     task, roles = simulator.config.task, simulator.roles
     target = task.target_predicate
     if target is None:
@@ -178,7 +153,6 @@ def _final_distances(simulator: Simulator, result: EpisodeResult) -> tuple[float
 
 
 def _with_fingers(scene: CompiledScene, actions: ActionSequence, grips: bool) -> ActionSequence:
-    """Return the actions; without `grips`, with open fingers and welds off."""
     if grips:
         return actions
     ctrl = actions.ctrl.copy()

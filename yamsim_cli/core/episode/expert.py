@@ -1,5 +1,3 @@
-"""`ExpertPlanner`: the collision checker and the arm solvers with which a task's expert plans in a scene."""
-
 from __future__ import annotations
 
 import math
@@ -18,17 +16,16 @@ from ..geometry.se3 import Array, pose, rotation_from_vector, rotation_z
 from ..scene.compiled import CompiledScene, GeomOwner
 from ..sim.sim_world import SimWorld
 
-# Orientations of the hand that are tried to reach a point.
-TILT_ANGLES = tuple(math.radians(angle) for angle in (0, 30, 60))  # rad, tilts from straight down
-TILT_DIRECTIONS = tuple(math.radians(angle) for angle in range(0, 360, 60))  # rad, horizontal directions of the tilt
-ROLL_ANGLES = tuple(math.radians(angle) for angle in (0, 90, 45, -45))  # rad, turns about the hand's own axis
+TILT_ANGLES = tuple(math.radians(angle) for angle in (0, 30, 60))  # rad, of the hand from straight down
+TILT_DIRECTIONS = tuple(math.radians(angle) for angle in range(0, 360, 60))  # rad, of the tilt
+ROLL_ANGLES = tuple(math.radians(angle) for angle in (0, 90, 45, -45))  # rad, about the hand's own axis
 
-# m and rad, largest errors of the hand at a reachable point; joints may be right at their limits
+# m and rad, errors of the hand at a reachable point; joints may be right at their limits
 _REACH_TOLERANCE = Tolerance(3e-3, math.radians(4.0), margin=0.0)
 
 
 class ExpertPlanner:
-    """Makes the planning contexts of all attempts in one scene, and answers queries of reach and resting height."""
+    """Makes the planning contexts of all attempts in one scene."""
 
     def __init__(self, config: RecordConfig, scene: CompiledScene, tools: tuple[ArmSolvers, ...]) -> None:
         self._config, self._scene, self._tools = config, scene, tools
@@ -51,13 +48,13 @@ class ExpertPlanner:
         return False
 
     def rest_height(self, qpos: Array, thing: str, T_in_world: Array, lowest: float) -> float:
-        """Lower an object from a pose (4, 4), and return its height at the first contact, else `lowest`, m."""
+        """Lower an object from a pose, and return its height at the first contact, else `lowest`, m."""
         return self._collision_checker.rest_height(qpos, thing, T_in_world, lowest)
 
     def planning_context(
         self, world: SimWorld, postures: list[ArmPosture], rng: np.random.Generator
     ) -> PlanningContext:
-        """Return the planning context of an attempt, with the arms in their start postures."""
+        """Return an attempt's planning context, with the arms in their start postures."""
         config, scene = self._config, self._scene
         hands = [
             Hand(k, side, arm, tools.ik, tools.dynamics, posture.joints, posture.opening)
@@ -73,7 +70,7 @@ class ExpertPlanner:
 
 
 def arm_sides(config: RecordConfig) -> tuple[str, ...]:
-    """Return "left" or "right" for each of the scene's arms, in the scene's order."""
+    """Return "left" or "right" for each arm, in the scene's order."""
     return tuple(config.rig.arms[number].side for number in config.rig.recording_order)
 
 

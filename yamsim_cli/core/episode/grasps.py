@@ -1,5 +1,3 @@
-"""Grasp simulators hold objects in hands, by friction or constraints. A scene's grippers and cloth determine which."""
-
 from __future__ import annotations
 
 from collections.abc import Sequence
@@ -15,36 +13,33 @@ from ..sim.cloth import ClothConstraints
 
 
 class GraspSimulator(Protocol):
-    """Switches, before every control tick, the constraints that hold objects in hands during the tick."""
+    """Switches, before every control tick, the constraints that hold objects in hands."""
 
     def update(self, data: mujoco.MjData, ctrl: Array, magnet: Sequence[bool] | WeldStates) -> Sequence[bool]:
         """Switch the constraints for a tick, and return whether one holds an object in each arm's hand (arms,).
 
         Args:
-            data: MuJoCo's state with poses and contacts up to date; its constraints are switched.
-            ctrl: commands (nu,) of all drives for the coming tick.
+            data: has poses and contacts up to date; its constraints are switched.
+            ctrl: commands (nu,) of all drives for the tick.
             magnet: whether each arm's weld is commanded on (arms,).
         """
         ...
 
 
 class FrictionGraspSimulator:
-    """A grasp by friction alone, without constraints."""
+    """Grasps by friction alone."""
 
     def __init__(self, scene: CompiledScene) -> None:
         self._none = (False,) * len(scene.arms)
 
     def update(self, data: mujoco.MjData, ctrl: Array, magnet: Sequence[bool] | WeldStates) -> Sequence[bool]:
-        """Return False for each arm (arms,): friction needs no constraint. All arguments are ignored."""
+        """Return False for each arm: friction needs no constraint."""
         return self._none
 
 
 class WeldGraspSimulator:
-    """Holds objects by a weld in each hand: while commanded on, it fixes the object nearest to the pinch point.
-
-    Args:
-        scene: a scene whose arms have welds.
-        reach: largest distance from the pinch point to an object's surface at which the weld holds, m; None for any.
+    """A weld in each hand, which if commanded on fixes the object nearest to the pinch point, within `reach` (m; None:
+    any).
     """
 
     def __init__(self, scene: CompiledScene, reach: float | None) -> None:
@@ -56,7 +51,7 @@ class WeldGraspSimulator:
         self._bodies = roots[self._geoms]
 
     def update(self, data: mujoco.MjData, ctrl: Array, magnet: Sequence[bool] | WeldStates) -> Sequence[bool]:
-        """Switch each weld as `magnet` commands, and return whether it holds an object (arms,)."""
+        """See `GraspSimulator.update`."""
         return [self._switch(data, arm, bool(on)) for arm, on in zip(self._scene.arms, magnet, strict=True)]
 
     def _switch(self, data: mujoco.MjData, arm: ArmAddresses, on: bool) -> bool:
@@ -73,7 +68,7 @@ class WeldGraspSimulator:
     def _nearest_body(self, data: mujoco.MjData, point: Array) -> tuple[int, float]:
         """Return the body whose geoms' bounding boxes are nearest to a point (3,), and their distance, m.
 
-        If a point is inside the boxes of several bodies, the body with the nearest origin is returned.
+        Of several bodies whose boxes contain the point, the body with the nearest origin counts.
         """
         model, geoms = self._scene.model, self._geoms
         rotations = data.geom_xmat[geoms].reshape(-1, 3, 3)
@@ -92,16 +87,12 @@ class ClothGraspSimulator:
         self._cloth_constraints = ClothConstraints(scene)
 
     def update(self, data: mujoco.MjData, ctrl: Array, magnet: Sequence[bool] | WeldStates) -> Sequence[bool]:
-        """Switch the constraints of cloth by the fingers' commands, and return whether hands hold cloth (arms,)."""
+        """See `GraspSimulator.update`."""
         return self._cloth_constraints.update(data, ctrl)
 
 
 def make_grasp_simulator(scene: CompiledScene, magnet_reach: float | None) -> GraspSimulator:
-    """Return the grasp simulator: for cloth if the scene has cloth, with welds if arms have welds, else with friction.
-
-    Args:
-        magnet_reach: largest distance at which a weld holds an object, m; None for any.
-    """
+    """Return the grasp simulator: for cloth if the scene has any, with welds if arms have welds, else with friction."""
     if scene.cloths:
         return ClothGraspSimulator(scene)
     if any(arm.weld is not None for arm in scene.arms):
@@ -115,11 +106,7 @@ def is_weld_active(data: mujoco.MjData, arm: ArmAddresses) -> bool:
 
 
 def set_weld_pose(model: mujoco.MjModel, arm: ArmAddresses, data: mujoco.MjData, body: int) -> None:
-    """Write a body's present pose relative to the flange into an arm's weld, so that switching it on moves nothing.
-
-    Args:
-        body: id of the body that the weld will hold.
-    """
+    """Write a body's present pose in the flange into an arm's weld, so that switching it on moves nothing."""
     assert arm.weld is not None, "an arm without a weld attaches nothing"
     hand, item = data.body(arm.flange), data.body(body)
     position, quat, inverse_quat = np.empty(3), np.empty(4), np.empty(4)
@@ -127,6 +114,6 @@ def set_weld_pose(model: mujoco.MjModel, arm: ArmAddresses, data: mujoco.MjData,
     mujoco.mju_rotVecQuat(position, item.xpos - hand.xpos, inverse_quat)
     mujoco.mju_mulQuat(quat, inverse_quat, item.xquat)
     model.eq_obj2id[arm.weld] = body
-    # Layout of a weld's data: the anchor in the second body (3), the second body's position (3) and quaternion (4) in
-    # the first body, and the torque scale (1). Source: MuJoCo's documentation of `mjModel.eq_data`.
+    # The anchor in the second body (3), the second body's position (3) and quaternion (4) in the first body, and the
+    # torque scale (1). Source: MuJoCo's documentation of `mjModel.eq_data`.
     model.eq_data[arm.weld, :11] = [0, 0, 0, *position, *quat, 1]

@@ -1,5 +1,3 @@
-"""`HeldObjectMonitor`: measures how far objects slip and tilt in the hands that hold them."""
-
 from __future__ import annotations
 
 from collections.abc import Mapping
@@ -14,15 +12,7 @@ SETTLED_TICKS = 8  # control ticks of holding after which an object counts as se
 
 
 class HeldObjectMonitor:
-    """Measures how far objects slip and tilt while they are held.
-
-    Attributes:
-        slip: largest distance that a settled object moved in a hand, m.
-        tilt: largest rotation of a held object's vertical axis since its grasp, rad.
-
-    Args:
-        world: gives the present poses of the objects.
-    """
+    """Keeps the largest `slip` (m) of settled objects in hands, and `tilt` (rad) of held objects since their grasps."""
 
     def __init__(self, scene: CompiledScene, world: SimWorld) -> None:
         self._scene, self._world = scene, world
@@ -32,11 +22,7 @@ class HeldObjectMonitor:
         self.slip = self.tilt = 0.0
 
     def watch(self, holding_sides_by_object: Mapping[str, frozenset[str]]) -> None:
-        """Measure the state after a control tick.
-
-        Args:
-            holding_sides_by_object: object -> the sides of the hands that hold it.
-        """
+        """Measure the state after a control tick."""
         for name, holders in holding_sides_by_object.items():
             if name in self._scene.cloths:
                 continue

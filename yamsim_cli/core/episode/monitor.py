@@ -1,5 +1,3 @@
-"""`StepMonitor`: watches joint limits, forbidden contacts and unstable physics in every physics step."""
-
 from __future__ import annotations
 
 import math
@@ -15,14 +13,11 @@ CONTACT_STEPS = 8  # physics steps after which contacts are checked even if thei
 
 
 class StepMonitor:
-    """Measure how near the arms come to their limits, and keep the first collision and the first fatal physics warning.
+    """Watches joint limits, collisions and fatal physics warnings in each of the `steps` physics steps of a tick.
 
     Attributes:
-        collision: the first contact of an arm with the table or another arm, as text; None without one.
-        breakdown: MuJoCo's first fatal warning and its time, as text; None without one.
-
-    Args:
-        steps: physics steps in a control tick.
+        collision: the first contact of an arm with the table or another arm.
+        breakdown: MuJoCo's first fatal warning and its time.
     """
 
     def __init__(self, scene: CompiledScene, steps: int) -> None:
@@ -69,11 +64,7 @@ class StepMonitor:
             self.breakdown = f"physics broke down within {seconds:.3f} s: {text}"
 
     def margins(self, slip: float | None = None, tilt: float | None = None) -> MotionMargins:
-        """Return how near the arms have come to their speed, torque and joint limits.
-
-        Args:
-            slip, tilt: largest motion (m) and rotation (rad) of a held object, for the result.
-        """
+        """Return the margins so far, with a held object's `slip` (m) and `tilt` (rad)."""
         return MotionMargins(self._velocity, self._torque, float(self._joint_margin), slip, tilt)
 
     def _check_contacts(self, data: mujoco.MjData) -> None:
@@ -84,11 +75,11 @@ class StepMonitor:
             self.collision = f"{names} touch after {data.time:.2f} s"
 
 
-JOINT_LIMIT_TOLERANCE = 0.01  # rad, how far beyond its limit a joint may be: joint limits are soft in physics
+JOINT_LIMIT_TOLERANCE = 0.01  # rad beyond a limit: joint limits are soft in physics
 
 
 def describe_exceeded_limits(margins: MotionMargins) -> str | None:
-    """Describe how a motion exceeds a motor's speed, a drive's torque or a joint limit; None if it does not."""
+    """Return how a motion exceeds a motor's speed, a drive's torque or a joint limit; None if it does not."""
     if margins.velocity <= 1 and margins.torque < 1 and margins.joint >= -JOINT_LIMIT_TOLERANCE:
         return None
     return (

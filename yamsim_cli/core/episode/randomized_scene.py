@@ -1,5 +1,3 @@
-"""`RandomizedScene`: applies an attempt's variation, its random samples, to the scene, the renderer and the images."""
-
 from __future__ import annotations
 
 from ..attempt_data import Attempt
@@ -13,11 +11,7 @@ from ..scene.randomized_model import RandomizedArms, RandomizedModel
 
 
 class RandomizedScene:
-    """A compiled scene with the variation last given to `apply`; without randomization the scene never changes.
-
-    Args:
-        scene: the scene without variation.
-    """
+    """A compiled scene with the variation last given to `apply`."""
 
     def __init__(self, config: RecordConfig, scene: CompiledScene) -> None:
         self._config = config
@@ -26,7 +20,6 @@ class RandomizedScene:
         if config.randomization.parts:
             self._randomized_model = RandomizedModel(scene.model, config.randomization, config.scene)
         self._randomized_arms = RandomizedArms(scene) if config.randomization.arm_dynamics else None
-        # The variation that the model has now, and the variation that the renderer has.
         self._applied: Variation | None = None
         self._uploaded: Variation | None = None
         self._augmenter: tuple[Attempt, PictureAugmenter] | None = None
@@ -41,17 +34,16 @@ class RandomizedScene:
         return self._scene
 
     def upload(self, renderer: SceneRenderer) -> None:
-        """Upload the textures of the scene's variation to the renderer; needed before rendering."""
+        """Upload the variation's textures to the renderer, before it renders."""
         if self._randomized_model and self._uploaded is not self._applied:
             for texture in self._randomized_model.textures:
                 renderer.upload_texture(texture)
             self._uploaded = self._applied
 
     def finish(self, attempt: Attempt, image: Image, frame: int, camera: int) -> None:
-        """Add the random brightness, contrast and noise of an attempt to its image (height, width, 3), in place.
+        """Add an attempt's random brightness, contrast and noise to its image (height, width, 3), in place.
 
-        Args:
-            frame, camera: indices of the image; each image has its own noise.
+        Each `frame` and `camera` has its own noise.
         """
         ranges = self._config.randomization.picture
         if ranges is None:

@@ -1,5 +1,3 @@
-"""Simulation of attempts in a worker process: the result depends only on the seed and the number in the job."""
-
 from __future__ import annotations
 
 import platform
@@ -15,30 +13,23 @@ from .execution import demonstrate
 from .sampling import sample_attempt
 from .simulator import Simulators
 
-# Names of the recorder and the worker in the error message about different meshes.
+# Places of the expected and of the found meshes, in an error message.
 _PLACE_NAMES = ("for the recorder", "there")
 
 
 class AttemptRunner(Closable):
-    """Run attempts from their seed and number, in a worker or in this process.
-
-    Args:
-        render: whether successes are rendered to files; otherwise attempts are only simulated.
-
-    Raises:
-        ResourceError: the session's visual meshes differ from those that the config states.
-    """
+    """Runs attempts from their seed and number, and with `render` renders successes. Raises as `check_meshes`."""
 
     def __init__(self, session: Session, *, render: bool) -> None:
         self._render = render
         if render:
             check_meshes(session)
         self._simulators = Simulators(session)
-        # The expert's planner is made now: the files that it needs may be gone when the first job comes.
+        # The files that the expert's planner needs may be gone when the first job comes.
         self._simulators.get(AttemptJob(session.config.seed, 0)).prepare()
 
     def run(self, job: AttemptJob) -> AttemptPayload:
-        """Run one attempt and return its payload."""
+        """Run one attempt."""
         simulator = self._simulators.get(job)
         simulated = demonstrate(simulator, sample_attempt(simulator, job))
         return build_payload(simulator, simulated) if self._render else payload_without_files(simulated)
@@ -49,11 +40,7 @@ class AttemptRunner(Closable):
 
 
 def check_meshes(session: Session) -> None:
-    """Check that this process renders the visual meshes that the config states.
-
-    Raises:
-        ResourceError: the meshes differ.
-    """
+    """Raise ResourceError if this process renders other visual meshes than the config states."""
     expected = session.config.meshes
     if expected is not None and (found := mesh_differences(expected, describe_meshes(session), _PLACE_NAMES)):
         raise ResourceError(

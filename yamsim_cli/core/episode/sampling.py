@@ -1,5 +1,3 @@
-"""Sampling of an attempt: its roles, start and variation, from its seed and number, before anything moves."""
-
 from __future__ import annotations
 
 import functools
@@ -28,16 +26,16 @@ from .expert import arm_sides
 from .simulator import Simulator, Simulators, open_episode
 
 MAX_DRAWS = 20  # samples of the start, after which an attempt has no start because the goal already held in each
-_MAX_START_SPEED = 0.1  # m/s and rad/s, largest speed of an object at the start; rolling objects get below it
+_MAX_START_SPEED = 0.1  # m/s and rad/s, of an object at the start; rolling objects get below it
 HOLDS_ALREADY = "the goal holds already at the start"
 
-DROP_HEIGHT = 0.5  # m over the table, where the search for the resting height of each object starts
+DROP_HEIGHT = 0.5  # m over the table, where the search for an object's resting height starts
 SPARE_HEIGHT = 2.0  # m between objects that wait above the table until they are placed
 SPAWN_GAP = 2e-4  # m between a placed object and its support, so that no contact exists before the first step
 
 
 def sample_attempt(simulator: Simulator, job: AttemptJob) -> Attempt:
-    """Return the attempt of a job's seed and number, with all objects at rest; distractors are placed later.
+    """Sample an attempt: roles, variation, and a start with all objects at rest; distractors are placed later.
 
     A start in which an object still moves, such as a rocking bottle, is used only if there is no other. The attempt has
     no start if its objects have no room, or if its goal holds in every sampled start; see `describe_missing_start`.
@@ -63,13 +61,13 @@ def sample_attempt(simulator: Simulator, job: AttemptJob) -> Attempt:
 
 
 def sample_object_placements(simulator: Simulator, job: AttemptJob) -> dict[str, ObjectPlacement] | str:
-    """Return the placements of an attempt's objects before they settle, or the name of an object that has no room."""
+    """Return the placements of objects before they settle, or the name of an object that has no room."""
     config = simulator.config
     return sample_placements(config.task, simulator.roles, _local_box_function(simulator), config.table, job)
 
 
 def describe_missing_start(simulator: Simulator, attempt: Attempt) -> str:
-    """Return why an attempt has no start, as text."""
+    """Return why an attempt has no start."""
     places = sample_object_placements(simulator, attempt.job)
     if isinstance(places, str):
         return f"no free place for the {places} where it is to start"
@@ -98,7 +96,6 @@ def _local_box_function(simulator: Simulator) -> LocalBoxFunction:
 
 
 def _set_openings(scene: CompiledScene, qpos: Array, name: str, opened: Mapping[str, float]) -> None:
-    """Write the openings of an object's parts, as shares of their ranges, into MuJoCo's positions (nq,)."""
     for part, share in opened.items():
         joint = scene.model.joint(f"{name}_{part}")
         low, high = joint.range
@@ -106,7 +103,6 @@ def _set_openings(scene: CompiledScene, qpos: Array, name: str, opened: Mapping[
 
 
 def _drop_objects(simulator: Simulator, places: Mapping[str, ObjectPlacement]) -> Array:
-    """Return MuJoCo's positions (nq,) after each object has been placed on its support in turn."""
     scene, top = simulator.scene, simulator.config.table.top
     waiting = {name: pose((0.0, 0.0, top + SPARE_HEIGHT * (k + 1))) for k, name in enumerate(places)}
     qpos = scene.start_qpos(Layout(waiting), start_postures(simulator.config))
@@ -123,7 +119,7 @@ def _drop_objects(simulator: Simulator, places: Mapping[str, ObjectPlacement]) -
 
 
 def _crumple_cloths(simulator: Simulator, start: Array, rng: np.random.Generator) -> Array:
-    """Return positions (nq,) in which the cloths that start crumpled are crumpled; in `start`, all are flat."""
+    """Crumple the cloths that start crumpled; in `start`, all are flat."""
     task, scene = simulator.config.task, simulator.scene
     for role, how in task.starts.items():
         for name in simulator.roles.objects_of(role):
@@ -137,12 +133,7 @@ _CHECKED_ATTEMPTS = 3  # attempts after which a task without any start is reject
 
 
 def require_start(session: Session) -> None:
-    """Check that one of the first attempts of a task has a start.
-
-    Raises:
-        ConflictError: none has a start, for lack of room or as the goal already holds; the path is from the root.
-        SimulationError: a scene cannot be compiled.
-    """
+    """Raise ConflictError, with a path from the root, if none of a task's first attempts has a start."""
     task = session.config.task
     with Simulators(session.without_meshes()) as simulators:
         for number in range(_CHECKED_ATTEMPTS):

@@ -1,5 +1,3 @@
-"""`Simulator`: scene, expert's planner and renderer for attempts, which are expensive and made once in a process."""
-
 from __future__ import annotations
 
 import functools
@@ -28,21 +26,13 @@ from .randomized_scene import RandomizedScene
 class Simulator(Closable):
     """A session's compiled scene, with a state replay, the expert's planner and a renderer that are made on demand.
 
-    A simulator keeps no state of attempts. Close it, or use it as a context manager: it may own a renderer.
+    These are expensive, so a process makes them once. A simulator keeps no state of attempts, except that `scene.model`
+    has the variation last given to `set_variation`.
 
     Args:
         session: its task has only the objects of `roles`.
-        roles: the role assignment; by default the task's typical one, and the session is reduced to its objects.
-        tools: is called when the expert first needs the solvers of the arms; by default `make_arm_solvers`.
-
-    Attributes:
-        session: the session.
-        config: the session's config.
-        roles: the role assignment.
-        scene: the compiled scene. Its model has the variation that was last given to `set_variation`.
-
-    Raises:
-        SimulationError: the scene cannot be compiled.
+        roles: by default the task's typical roles, and the session is reduced to their objects.
+        tools: makes the solvers of the arms; by default `make_arm_solvers`.
     """
 
     def __init__(
@@ -59,14 +49,14 @@ class Simulator(Closable):
         self.roles = roles
         self._tools = tools or functools.partial(make_arm_solvers, config.rig)
         self.scene = build_scene(session)
-        # The following parts need the scene before its first variation.
+        # These parts need the scene before its first variation.
         self.labels: SceneLabels | None = _labels(session, self.scene) if config.truth else None
         self.placer = DistractorPlacer(config, self.scene) if config.randomization.distractors else None
         self.randomized = RandomizedScene(config, self.scene)
         self._renderer: SceneRenderer | None = None
 
     def set_variation(self, attempt: Attempt) -> CompiledScene:
-        """Apply an attempt's variation, its random samples, and return the scene; valid until the next call."""
+        """Return the scene with an attempt's variation; valid until the next call."""
         return self.randomized.apply(attempt)
 
     @functools.cached_property
@@ -76,20 +66,16 @@ class Simulator(Closable):
 
     @functools.cached_property
     def expert_planner(self) -> ExpertPlanner:
-        """The expert's planner, made at the first use, which reads files."""
+        """The expert's planner; its first use reads files."""
         return ExpertPlanner(self.config, self.scene, self._tools())
 
     def prepare(self) -> None:
-        """Make the expert's planner now, because it reads files that may be gone at the first attempt."""
+        """Make the expert's planner now: its files may be gone at the first attempt."""
         _ = self.expert_planner
 
     @property
     def renderer(self) -> SceneRenderer:
-        """The renderer.
-
-        Raises:
-            ResourceError: no OpenGL context could be made.
-        """
+        """The renderer; raises ResourceError if no OpenGL context can be made."""
         if self._renderer is None:
             size = self.config.image.size_px
             self._renderer = SceneRenderer(self.scene.model, size, self.config.render.fine_size(size))
@@ -103,11 +89,7 @@ class Simulator(Closable):
 
 
 def session_for_roles(session: Session, roles: RoleAssignment) -> Session:
-    """Return the session with only the objects of a role assignment, and with start regions in `world`.
-
-    Raises:
-        SimulationError: an object cannot be made in its size.
-    """
+    """Return the session with only the objects of a role assignment, and with start regions in `world`."""
     task = session.config.task
     try:
         task_of_roles = task.with_objects_of(roles)
@@ -124,7 +106,7 @@ def _labels(session: Session, scene: CompiledScene) -> SceneLabels:
     return scene_labels(scene.model, config.rig, names, boards=config.boards, cloths=scene.cloths)
 
 
-_MAX_SIMULATORS = 4  # simulators that are kept; each holds a compiled scene and, once used, a renderer
+_MAX_SIMULATORS = 4  # each holds a compiled scene and, once used, a renderer
 
 _RolesKey = tuple[tuple[str, str, float], ...]
 
@@ -135,17 +117,13 @@ def sample_roles_for(session: Session, job: AttemptJob) -> RoleAssignment:
 
 
 def simulator_for(session: Session, job: AttemptJob) -> Simulator:
-    """Return a new simulator for the objects of an attempt.
-
-    Raises:
-        SimulationError: the scene cannot be compiled, or an object cannot be made in its size.
-    """
+    """Return a new simulator for the objects of an attempt."""
     roles = sample_roles_for(session, job)
     return Simulator(session_for_roles(session, roles), roles)
 
 
 class Simulators(Closable):
-    """Makes simulators for the objects of attempts, and keeps a few. Close it, or use it as a context manager."""
+    """Makes simulators for the objects of attempts, and keeps the last few."""
 
     def __init__(self, session: Session) -> None:
         self.session = session
@@ -153,11 +131,7 @@ class Simulators(Closable):
         self._tools = functools.cache(functools.partial(make_arm_solvers, session.config.rig))
 
     def get(self, job: AttemptJob) -> Simulator:
-        """Return the simulator of an attempt; valid until the next call.
-
-        Raises:
-            SimulationError: the scene cannot be compiled.
-        """
+        """Return the simulator of an attempt; valid until the next call."""
         roles = sample_roles_for(self.session, job)
         key = tuple((name, roles.config_names[name], roles.scale_factors.get(name, 1.0)) for name in roles.config_names)
         if key in self._simulators:
@@ -175,11 +149,7 @@ class Simulators(Closable):
 
 
 def open_episode(simulator: Simulator, attempt: Attempt, rules: EpisodeRules, on_step: OnStep | None = None) -> Episode:
-    """Return the episode of an attempt at its start, in the attempt's randomized scene.
-
-    Args:
-        on_step: is called with MuJoCo's state after every physics step.
-    """
+    """Return the episode of an attempt at its start."""
     assert attempt.start is not None, "an attempt without a layout has no episode"
     task = simulator.config.task
     goal = EpisodeGoal(task.goal, simulator.roles, task.hold_ticks)

@@ -34,7 +34,7 @@ from .simulator import Simulator, Simulators
 
 R = TypeVar("R")
 
-_MOTIONLESS_CAUSES = (FailureCause.NO_LAYOUT, FailureCause.UNREACHABLE)  # causes of trials that end before any motion
+_MOTIONLESS_CAUSES = (FailureCause.NO_LAYOUT, FailureCause.UNREACHABLE)  # failures before any motion
 _JPEG_QUALITY = 95  # 0..100, of frames that workers send; the loss is small against that of the video
 
 
@@ -46,9 +46,6 @@ def run_batch(session: Session, thresholds: Sequence[float], progress: Progress)
 
     Returns:
         JSON-ready: the figures of `count_outcomes`, margins, rig, task, grasp, acting arms, seconds, trials.
-
-    Raises:
-        InterruptedJobError: the user stopped the trials.
     """
     began = time.monotonic()
     config = session.config
@@ -101,11 +98,7 @@ def run_trials(
 ) -> list[R]:
     """Return the results of the first `n` trials of a seed, in no particular order.
 
-    Args:
-        lost: returns the result of a trial whose workers died or hung; None raises the `LostJobError`.
-
-    Raises:
-        InterruptedJobError: the user stopped the trials.
+    `lost` returns the result of a trial whose workers died or hung; None raises the `LostJobError`.
     """
     results: list[R] = []
     try:
@@ -120,7 +113,7 @@ def run_trials(
 
 
 def describe_run(config: RecordConfig) -> dict[str, Any]:
-    """Return the settings of trials, JSON-ready: rig, task, grasp, acting arms, seed."""
+    """Return the settings of trials, JSON-ready."""
     return {
         "rig": config.rig.name,
         "task": config.task.name,
@@ -136,7 +129,6 @@ def count_outcomes(
     """Return counts and rates of outcomes, JSON-ready.
 
     Args:
-        task: the task of the outcomes; its goal gives the task's own threshold.
         thresholds: distances from the target (m) that are scored as successes, if the goal measures one.
         valid: whether each outcome may count as a success at any threshold.
 
@@ -165,11 +157,7 @@ def count_outcomes(
 
 
 def require_success(counts: Mapping[str, Any], minimum: float | None) -> None:
-    """Raise SimulationError if less than the share `minimum` of trials succeeded; None accepts any share.
-
-    Args:
-        counts: result of `count_outcomes`.
-    """
+    """Raise SimulationError if the `counts` of `count_outcomes` have a success rate below `minimum`."""
     if minimum is not None and counts["success_rate"] < minimum:
         raise SimulationError(
             f"{counts['n_success']} of {counts['n']} trials succeeded, a share of {counts['success_rate']:.3g}: "
@@ -186,7 +174,7 @@ class FilmedTrial:
 
 
 class TrialFilmer(Closable):
-    """Renders simulated trials; a context manager that closes the renderer."""
+    """Base of filmers, which render simulated trials."""
 
     def __init__(self, session: Session) -> None:
         self._simulators = Simulators(session)
@@ -201,24 +189,17 @@ class TrialFilmer(Closable):
 
 
 class _ExpertFilmer(TrialFilmer):
-    """Simulates the expert's trials again, and renders them for any outcome."""
-
     def run(self, job: AttemptJob) -> list[bytes]:
-        """Return the trial's frames as JPEGs."""
+        """Return the trial's frames as JPEGs, for any outcome."""
         simulator = self._simulators.get(job)
         return self._film(simulator, demonstrate(simulator, sample_attempt(simulator, job)))
 
 
 class TrialFilms:
-    """Writes videos of trials: one file with all trials if `path` ends in `.mp4`, else a folder with a file per trial.
+    """Writes videos of trials: one file if `path` ends in `.mp4`, else a folder with a file per trial.
 
-    Args:
-        frame_period: time from one frame to the next, s.
-        overwrite: whether to make a backup of an existing `path` first.
-
-    Raises:
-        UsageError: `path` is not empty.
-        ResourceError: videos cannot be written here.
+    `frame_period` is in s. With `overwrite`, an existing `path` becomes a backup; else it raises UsageError unless
+    empty.
     """
 
     def __init__(self, path: Path, frame_period: float, *, overwrite: bool) -> None:
@@ -274,15 +255,7 @@ def _write_frames(video: VideoWriter, trial: Mapping[str, Any], frames: Sequence
 def film_trials(
     trials: Sequence[dict[str, Any]], limit: int, films: TrialFilms, session: Session, progress: Progress
 ) -> list[FilmedTrial]:
-    """Film at most `limit` trials of a batch, failures first; trials in which nothing moved are left out.
-
-    Args:
-        trials: the `trials` of the result of `run_batch`.
-
-    Raises:
-        InterruptedJobError: the user stopped; finished films stay.
-        ResourceError: nothing can render here, or the films cannot be written.
-    """
+    """Film at most `limit` of the trials of `run_batch`, failures first, without trials in which nothing moved."""
     moving = [trial for trial in trials if trial["outcome"]["cause"] not in _MOTIONLESS_CAUSES]
     chosen = sorted(moving, key=lambda trial: trial["outcome"]["success"])[:limit]
     if not chosen:
@@ -300,7 +273,7 @@ def film_jobs(
     workers: int,
     progress: Progress,
 ) -> list[FilmedTrial]:
-    """Write trials to videos; each trial's job renders its frames in a worker. Raises the errors of `film_trials`."""
+    """Write trials to videos; each trial's job renders its frames in a worker. Raises as `film_trials`."""
     try:
         with ProcessPool[J, list[bytes]](factory, min(workers, len(jobs))) as pool:
             return films.write(_with_frames(trials, jobs, pool, progress))
@@ -311,7 +284,6 @@ def film_jobs(
 def _with_frames(
     trials: Sequence[dict[str, Any]], jobs: Sequence[J], pool: Executor[J, list[bytes]], progress: Progress
 ) -> Iterator[tuple[dict[str, Any], list[bytes]]]:
-    """Yield trials with the frames from their jobs, in the order of `trials`."""
     numbers = {id(job): number for number, job in enumerate(jobs)}
     results = run_all(pool, jobs)
     finished: dict[int, list[bytes]] = {}

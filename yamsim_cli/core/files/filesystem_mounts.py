@@ -1,6 +1,6 @@
 """Finds the filesystem of a path in the kernel's mount table.
 
-The module opens no file of a network mount: a process that waits for a dead server cannot even be killed.
+No file of a network mount is opened: a process that waits for a dead server cannot even be killed.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ _NETWORK = re.compile(
     "pvfs2|smb3|smbfs|vboxsf|wekafs"
 )
 _LOCAL_FUSE = re.compile(r"fuse\.(fuse-overlayfs|lxcfs|portal|snapfuse|squashfuse)")
-# Network filesystems with locks (flock) between machines. Source: flock(2) for NFS and CIFS; the others' manuals.
+# Filesystems whose locks (flock) reach other machines. Source: flock(2) for NFS and CIFS; the others' manuals.
 _SHARED_LOCKS = re.compile(r"ceph|cifs|gfs2|glusterfs|fuse\.glusterfs|gpfs|nfs|nfs4|ocfs2|smb3")
 _UNSHARED_OPTIONS = frozenset(["nolock", "local_lock=all", "local_lock=flock", "nobrl", "localflock"])
 
@@ -31,11 +31,9 @@ class Mount:
     """One line of the mount table.
 
     Attributes:
-        number, parent: number of the mount, and of its parent mount.
-        point: mount point.
-        kind: type of filesystem, such as `ext4` or `fuse.sshfs`.
+        kind: such as `ext4` or `fuse.sshfs`.
         source: the mounted device or export, such as `server:/export`.
-        options: options of the mount and of the filesystem.
+        options: of the mount and of the filesystem.
     """
 
     number: int
@@ -82,7 +80,7 @@ def parse_mounts(text: str) -> list[Mount]:
 
 
 def mount_at(path: PurePosixPath, mounts: Sequence[Mount]) -> Mount | None:
-    """Return the mount that contains an absolute path without symbolic links; None if no mount does.
+    """Return the mount that contains an absolute path without symbolic links.
 
     The search goes down from the root, which excludes mounts that later mounts cover.
     """
@@ -101,13 +99,9 @@ def mount_at(path: PurePosixPath, mounts: Sequence[Mount]) -> Mount | None:
 
 
 def network_mount(path: Path, mounts: Sequence[Mount], readlink: Callable[[str], str] = os.readlink) -> Mount | None:
-    """Return the network mount that contains a path; None if the path is on a local filesystem.
+    """Return the network mount that contains a path, which need not exist; None for a local filesystem.
 
-    Links on local filesystems are followed until the path reaches a network mount.
-
-    Args:
-        path: relative to the current directory, or absolute; need not exist.
-        readlink: reads a link; raises OSError for other paths.
+    `readlink` raises OSError for paths that are no links.
     """
     rest = list(Path.cwd().joinpath(path).parts[1:])
     here = PurePosixPath("/")
@@ -138,5 +132,5 @@ def network_mount(path: Path, mounts: Sequence[Mount], readlink: Callable[[str],
 
 
 def _unescaped(text: str) -> str:
-    """Return a field as plain text: the table escapes blanks, tabs, newlines and backslashes as three octal digits."""
+    """The table escapes blanks, tabs, newlines and backslashes as three octal digits."""
     return re.sub(r"\\([0-7]{3})", lambda match: chr(int(match.group(1), 8)), text)

@@ -1,5 +1,3 @@
-"""Locations of configs, robot models and assets: a checkout, an installed wheel, or the user's folder."""
-
 from __future__ import annotations
 
 import re
@@ -11,8 +9,8 @@ from ..errors import ConfigError, ResourceError, suggest
 
 AUTO = ("quality", "auto")  # kind and name of a config for which `Locations.auto_quality` is loaded instead
 IMPORTED = "imported"  # folder of the asset cache with meshes that the user imported; no lock file lists them
-_CONFIG_SUFFIXES = (".yaml", ".yml")  # suffixes of config files
-_CAMERA_SUFFIXES = (*_CONFIG_SUFFIXES, ".json", ".xml")  # suffixes of camera files, also of other programs
+_CONFIG_SUFFIXES = (".yaml", ".yml")
+_CAMERA_SUFFIXES = (*_CONFIG_SUFFIXES, ".json", ".xml")  # also of other programs
 _KITCHEN = "kitchen_"  # prefix of the names of kitchen objects
 
 # Asset set -> folder of its mesh files; None if scenes show primitives instead.
@@ -25,13 +23,12 @@ _PACKAGE = Path(__file__).resolve().parents[2]
 
 
 def _built_in() -> Path:
-    """Return the built-in data root: `_data` in an installed wheel, else the checkout's top level."""
     packaged = _PACKAGE / "_data"
     return packaged if packaged.is_dir() else _PACKAGE.parent
 
 
 def config_path_pattern(kind: str) -> str:
-    """Return the path pattern of configs of a kind below a data root, with `*` for the name of a config."""
+    """Return the path pattern of configs of a kind below a data root, with `*` for the name."""
     return _PLACES.get(kind, f"configs/{kind}/*.yaml")
 
 
@@ -45,13 +42,12 @@ def camera_file(name: str) -> tuple[Path, str] | None:
 
 @dataclass(frozen=True)
 class Locations:
-    """The directories that a job may read, as a value that can be pickled for worker processes on any machine.
+    """The directories that a job may read; picklable for worker processes on any machine.
 
     Attributes:
         data: data roots: folders with `configs/`, `robot_models/` and `assets/`; earlier ones have priority.
         assets: the cache of fetched meshes.
-        auto_quality: name of the rendering quality that the name `auto` stands for.
-        meshes: asset set -> folder of the meshes that scenes show; without an entry, scenes show primitives.
+        auto_quality: name of the rendering quality that `auto` stands for.
     """
 
     data: tuple[Path, ...]
@@ -81,7 +77,7 @@ class Locations:
         )
 
     def config_names(self, kind: str) -> list[str]:
-        """Return the names of the configs of one kind (`rigs`, `tasks`, `robots`, ...), sorted."""
+        """Return the sorted names of the configs of one kind (`rigs`, `tasks`, `robots`, ...)."""
         place = config_path_pattern(kind)
         depth = place.split("/").index("*") if kind in _PLACES else -1
         found = {path.relative_to(root).parts[depth] for root in self.data for path in root.glob(place)}
@@ -89,14 +85,12 @@ class Locations:
         return sorted(names | {AUTO[1]} if kind == AUTO[0] else names)
 
     def config_file(self, kind: str, name: str) -> Path:
-        """Return the file of a named config, or of a path that ends in `.yaml` or `.yml`.
+        """Return the file of a named config, or of a path that ends in `.yaml` or `.yml`; raise ConfigError if there is
+        none.
 
         Names may leave out a prefix, such as `013_` of `013_apple` and `kitchen_` of `kitchen_spoon`. A camera's path
-        may also end in `.json` or `.xml`, and have the name of a camera after a colon: `calibration.json:left`. The
-        returned path keeps the camera's name.
-
-        Raises:
-            ConfigError: the config does not exist; the message lists valid names.
+        may also end in `.json` or `.xml`, with the name of a camera after a colon: `calibration.json:left`. The
+        returned path keeps it.
         """
         path = Path(name)
         # Recordings contain only the names of robots and grippers, so these are not found by paths.
@@ -119,7 +113,7 @@ class Locations:
         return self.file(config_path_pattern(kind).replace("*", chosen))
 
     def _prefixed(self, kind: str, name: str) -> str | None:
-        """Return the only config `<number>_<name>` (`013_apple`), or else `kitchen_<name>`; None if none or several."""
+        """Return the only config `<number>_<name>` (`013_apple`), or else `kitchen_<name>`."""
         names = self.config_names(kind)
         found = [other for other in names if re.fullmatch(rf"\d[^_]*_{re.escape(name)}", other)]
         if not found and (ours := f"{_KITCHEN}{name}") in names:

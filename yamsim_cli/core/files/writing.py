@@ -1,7 +1,7 @@
 """Writes files and directories atomically.
 
 Content is written beside its destination, flushed to the disk, and then renamed. A crash at any time leaves either the
-complete old state or the complete new state under the final name.
+complete old or the complete new state under the final name.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ from ..errors import ResourceError, UsageError
 
 # Errors of a path, for which `why_not_directory` gives a clearer reason than the system's text.
 _PATH_ERRORS = (errno.EEXIST, errno.ENOTDIR, errno.ENOENT, errno.ELOOP, errno.ENAMETOOLONG)
-_FLUSH_THREADS = 16  # threads that flush files; each waits for the disk and releases the GIL
+_FLUSH_THREADS = 16  # each waits for the disk and releases the GIL
 
 
 def sha256_bytes(data: bytes) -> str:
-    """Return the SHA-256 of `data` in hex."""
+    """Return the SHA-256 in hex."""
     return hashlib.sha256(data).hexdigest()
 
 
@@ -39,7 +39,7 @@ def sha256_file(path: Path) -> str:
 
 
 def fsync_directory(path: Path) -> None:
-    """Flush a directory's entries, so that a rename in the directory survives a power cut."""
+    """Flush a directory's entries, so that a rename in it survives a power cut."""
     with _opened(path, os.O_RDONLY | os.O_DIRECTORY) as descriptor:
         os.fsync(descriptor)
 
@@ -58,7 +58,6 @@ def _opened(path: Path, flags: int) -> Iterator[int]:
 
 
 def _write_and_fsync(path: Path, data: bytes) -> None:
-    """Create a file; raise FileExistsError if it exists."""
     with _opened(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL) as descriptor:
         rest = memoryview(data)
         while rest:
@@ -69,9 +68,7 @@ def _write_and_fsync(path: Path, data: bytes) -> None:
 def write_file(path: Path, data: bytes) -> None:
     """Replace or create one file atomically; its directory must exist.
 
-    Raises:
-        OSError: the file could not be written, and keeps its old content. If only the last flush (of the directory)
-            fails, the file has the new content.
+    After an OSError, the file keeps its old content, unless only the last flush (of the directory) failed.
     """
     write_files({path: data})
 
@@ -79,8 +76,7 @@ def write_file(path: Path, data: bytes) -> None:
 def write_files(files: Mapping[Path, bytes]) -> None:
     """Replace or create several files; the first rename follows after all content is on the disk.
 
-    Raises:
-        OSError: a file could not be written. No file has changed, unless a rename failed.
+    After an OSError, no file has changed, unless a rename failed.
     """
     parts = {path: path.with_name(f".{path.name}.{uuid.uuid4().hex}.part") for path in files}
     try:
@@ -96,20 +92,18 @@ def write_files(files: Mapping[Path, bytes]) -> None:
 
 
 def write_output(path: Path, data: bytes, flag: str = "--out") -> None:
-    """Write the only output file of a command, with the arguments and errors of `write_outputs`."""
+    """Write the only output file of a command, as `write_outputs`."""
     write_outputs({path: data}, flag)
 
 
 def write_outputs(files: Mapping[Path, bytes], flag: str = "--out", *, make_folder: bool = False) -> None:
     """Write all output files of a command or none; on failure, save the result in a temporary folder.
 
+    The message of the ResourceError contains the temporary folder.
+
     Args:
         files: path -> content, all in one directory; existing files are replaced.
         flag: the option for the output path, for the message.
-        make_folder: whether to create a missing directory.
-
-    Raises:
-        ResourceError: a file cannot be written; the message contains the temporary folder.
     """
     folder = next(iter(files)).parent
     try:
@@ -125,7 +119,6 @@ def write_outputs(files: Mapping[Path, bytes], flag: str = "--out", *, make_fold
 
 
 def _save_to_temporary(files: Mapping[str, bytes]) -> Path | None:
-    """Save a result in a new temporary folder, and return the folder; None on failure."""
     try:
         folder = Path(tempfile.mkdtemp(prefix="yamsim-"))
         write_files({folder / name: data for name, data in files.items()})
@@ -157,15 +150,13 @@ def append_line(path: Path, line: str) -> None:
 
 
 def publish_directory(final: Path, files: Mapping[str, bytes], staging: Path) -> None:
-    """Create directory `final` with all `files` in one step.
+    """Create directory `final`, which must not exist, with all `files` in one step.
+
+    After an OSError, `final` does not exist, and the staged tree is removed.
 
     Args:
-        final: the new directory, which must not exist; its parent must exist.
         files: relative POSIX path -> content.
         staging: a directory on the same filesystem, where the tree is built first; created if missing.
-
-    Raises:
-        OSError: the tree could not be written; `final` does not exist, and the staged tree is removed.
     """
     stage = staging / f"{final.name}.{uuid.uuid4().hex}"
     try:
@@ -199,7 +190,7 @@ class StagedDirectory:
 
     Attributes:
         path: the hidden temporary directory to write to, which is renamed after the block.
-        moved_aside: after the block, the backup of an earlier directory; None without an earlier directory.
+        moved_aside: after the block, the backup of an earlier directory.
     """
 
     path: Path
@@ -210,11 +201,9 @@ class StagedDirectory:
 def staged_directory(final: Path, *, overwrite: bool = False) -> Iterator[StagedDirectory]:
     """Yield a hidden directory beside `final`; after the block, flush it to the disk and rename it to `final`.
 
-    The function serves trees that are too large for `publish_directory`. An exception in the block removes the
-    directory. The next call for the same `final` removes directories of killed processes.
-
-    Args:
-        overwrite: move an existing `final` to a backup, after the block.
+    It serves trees that are too large for `publish_directory`. An exception in the block removes the directory. The
+    next call for the same `final` removes directories of killed processes. With `overwrite`, an existing `final`
+    becomes a backup.
 
     Raises:
         UsageError: the process's current directory is `final` or lies in `final`.
@@ -265,10 +254,10 @@ def scratch_directory(prefix: str) -> Iterator[Path]:
 
 @contextlib.contextmanager
 def _locked_folder(make: Callable[[], Path]) -> Iterator[Path]:
-    """Yield a new folder, with a lock for the block that marks the folder as in use by a living process."""
+    """Yield a new folder, whose lock marks it as in use."""
     while True:
         folder = make()
-        # Another process may remove the folder as stale before this process locks it. In that case, create another.
+        # Another process may remove the folder as stale before this process locks it. Then create another.
         try:
             descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
         except FileNotFoundError:
@@ -301,7 +290,6 @@ def _remove_stale(parent: Path, names: re.Pattern[str]) -> None:
 
 
 def _fsync_tree(root: Path) -> None:
-    """Flush all files and directories below `root` in parallel."""
     paths = [root, *root.rglob("*")]
     with ThreadPoolExecutor(_FLUSH_THREADS) as flushers:
         list(flushers.map(_fsync, paths))
@@ -314,12 +302,12 @@ def _fsync(path: Path) -> None:
 
 def nearest_directory(path: Path) -> Path:
     """Return the directory at `path`, or its nearest existing ancestor."""
-    # Path.is_dir is not used: it raises for too long names and for unreadable directories.
+    # Path.is_dir raises for too long names and for unreadable directories.
     return next(folder for folder in (path, *path.absolute().parents) if os.path.isdir(folder))
 
 
 def why_not_directory(path: Path) -> str | None:
-    """Return the reason why no directory can be created at `path`, such as `it is a file`; None if unknown."""
+    """Return why no directory can be created at `path`, such as `it is a file`; None if unknown."""
     try:
         path.lstat()
     except OSError as error:
@@ -337,18 +325,16 @@ def why_not_directory(path: Path) -> str | None:
 
 
 def describe_refusal(error: OSError, path: Path) -> str:
-    """Return, as a clause, the reason why a directory cannot be created or filled at `path`."""
+    """Return, as a clause, why a directory cannot be created or filled at `path`."""
     found = why_not_directory(path) if error.errno in _PATH_ERRORS else None
     return found or error.strerror or str(error)
 
 
 def _named(path: Path) -> Path:
-    """Return the path, resolved if it does not end in a name."""
     return path.resolve() if path.name in ("", "..") else path
 
 
 def _refuse_own_directory(path: Path) -> None:
-    """Raise UsageError if `path` is or contains this process's current directory."""
     if not path.is_symlink() and Path.cwd().is_relative_to(path.resolve()):
         raise UsageError(
             f"{path} cannot be moved aside, because you are in it: run from another directory, or write elsewhere"
@@ -358,9 +344,7 @@ def _refuse_own_directory(path: Path) -> None:
 def move_to_backup(path: Path) -> Path:
     """Rename `path` to the first free `<name>.old-<n>` beside it, and return the new path.
 
-    Raises:
-        UsageError: `path` is or contains this process's current directory, and so that of the user's shell.
-        OSError: `path` cannot be renamed.
+    UsageError is raised if `path` is or contains this process's current directory, and so that of the user's shell.
     """
     path = _named(path)
     _refuse_own_directory(path)
@@ -373,7 +357,7 @@ def move_to_backup(path: Path) -> Path:
 
 @contextlib.contextmanager
 def exclusive_lock(path: Path) -> Iterator[None]:
-    """Hold an advisory lock on `path` for the block; wait for other holders, and create the file if missing."""
+    """Hold an advisory lock on `path`, created if missing, for the block; wait for other holders."""
     descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX)

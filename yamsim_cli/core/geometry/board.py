@@ -1,7 +1,7 @@
-"""A flat board of ArUco markers: its dimensions and its two frames.
+"""A flat board of ArUco markers.
 
-The frame `board` has its origin at the centre, x right, y up, z out of the paper. All poses use this frame.
-The frame `board_cv` is that of OpenCV's `GridBoard`: origin at the top-left corner, x right, y down, z into the paper.
+The frame `board` has its origin at the centre, x right, y up, z out of the paper. The frame `board_cv` is that of
+OpenCV's `GridBoard`: origin at the top-left corner, x right, y down, z into the paper.
 """
 
 from __future__ import annotations
@@ -18,12 +18,10 @@ class Board:
     """A grid of square markers, numbered row by row from the top left.
 
     Attributes:
-        name: name in messages and on prints.
-        first_id: id of the top-left marker; the ids of the other markers follow.
-        columns, rows: number of markers along x and along y.
-        dictionary: name of OpenCV's predefined dictionary, such as "DICT_6X6_250".
+        first_id: id of the top-left marker; the ids of the others follow.
+        dictionary: OpenCV's predefined dictionary, such as "DICT_6X6_250".
         marker_length: edge of a marker, m.
-        gap: distance between the edges of neighbouring markers, m.
+        gap: between the edges of neighbouring markers, m.
     """
 
     name: str
@@ -41,17 +39,17 @@ class Board:
 
     @property
     def width(self) -> float:
-        """Width over all markers, without a border, m."""
+        """Width over all markers, m."""
         return self.columns * self.marker_length + (self.columns - 1) * self.gap
 
     @property
     def height(self) -> float:
-        """Height over all markers, without a border, m."""
+        """Height over all markers, m."""
         return self.rows * self.marker_length + (self.rows - 1) * self.gap
 
     @property
     def T_board_in_board_cv(self) -> Array:
-        """Pose (4, 4) of `board` in `board_cv`: `T_board_in_cam = T_board_cv_in_cam @ T_board_in_board_cv`."""
+        """`T_board_in_cam = T_board_cv_in_cam @ T_board_in_board_cv`."""
         return pose((self.width / 2, self.height / 2, 0.0), np.diag([1.0, -1.0, -1.0]))
 
     def corners(self) -> Array:
@@ -67,6 +65,6 @@ class Board:
         return corners
 
     def outer_corners(self) -> Array:
-        """Return the corners (4, 3) of the whole board in `board`, m, clockwise from the top left."""
+        """Return the board's corners (4, 3) in `board`, m, clockwise from the top left."""
         x, y = self.width / 2, self.height / 2
         return np.array([[-x, y, 0.0], [x, y, 0.0], [x, -y, 0.0], [-x, -y, 0.0]])

@@ -1,7 +1,7 @@
 """A simplified mesh of the printed mount that carries a board beside an arm's base.
 
-The mount is a plate with the board in its middle, and a tongue. The tongue is a low bridge to the base's foot, a step
-up, and a strip over the foot. No part beyond the step is higher than the board, so the mount hides no marker.
+The mount is a plate with the board in its middle, and a tongue: a low bridge to the base's foot, a step up, and a strip
+over the foot. No part beyond the step is higher than the board, so the mount hides no marker.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from .stl import Faces
 
 # mm, x of the end and z of the top of the arm base's foot in its mesh. Source: MuJoCo Menagerie i2rt_yam, model2.stl.
 _FOOT_END, _FOOT_TOP = 100.0, 0.6
-_STEP = 5.0  # mm, thickness of the step in front of the foot
+_STEP = 5.0  # mm, of the step in front of the foot
 _PAPER = 0.1  # mm, thickness of the board
 
 
@@ -29,19 +29,12 @@ def mount_mesh(
     board_size_mm: tuple[float, float],
     mirror_x: bool = False,
 ) -> tuple[Array, Faces]:
-    """Return a closed surface of a mount in the frame of the mesh of the arm's base.
+    """Return a mount's vertices (n, 3), m, and triangles (m, 3), in the frame of the mesh of the arm's base.
 
     Args:
-        x_mm, y_mm, z_mm: lower and upper end of the mount along each axis, before mirroring, mm.
-        board_centre_mm: centre (x, y, z) of the board, after mirroring, mm.
-        board_size_mm: width and height of the board, mm.
+        x_mm, y_mm, z_mm: lower and upper end of the mount, before mirroring.
+        board_centre_mm: after mirroring.
         mirror_x: whether the mount is mirrored at x = 0.
-
-    Returns:
-        Vertices (n, 3), m, and triangles (m, 3), anticlockwise seen from outside.
-
-    Raises:
-        ConfigError: the board does not lie on the mount.
     """
     (x0, x1), (y0, y1), (z0, z1) = x_mm, y_mm, z_mm
     board_x = -board_centre_mm[0] if mirror_x else board_centre_mm[0]
@@ -79,15 +72,9 @@ def mount_mesh(
 
 
 def union_of_boxes(boxes: ArrayLike) -> tuple[Array, Faces]:
-    """Return the closed surface of the union of axis-aligned boxes; boxes without volume are ignored.
+    """Return the closed surface of the union of axis-aligned boxes (k, 2, 3), each a low and a high corner.
 
     The faces of all boxes divide space into cells. The surface has a quad between each full cell and empty neighbour.
-
-    Args:
-        boxes: low and high corner of each box (k, 2, 3).
-
-    Returns:
-        Vertices (n, 3) and triangles (m, 3), anticlockwise seen from outside.
     """
     corners = np.asarray(boxes, dtype=np.float64)
     corners = corners[(corners[:, 0] < corners[:, 1]).all(axis=1)]

@@ -10,12 +10,12 @@ from numpy.typing import ArrayLike
 
 from .se3 import Array
 
-_FLIP_YZ = np.diag([1.0, -1.0, -1.0])  # rotation to MuJoCo's camera frame, which looks along -z with +y up
+_FLIP_YZ = np.diag([1.0, -1.0, -1.0])  # to MuJoCo's camera frame, which looks along -z with +y up
 
 
 @dataclass(frozen=True)
 class Intrinsics:
-    """A pinhole camera without distortion: image size, focal lengths and principal point, px."""
+    """A pinhole camera without distortion, px."""
 
     width: int
     height: int
@@ -26,10 +26,7 @@ class Intrinsics:
 
     @classmethod
     def from_fovy(cls, width: int, height: int, fovy: float) -> Intrinsics:
-        """Return the camera of MuJoCo renderings with a vertical field of view of `fovy` rad and square pixels.
-
-        Pixel centres have integer coordinates, so the principal point is at `(width - 1) / 2`.
-        """
+        """Return the camera of MuJoCo renderings with a vertical field of view `fovy`, rad."""
         focal = height / 2 / math.tan(fovy / 2)
         return cls(width, height, focal, focal, (width - 1) / 2, (height - 1) / 2)
 
@@ -44,9 +41,9 @@ class CameraModel:
     """A calibrated real camera: OpenCV's pinhole model with lens distortion.
 
     Attributes:
-        width, height: image size, px.
+        width, height: px.
         K: camera matrix, row by row, px.
-        distortion: coefficients in OpenCV's order `k1 k2 p1 p2 [k3 [k4 k5 k6 [s1 s2 s3 s4 [tx ty]]]]`; empty for none.
+        distortion: in OpenCV's order `k1 k2 p1 p2 [k3 [k4 k5 k6 [s1 s2 s3 s4 [tx ty]]]]`; empty for none.
         focal_sigma: relative standard deviation of the focal length; a careful calibration gives 0.003.
         intrinsics_covariance: covariance (4, 4), row by row, of estimated intrinsics; empty if only `focal_sigma` is
             given. Order: logarithm of the focal length, principal point (in focal lengths, right and down), `k1`.

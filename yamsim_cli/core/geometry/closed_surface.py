@@ -1,7 +1,4 @@
-"""Closed triangle surfaces: merged vertices, mass properties, open edges, and the convex hull.
-
-A surface consists of vertices (n, 3), m, and triangles (m, 3), anticlockwise seen from outside.
-"""
+"""Closed surfaces of vertices (n, 3), m, and triangles (m, 3), anticlockwise seen from outside."""
 
 from __future__ import annotations
 
@@ -13,8 +10,8 @@ import numpy as np
 from .se3 import Array
 from .stl import Faces
 
-_MERGE_DISTANCE = 1e-6  # distance within which vertices are merged, as a fraction of the surface's longest side
-_PLANES = 800  # number of tangent planes that approximate a convex hull
+_MERGE_DISTANCE = 1e-6  # of the surface's longest side, within which vertices are merged
+_PLANES = 800  # tangent planes that approximate a convex hull
 
 
 @dataclass(frozen=True)
@@ -22,9 +19,9 @@ class UniformMassProperties:
     """Mass properties of a body of density 1 kg/m3.
 
     Attributes:
-        volume: volume, m3; negative if the surface is inside out.
+        volume: m3; negative if the surface is inside out.
         centre: centre of mass (3,), m.
-        inertia: inertia matrix (3, 3) about the centre of mass, kg m2.
+        inertia: matrix (3, 3) about the centre of mass, kg m2.
     """
 
     volume: float
@@ -35,7 +32,7 @@ class UniformMassProperties:
 def uniform_mass_properties(vertices: Array, faces: Faces) -> UniformMassProperties:
     """Return the mass properties of a closed surface filled with 1 kg/m3; overlapping volumes count twice.
 
-    Method: sum over tetrahedra from the mean vertex. Source of their second moments: A. Mirtich, "Fast and Accurate
+    The method sums over tetrahedra from the mean vertex. Source of their second moments: A. Mirtich, "Fast and Accurate
     Computation of Polyhedral Mass Properties", 1996.
     """
     middle = vertices.mean(axis=0)
@@ -73,7 +70,7 @@ def open_edges(faces: Faces) -> int:
 
 
 def is_closed(faces: Faces) -> bool:
-    """Return whether a surface has triangles and no edge that `open_edges` counts."""
+    """Return whether a surface has triangles and no open edge."""
     return bool(len(faces)) and open_edges(faces) == 0
 
 
@@ -85,10 +82,7 @@ def sphere_directions(count: int = _PLANES) -> Array:
 
 
 def depth_in_hull(points: Array, of: Array) -> Array:
-    """Return the depth (n,) of points (n, 3) in the convex hull of the points `of`, m; negative outside.
-
-    Tangent planes in evenly spread directions approximate the hull.
-    """
+    """Return the depth (n,) of points (n, 3) in the convex hull of the points `of`, m; negative outside."""
     normals = np.concatenate([sphere_directions(), np.eye(3), -np.eye(3)])
     depth = np.full(len(points), np.inf)
     for some in np.array_split(normals, 20):

@@ -1,6 +1,6 @@
-"""Contacts of cloth: points of a sheet between closed finger pads, and self-intersections.
+"""Contacts of cloth.
 
-The pinch frame of a hand has its origin between the pads, y along the closing axis, and z along the fingers.
+The pinch frame has its origin between the pads, y along the closing axis, and z along the fingers.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ def nearest_per_layer(
 ) -> NDArray[np.int_]:
     """Return the sorted indices of the points that pads grasp: the nearest point of each layer between the pads.
 
-    Only one point per layer is grasped. Two points would keep the layer from turning about the pads, as fabric does.
+    Two grasped points per layer would keep it from turning about the pads, as fabric does.
 
     Args:
-        points: points (n, 3) of the sheet in the pinch frame, m.
-        corners: point indices (k, 3) at the corners of each triangle of the sheet.
+        points: (n, 3) of the sheet in the pinch frame, m.
+        corners: point indices (k, 3) of the sheet's triangles.
         lines: x and y (m, 2) of lines along z through the pads, m. Each layer that a line crosses is grasped.
         deep: lower and upper end of the pads along z, m.
     """
@@ -57,13 +57,7 @@ def _cross(one: Array, other: Array) -> Array:
 
 
 def count_self_intersections(points: Array, ends: NDArray[np.int_], corners: NDArray[np.int_]) -> int:
-    """Count the pairs of an edge and a triangle of a sheet that cross and share no point.
-
-    Args:
-        points: points (n, 3) of the sheet, m.
-        ends: point indices (m, 2) at the ends of each edge.
-        corners: point indices (k, 3) at the corners of each triangle.
-    """
+    """Count the pairs of an edge (m, 2) and a triangle (k, 3) of a sheet that cross and share no point."""
     p, q = points[ends[:, 0]], points[ends[:, 1]]
     a, b, c = (points[corners[:, k]] for k in range(3))
     normal = np.cross(b - a, c - a)

@@ -1,5 +1,3 @@
-"""Candidate pulls that flatten a sheet of cloth, and measures of the sheet's unevenness."""
-
 from __future__ import annotations
 
 import itertools
@@ -13,28 +11,28 @@ from .se3 import Array
 
 Point = tuple[int, int]
 
-_ON_TABLE = 0.8  # layer thicknesses over the lowest point, height below which a point lies on the table
-_FIT_SCALE = 0.03  # fraction of the sheet's side, distance from the fit at which the weight of a point is 1/4
-_FIT_ROUNDS = 10  # iterations of the reweighted fit
+_ON_TABLE = 0.8  # layer thicknesses over the lowest point, below which a point lies on the table
+_FIT_SCALE = 0.03  # share of the sheet's side, distance from the fit at which the weight of a point is 1/4
+_FIT_ROUNDS = 10  # of the reweighted fit
 
-# Distances as fractions of the sheet's side.
+# Shares of the sheet's side.
 _MIN_DISPLACEMENT = 0.05  # least displacement of a point that is pulled to its flat position
-_MIN_SPACING = 0.15  # least distance between candidate points
+_MIN_SPACING = 0.15  # between candidate points
 _STRAIGHTENING = 0.13  # length of a straightening pull
 
 _FOOTPRINT = 0.028  # m, radius around a point that a hand with open fingers occupies
-_MAX_SURROUNDINGS = 2.2  # layer thicknesses, largest height of the surroundings over a grasped point
-_MAX_GRASP_HEIGHT = 4.5  # layer thicknesses, largest height of a grasped point over the lowest point
+_MAX_SURROUNDINGS = 2.2  # layer thicknesses, height of the surroundings over a grasped point
+_MAX_GRASP_HEIGHT = 4.5  # layer thicknesses, height of a grasped point over the lowest point
 
 # A point covers another if it is more than this many thicknesses higher and more than this many grid cells away.
 _COVERING, _ADJACENT = 0.3, 2
 
-# A point belongs to a ridge if it is higher than this many thicknesses and this fraction of the sheet's height range.
+# A point belongs to a ridge if it is higher than this many thicknesses and this share of the sheet's height range.
 _RIDGE_LAYERS, _RIDGE_SHARE = 2.0, 0.4
 
-_TAUT = 1.05  # largest distance of two pulled points, as a fraction of their distance in the flat sheet
-_MAX_POINTS = 3  # candidate points for unfolding, and as many beside a ridge for straightening
-_ARCH = 0.25  # height of the path of an unfolding pull, as a fraction of its length
+_TAUT = 1.05  # largest distance of two pulled points, as a share of their distance in the flat sheet
+_MAX_POINTS = 3  # for unfolding, and as many beside a ridge for straightening
+_ARCH = 0.25  # height of the path of an unfolding pull, as a share of its length
 _HEIGHT_SCALE = 0.2  # m, height range that adds as much to the unevenness as a mean displacement of one side length
 
 
@@ -44,8 +42,8 @@ class ClothPull:
 
     Attributes:
         points: row and column of each grasped point.
-        targets: horizontal target position (2,) of each point, m.
-        arch_ratio: height of the path over the table as a fraction of its length; 0 for a straight pull.
+        targets: horizontal target (2,) of each point, m.
+        arch_ratio: height of the path as a share of its length; 0 for a straight pull.
     """
 
     points: tuple[Point, ...]
@@ -57,9 +55,9 @@ def fit_flat_places(points: Array, rest: Array, thickness: float) -> Array:
     """Return the horizontal positions (rows, columns, 2) of a flat sheet, m, fitted to the part on the table.
 
     Args:
-        points: points (rows, columns, 3) of the sheet, m.
+        points: (rows, columns, 3), m.
         rest: points (n, 3) of the flat sheet in the sheet's frame, m.
-        thickness: thickness of the sheet, m.
+        thickness: m.
     """
     # Either side of the sheet may be up.
     fits = [_fit_side(points, rest * [1.0, side, 1.0], thickness) for side in (1.0, -1.0)]
@@ -67,7 +65,7 @@ def fit_flat_places(points: Array, rest: Array, thickness: float) -> Array:
 
 
 def _fit_side(points: Array, rest: Array, thickness: float) -> Array:
-    """Fit the flat sheet `rest` with its upper side up by a planar rigid fit that is reweighted against outliers."""
+    """Fit the flat sheet `rest` with its upper side up, by a planar rigid fit reweighted against outliers."""
     seen, flat = points.reshape(-1, 3)[:, :2], rest[:, :2]
     low = points[..., 2].ravel() - points[..., 2].min()
     weights = (low < _ON_TABLE * thickness).astype(float)
@@ -147,7 +145,7 @@ def square_side(rest: Array) -> float:
 
 
 def _is_graspable_point(points: Array, point: Point, spacing: float, high: float, thickness: float) -> bool:
-    """Return whether no layer covers a point, and neither point nor surroundings are too high in layers of `high` m."""
+    """Return whether no layer covers a point, and it and its surroundings are not too high in layers of `high` m."""
     place, lowest = points[point], float(points[..., 2].min())
     away = np.linalg.norm(points[..., :2] - place[:2], axis=-1)
     over = points[..., 2] - place[2]
@@ -159,7 +157,6 @@ def _is_graspable_point(points: Array, point: Point, spacing: float, high: float
 
 
 def _select_spread(points: Array, ordered: Sequence[Point], side: float) -> list[Point]:
-    """Return the first `_MAX_POINTS` points with at least `_MIN_SPACING` between them."""
     chosen: list[Point] = []
     for point in ordered:
         if all(np.linalg.norm(points[point] - points[other]) > _MIN_SPACING * side for other in chosen):
@@ -175,7 +172,6 @@ def _outward_target(place: Array, other: Array, side: float) -> Array:
 
 
 def _limit_distance(places: tuple[Array, ...], length: float) -> tuple[Array, ...]:
-    """Return two positions (2,), moved towards each other to a distance of at most `length`, m."""
     one, other = places
     share = max(0.0, 1 - length / max(float(np.linalg.norm(other - one)), 1e-9)) / 2
     return one + share * (other - one), other + share * (one - other)

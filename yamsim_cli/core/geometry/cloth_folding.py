@@ -1,5 +1,3 @@
-"""Folds of a sheet: grasped points with their targets, and the resulting layers."""
-
 from __future__ import annotations
 
 import itertools
@@ -26,9 +24,8 @@ class FoldPlan:
     """The moves that fold a sheet, a grid of points, and the resulting layers.
 
     Attributes:
-        moves: moves in the order of execution.
-        layers: pairs of adjacent layers of the folded sheet, the upper layer first, without points on creases.
-        covered: area of the folded sheet as a fraction of the flat sheet's area.
+        layers: pairs of adjacent layers, the upper layer first, without points on creases.
+        covered: area of the folded sheet as a share of the flat sheet's area.
     """
 
     moves: tuple[Move, ...]

@@ -1,5 +1,3 @@
-"""Surfaces seen along z: height maps, water levels on height maps, and crossings of vertical lines."""
-
 from __future__ import annotations
 
 import heapq
@@ -18,7 +16,7 @@ class HeightMap:
 
     Attributes:
         x, y: coordinates of the columns (nx,), (ny,), m.
-        top: highest point of the surface in each column (nx, ny), m; -inf where a column misses the surface.
+        top: highest point in each column (nx, ny), m; -inf where a column misses the surface.
     """
 
     x: Array
@@ -32,7 +30,7 @@ class HeightMap:
 
 
 def compute_height_map(surface: Surface, cells: int) -> HeightMap:
-    """Compute the height map of a surface: `cells` columns along its longer side in x or y, with an empty rim."""
+    """Return the height map of a surface: `cells` columns along its longer side in x or y, with an empty rim."""
     triangles = surface[0][surface[1]]
     low, high = triangles.reshape(-1, 3).min(axis=0), triangles.reshape(-1, 3).max(axis=0)
     cell = float((high - low)[:2].max()) / cells

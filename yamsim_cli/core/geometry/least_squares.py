@@ -1,8 +1,4 @@
-"""Nonlinear least squares by the Levenberg-Marquardt method, for one problem or for a batch of equal shape.
-
-Each step solves the damped, linearized problem. A step that reduces the cost is accepted and the damping shrinks. Any
-other step is rejected and the damping grows.
-"""
+"""Nonlinear least squares by the Levenberg-Marquardt method, for one problem or for a batch of equal shape."""
 
 from __future__ import annotations
 
@@ -14,9 +10,9 @@ from numpy.typing import NDArray
 
 from .se3 import Array
 
-# Damping as a fraction of the normal matrix's diagonal: at the start, the least, and the limit for stopping.
+# Shares of the normal matrix's diagonal: at the start, the least, and the limit for stopping.
 _START_DAMPING, _MIN_DAMPING, _MAX_DAMPING = 1e-3, 1e-6, 1e4
-_SHRINK, _GROW = 1 / 8, 8.0  # factors of the damping after an accepted and after a rejected step
+_SHRINK, _GROW = 1 / 8, 8.0  # of the damping after an accepted and after a rejected step
 _REGULARIZATION = 1e-9  # added to the diagonal; variables without influence then keep their values
 
 
@@ -48,11 +44,7 @@ class LeastSquares(ABC, Generic[S, L]):
 
     @abstractmethod
     def linearize(self, state: S, before: L | None) -> L | None:
-        """Return the linearized problem at a state; None if the problem is undefined there.
-
-        Args:
-            before: the problem at the last accepted state; None at the first state.
-        """
+        """Return the linearized problem; None if undefined there. `before` is that of the last accepted state."""
 
     @abstractmethod
     def apply_step(self, state: S, step: Array) -> S:

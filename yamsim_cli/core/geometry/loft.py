@@ -1,5 +1,3 @@
-"""Closed triangle surfaces through loops of points: lofts, tubes and bodies of revolution."""
-
 from __future__ import annotations
 
 import math
@@ -17,14 +15,10 @@ _RESOLUTION = 1e-9  # m, grid to which vertices are rounded before equal ones ar
 
 
 def loft(loops: Sequence[Array]) -> Surface:
-    """Return a closed surface through loops of points, with a fan of triangles at each end.
+    """Return a closed surface through loops of points (k, 3), m, with a fan of triangles at each end.
 
-    Args:
-        loops: loops (k, 3) of equal length, m, anticlockwise seen from outside the last loop. Equal points of a loop
-            become one vertex. For a hollow body, the loops go up the outside and down the inside.
-
-    Returns:
-        Vertices (n, 3), m, and triangles (m, 3), anticlockwise seen from outside.
+    Loops are anticlockwise seen from outside the last one. Equal points of a loop become one vertex. For a hollow body,
+    the loops go up the outside and down the inside.
     """
     count = len(loops[0])
     first, last = loops[0].mean(axis=0), loops[-1].mean(axis=0)
@@ -47,7 +41,7 @@ def loft_closed(loops: Sequence[Array]) -> Surface:
 
 
 def _strip(low: int, high: int, count: int) -> list[NDArray[np.int_]]:
-    """Return the triangles between two loops of `count` points with the first indices `low` and `high`."""
+    """Return the triangles between two loops of `count` points, from the indices `low` and `high`."""
     around = np.arange(count)
     following = (around + 1) % count
     return [
@@ -85,8 +79,8 @@ def revolve(profile: ArrayLike, segments: int, lobes: int = 0, depth: float = 0.
 
     Args:
         profile: radius and height (n, 2), m, from the axis at the bottom, up the outside, and back to the axis.
-        segments: number of faces around the axis.
-        lobes, depth: number of bulges around the axis, and their height as a fraction of the radius.
+        segments: faces around the axis.
+        lobes, depth: number of bulges around the axis, and their height as a share of the radius.
     """
     angle = 2 * np.pi * np.arange(segments) / segments
     swell = 1.0 + depth * np.cos(lobes * angle)
@@ -112,10 +106,10 @@ def tube(path: ArrayLike, half_width: ArrayLike, half_height: ArrayLike, side: A
 
     Args:
         path: centre line (n, 3), m.
-        half_width: half the width of the section along `side`, (n,) or one number, m.
-        half_height: half the height of the section, normal to the path and `side`, (n,) or one number, m.
-        side: direction (3,) of the section's width; only its component normal to the path is used.
-        points: number of points around a section.
+        half_width: of the section along `side`, (n,) or one number, m.
+        half_height: of the section, normal to the path and `side`, (n,) or one number, m.
+        side: direction (3,); only its component normal to the path is used.
+        points: around a section.
     """
     line = np.asarray(path, float)
     along = np.gradient(line, axis=0)
@@ -136,7 +130,6 @@ def tube(path: ArrayLike, half_width: ArrayLike, half_height: ArrayLike, side: A
 
 
 def _rounded_ends(loops: list[Array], line: Array, along: Array, reach: Array) -> list[Array]:
-    """Return the loops of a tube, extended by those of a rounded cap at each end."""
     first, last = list[Array](), list[Array]()
     for turn in (0.35, 0.7):
         share, step = math.cos(turn * math.pi / 2), math.sin(turn * math.pi / 2)
@@ -154,9 +147,7 @@ def arc(centre: tuple[float, float], radius: float, start_deg: float, end_deg: f
 def shell_profile(inside: ArrayLike, wall: float) -> Array:
     """Return the profile (2 n + k, 2) of a shell with a round rim, m, for `revolve`.
 
-    Args:
-        inside: radius and height (n, 2) of the inner surface, m, from the axis to the rim.
-        wall: thickness of the shell, m.
+    `inside` is the radius and height (n, 2) of the inner surface, m, from the axis to the rim.
     """
     inner = np.asarray(inside, float)
     along = np.gradient(inner, axis=0)

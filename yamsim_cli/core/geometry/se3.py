@@ -1,7 +1,7 @@
 """Rigid transforms as 4 x 4 matrices.
 
 `T_a_in_b` is the pose of frame a in frame b: `p_b = T_a_in_b @ p_a`, so `T_a_in_c = T_b_in_c @ T_a_in_b`. Quaternions
-have the order wxyz. Lengths are in metres, angles in radians.
+have the order wxyz. Units are m and rad.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ _IDENTITY = np.eye(4)
 
 
 def pose(position: ArrayLike = (0.0, 0.0, 0.0), rotation: ArrayLike | None = None) -> Array:
-    """Return a pose (4, 4) from a position (3,) and a rotation matrix (3, 3), which defaults to the identity."""
+    """Return a pose (4, 4) from a position (3,) and a rotation matrix (3, 3)."""
     T = _IDENTITY.copy()
     T[:3, 3] = position
     if rotation is not None:
@@ -36,11 +36,7 @@ def rotation_z(angle: float) -> Array:
 
 
 def pose_from_quat(position: ArrayLike, quat: ArrayLike) -> Array:
-    """Return a pose (4, 4) from a position (3,) and a quaternion (4,), which need not be normalized.
-
-    Raises:
-        ValueError: the quaternion is zero.
-    """
+    """Return a pose (4, 4) from a position (3,) and a quaternion (4,), not zero, which need not be normalized."""
     q = np.asarray(quat, dtype=np.float64)
     norm = float(np.linalg.norm(q))
     if norm == 0.0:
@@ -59,7 +55,7 @@ def pose_from_quat(position: ArrayLike, quat: ArrayLike) -> Array:
 def quat_from_rotation(rotation: ArrayLike) -> Array:
     """Return the unit quaternion (4,) of a rotation (3, 3), with w >= 0.
 
-    Shepperd's method computes the quaternion from its largest component and is accurate near 180 degrees too.
+    Shepperd's method is accurate near 180 degrees too.
     """
     (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = np.asarray(rotation, dtype=np.float64).tolist()
     squares = (1 + xx + yy + zz, 1 + xx - yy - zz, 1 - xx + yy - zz, 1 - xx - yy + zz)
@@ -108,7 +104,7 @@ def interpolate_rotation(start: ArrayLike, end: ArrayLike, fraction: float) -> A
 
 
 def tilt(rotation: ArrayLike) -> float:
-    """Return the angle, rad, between the z axes of a rotated frame (rotation (3, 3)) and of its reference frame."""
+    """Return the angle, rad, between the z axes of a rotated frame and of its reference frame."""
     return math.acos(min(1.0, max(-1.0, float(np.asarray(rotation)[2, 2]))))
 
 

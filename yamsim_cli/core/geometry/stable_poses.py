@@ -10,11 +10,11 @@ from .closed_surface import sphere_directions
 from .se3 import Array, rotation_from_vector
 
 _STARTS, _STEPS = 240, 220  # start orientations from which the body rolls, and steps of each roll
-_SAME_HEIGHT = 4e-4  # m, height difference of the centre of mass below which stable poses count as one
-_MIN_SHARE = 0.04  # least fraction of the start orientations that end in a stable pose
-_MAX_POSES = 6  # stable poses returned
-_SAME_FACE = np.radians(10.0)  # rad, angle between two downward directions below which they belong to one face
-_STEADY = 0.25  # least distance of a face's edge from the centre of mass, over its height: tips at 14 degrees
+_SAME_HEIGHT = 4e-4  # m, of the centre of mass, below which stable poses count as one
+_MIN_SHARE = 0.04  # of the start orientations that end in a stable pose
+_MAX_POSES = 6
+_SAME_FACE = np.radians(10.0)  # rad, between two downward directions of one face
+_STEADY = 0.25  # distance of a face's edge from the centre of mass, over its height: tips at 14 degrees
 _MIN_REACH, _TILT = 1e-3, np.radians(3.0)  # m, least such distance for all faces; rad, tilt that tests it
 
 
@@ -24,8 +24,8 @@ class StablePose:
 
     Attributes:
         down: unit vector (3,) in the body's frame that points to the ground.
-        height: height of the centre of mass over the ground, m.
-        probability: fraction of evenly spread start orientations from which the body rolls to this pose.
+        height: of the centre of mass over the ground, m.
+        probability: share of evenly spread start orientations from which the body rolls to this pose.
     """
 
     down: Array
@@ -43,14 +43,10 @@ class StablePose:
 
 
 def stable_poses(points: Array, centre: Array) -> list[StablePose]:
-    """Return the stable poses of a body, the most probable first.
+    """Return the stable poses of a body with collision points (n, 3), m, the most probable first.
 
-    Faces with equal heights of the centre of mass count as one stable pose, so a cube has one. A side on which the
-    body rolls is not stable.
-
-    Args:
-        points: collision points (n, 3) of the body, m.
-        centre: centre of mass (3,), m.
+    Faces with equal heights of the centre of mass count as one stable pose, so a cube has one. A side on which the body
+    rolls is not stable.
     """
     offsets = _extreme_points(points - centre)
     down, height = _resting_directions(offsets)
@@ -101,7 +97,7 @@ def _is_face(offsets: Array, pose: StablePose, reach: float = _MIN_REACH) -> boo
 
 
 def _extreme_points(points: Array) -> Array:
-    """Return the points that are extreme in some direction. No other point can touch a plane."""
+    """Return the points that are extreme in some direction: no other point can touch a plane."""
     far = np.unique((sphere_directions(4000) @ points.T).argmax(axis=1))
     found: Array = points[far]
     return found

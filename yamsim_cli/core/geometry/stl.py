@@ -1,5 +1,3 @@
-"""Reading and writing of binary STL. STL triangles do not share vertices; reading merges equal vertices."""
-
 from __future__ import annotations
 
 import numpy as np
@@ -15,7 +13,7 @@ _HEADER = 80  # bytes
 
 
 def stl_bytes(vertices: ArrayLike, faces: ArrayLike) -> bytes:
-    """Return a binary STL of vertices (n, 3), in any unit, and triangles (m, 3); equal meshes give equal bytes."""
+    """Return a binary STL of vertices (n, 3) and triangles (m, 3); equal meshes give equal bytes."""
     corners = np.asarray(vertices, dtype=np.float64)[np.asarray(faces)]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     records = np.zeros(len(corners), dtype=_FACE)
@@ -33,12 +31,9 @@ def is_binary_stl(data: bytes) -> bool:
 
 
 def read_stl(data: bytes) -> tuple[Array, Faces]:
-    """Return the vertices (n, 3) of a binary STL, in the file's unit, and its triangles (m, 3).
+    """Return the vertices (n, 3) of a binary STL, in the file's unit, and its triangles (m, 3), or raise ResourceError.
 
-    Equal corners become one vertex. Triangles that thereby lose a corner are omitted.
-
-    Raises:
-        ResourceError: the data is not a binary STL or has coordinates that are not finite.
+    Equal corners are merged. Triangles that thereby lose a corner are omitted.
     """
     count = int.from_bytes(data[_HEADER : _HEADER + 4], "little")
     if not is_binary_stl(data):

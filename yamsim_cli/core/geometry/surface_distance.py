@@ -1,5 +1,3 @@
-"""Distances between triangle surfaces, and points sampled from surfaces."""
-
 from __future__ import annotations
 
 import numpy as np
@@ -15,10 +13,7 @@ _CELLS = 16  # grid cells, by which points are grouped, along the longest side o
 def hausdorff_distance(surface: tuple[Array, Faces], other: tuple[Array, Faces], limit: float, samples: int) -> float:
     """Return the Hausdorff distance of two surfaces, measured at sampled points and vertices of both.
 
-    Args:
-        surface, other: vertices (n, 3) and triangles (m, 3), in the same unit of length.
-        limit: distances above this limit count as infinite.
-        samples: number of points, and largest number of vertices, on each surface. All calls use the same points.
+    Distances above `limit` count as infinite. All calls use the same `samples` points and at most as many vertices.
     """
     rng = np.random.default_rng(0)
     farthest = 0.0
@@ -42,7 +37,7 @@ def sample_surface(
 
 
 def distances_to_surface(points: Array, surface: tuple[Array, Faces], limit: float) -> Array:
-    """Return the distance (n,) of each point (n, 3) from a surface, in the same unit; infinite above `limit`."""
+    """Return the distance (n,) of each point (n, 3) from a surface; infinite above `limit`."""
     vertices, faces = surface
     triangles = vertices[faces]
     low, high = triangles.min(axis=1) - limit, triangles.max(axis=1) + limit

@@ -1,5 +1,3 @@
-"""Images of ArUco boards, for textures, tests and printed pages."""
-
 from __future__ import annotations
 
 import cv2
@@ -13,11 +11,7 @@ WHITE = 255
 
 
 def aruco_dictionary(name: str) -> cv2.aruco.Dictionary:
-    """Return OpenCV's predefined ArUco dictionary of a name such as "DICT_6X6_250".
-
-    Raises:
-        ConfigError: OpenCV has no dictionary of that name.
-    """
+    """Return OpenCV's ArUco dictionary of a name such as "DICT_6X6_250"; raise ConfigError if unknown."""
     names = {known: value for known, value in vars(cv2.aruco).items() if known.startswith("DICT_")}
     if name not in names:
         raise ConfigError(f"unknown dictionary {name!r}; {suggest(name, names)}")
@@ -27,10 +21,8 @@ def aruco_dictionary(name: str) -> cv2.aruco.Dictionary:
 def marker_cells(board: Board) -> Image:
     """Return the cells (n, k, k) of a board's markers in the order of `board.ids`: 0 is black, 255 is white.
 
-    A marker is `k` cells wide: the dictionary's bits, with a black border of one cell around them.
-
-    Raises:
-        ConfigError: OpenCV does not have the board's dictionary, or the dictionary does not have the board's ids.
+    A marker is `k` cells wide: the dictionary's bits, with a black border of one cell around them. ConfigError is
+    raised if OpenCV does not have the dictionary, or the dictionary does not have the ids.
     """
     try:
         dictionary = aruco_dictionary(board.dictionary)
@@ -53,15 +45,8 @@ def marker_cells(board: Board) -> Image:
 def board_image(board: Board, cell_px: int, quiet_cells: int = 1) -> Image:
     """Return a grey image (height, width) of a board on white, with exactly `cell_px` pixels per marker cell.
 
-    A marker is a whole number of pixels wide. If the gap between markers is not, each marker is drawn within half a
-    pixel of its true position. These errors do not accumulate.
-
-    Args:
-        cell_px: edge of a marker cell, px.
-        quiet_cells: width of the white border, cells. Detectors need at least one cell or a light background.
-
-    Raises:
-        ConfigError: OpenCV does not have the board's dictionary, or the dictionary does not have the board's ids.
+    If the gap between markers is not a whole number of pixels, each marker is drawn within half a pixel of its true
+    position. These errors do not accumulate. Detectors need at least one quiet cell or a light background.
     """
     markers = marker_cells(board)
     marker_px = markers.shape[1] * cell_px
@@ -80,10 +65,6 @@ def board_image(board: Board, cell_px: int, quiet_cells: int = 1) -> Image:
 def board_texture(board: Board, cell_px: int = 20) -> Image:
     """Return a grey image (height, width) of a board without a border: `board.width` x `board.height` metres.
 
-    The first row is the board's upper edge (+y), the first column the left edge (-x). The default `cell_px` gives
-    512 x 512 pixels for 3 x 3 markers of 6 x 6 bits with gaps of a tenth of a marker.
-
-    Raises:
-        ConfigError: OpenCV does not have the board's dictionary, or the dictionary does not have the board's ids.
+    The first row is the board's upper edge (+y), the first column the left edge (-x).
     """
     return board_image(board, cell_px, quiet_cells=0)

@@ -1,5 +1,3 @@
-"""Types of images in memory, of image headers and of image statistics."""
-
 from __future__ import annotations
 
 from dataclasses import dataclass
@@ -25,8 +23,8 @@ class ImageStats:
     """Statistics of a decoded image.
 
     Attributes:
-        brightness, contrast: mean and standard deviation of the grey image, 0..255, after a reduction of its size.
-        fingerprint: checksum of the grey pixels; equal images have equal checksums.
+        brightness, contrast: mean and standard deviation of the reduced grey image, 0..255.
+        fingerprint: checksum of the grey pixels.
         decoder_warning: first line of the decoder's message; "" for an undamaged image.
     """
 

@@ -1,5 +1,3 @@
-"""Reads photos and masks from PNG and JPEG files."""
-
 from __future__ import annotations
 
 from pathlib import Path
@@ -14,14 +12,13 @@ from .png import is_complete_png
 
 Mask = NDArray[np.bool_]
 
-_MAX_BYTES = 200_000_000  # bytes, largest file that is read; photos of all cameras are smaller
+_MAX_BYTES = 200_000_000  # bytes; photos of all cameras are smaller
 
 
 def read_image(path: Path) -> Image:
-    """Read a PNG or JPEG file as an RGB image (height, width, 3), rotated upright according to its EXIF data.
+    """Read a PNG or JPEG file as an RGB image (height, width, 3), upright by its EXIF data.
 
-    Raises:
-        ResourceError: the file cannot be read, is larger than 200 MB, or is not a complete PNG or JPEG.
+    An unreadable or incomplete file, or one over 200 MB, raises ResourceError.
     """
     try:
         if path.stat().st_size > _MAX_BYTES:
@@ -49,8 +46,7 @@ def decode_image(data: bytes) -> Image | None:
 def read_mask(path: Path) -> Mask:
     """Read a mask (height, width): True where a PNG is not 0, or where a JPEG, which blurs edges, is above 127.
 
-    Raises:
-        ResourceError: the file cannot be read, is larger than 200 MB, or is not a complete PNG or JPEG.
+    Raises as `read_image`.
     """
     lossy = path.suffix.lower() != ".png"
     inside: Mask = read_image(path).max(axis=2) > (127 if lossy else 0)

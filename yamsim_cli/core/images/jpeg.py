@@ -1,4 +1,4 @@
-"""JPEG data in memory. OpenCV's file functions are not used: they report a full disk only by a return value."""
+"""JPEG data in memory. OpenCV's file functions report a full disk only by a return value, so they are not used."""
 
 from __future__ import annotations
 
@@ -16,20 +16,16 @@ from .image import Image, ImageHeader, ImageStats
 from .png import decode_labels
 
 # Brightness and contrast are measured in a reduced image, where noise is averaged away.
-_MAX_REDUCTION = 8  # largest factor by which width and height are divided
-_MIN_SIDE = 16  # px, least length of the shorter side after the reduction
+_MAX_REDUCTION = 8  # by which width and height are divided
+_MIN_SIDE = 16  # px, after the reduction
 
 _SOI, _EOI = b"\xff\xd8", b"\xff\xd9"
-# Start-of-frame markers: C0 to CF without the table definitions (C4, CC) and the reserved C8.
+# C0 to CF without the table definitions (C4, CC) and the reserved C8.
 _FRAME_MARKERS = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 
 
 def encode_jpeg(image: Image, quality: int) -> bytes:
-    """Encode an RGB image (height, width, 3) as JPEG with a quality of 1..100.
-
-    Raises:
-        SimulationError: the encoder rejected the image.
-    """
+    """Encode an RGB image (height, width, 3) as JPEG with a quality of 1..100; raise SimulationError on failure."""
     done, data = cv2.imencode(".jpg", cv2.cvtColor(image, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, quality])
     if not done:
         raise SimulationError(f"an image of shape {image.shape} could not be encoded as JPEG")
@@ -37,7 +33,7 @@ def encode_jpeg(image: Image, quality: int) -> bytes:
 
 
 def decode_jpeg(data: bytes) -> Image | None:
-    """Decode a JPEG to an RGB image (height, width, 3); return None if the data is not a complete JPEG."""
+    """Decode a JPEG to an RGB image (height, width, 3); None if the data is not a complete JPEG."""
     # Decoders fill the missing part of a truncated file with grey.
     if not data.startswith(_SOI) or not data.endswith(_EOI):
         return None
@@ -69,8 +65,8 @@ def jpeg_header(data: bytes) -> ImageHeader | None:
 class JpegReader:
     """Computes statistics of JPEGs. As a context manager, the reader also captures the decoder's warnings.
 
-    libjpeg decodes damaged JPEGs and writes its warnings only to stderr. While the context is open, the stderr of the
-    whole process is therefore a temporary file. Use the reader in a separate process.
+    libjpeg writes its warnings only to stderr. While the context is open, the stderr of the whole process is therefore
+    a temporary file. Use the reader in a separate process.
     """
 
     def __init__(self) -> None:
@@ -78,7 +74,7 @@ class JpegReader:
         self._stderr = -1
 
     def header(self, data: bytes) -> ImageHeader | None:
-        """Return size and number of channels from the header alone; None for a truncated JPEG or other data."""
+        """See `jpeg_header`."""
         return jpeg_header(data)
 
     def measure(self, data: bytes) -> ImageStats | None:
@@ -95,7 +91,7 @@ class JpegReader:
         return ImageStats(float(mean[0, 0]), float(deviation[0, 0]), zlib.crc32(grey.tobytes()), warning)
 
     def labels(self, data: bytes) -> Image | None:
-        """Decode a PNG to a segmentation image (height, width) of uint8; return None for other data."""
+        """See `decode_labels`."""
         return decode_labels(data)
 
     def _take_warning(self) -> str:

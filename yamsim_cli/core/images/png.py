@@ -1,5 +1,3 @@
-"""Encoding, decoding and checking of PNG data in memory, for images and segmentation labels."""
-
 from __future__ import annotations
 
 import struct
@@ -15,13 +13,9 @@ _SIGNATURE = b"\x89PNG\r\n\x1a\n"
 
 
 def encode_png(image: Image, px_per_metre: float | None = None) -> bytes:
-    """Encode a grey image (height, width) or an RGB image (height, width, 3) as PNG.
+    """Encode a grey image (height, width) or an RGB image (height, width, 3) as PNG; raise ValueError on failure.
 
-    Args:
-        px_per_metre: resolution for printing. PNG stores a whole number, with an error of at most 0.003 % at 600 dpi.
-
-    Raises:
-        ValueError: the encoder rejected the image.
+    PNG stores `px_per_metre`, for printing, as a whole number, with an error of at most 0.003 % at 600 dpi.
     """
     data = cv2.cvtColor(image, cv2.COLOR_RGB2BGR) if image.ndim == 3 else image
     done, encoded = cv2.imencode(".png", data)
@@ -32,7 +26,7 @@ def encode_png(image: Image, px_per_metre: float | None = None) -> bytes:
 
 
 def decode_png(data: bytes) -> Image | None:
-    """Decode a PNG to an RGB image (height, width, 3); return None for other data."""
+    """Decode a PNG to an RGB image (height, width, 3); None for other data."""
     try:
         image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
     except cv2.error:
@@ -40,8 +34,8 @@ def decode_png(data: bytes) -> Image | None:
     return None if image is None else np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB), dtype=np.uint8)
 
 
-_AFTER_HEADER = 8 + 25  # bytes, lengths of the signature and of the chunk IHDR
-_UNIT_METRE = 1  # code of the unit "pixels per metre" in the chunk pHYs
+_AFTER_HEADER = 8 + 25  # bytes of the signature and of the chunk IHDR
+_UNIT_METRE = 1  # "pixels per metre" in the chunk pHYs
 
 
 def _with_scale(png: bytes, px_per_metre: int) -> bytes:
@@ -53,18 +47,14 @@ def _with_scale(png: bytes, px_per_metre: int) -> bytes:
 
 # For labels, run-length encoding is fastest and gives the second smallest files. Source: measured with OpenCV 5.
 _LABEL_OPTIONS = [cv2.IMWRITE_PNG_COMPRESSION, 1, cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_RLE]
-_MAX_PIXELS = 2**26  # pixels, largest label image that is decoded; a damaged header can announce gigabytes
+_MAX_PIXELS = 2**26  # a damaged header can announce gigabytes
 # Chunk IHDR: width, height, bits per sample and colour type (0 for grey). Source: PNG specification, 11.2.2.
 _HEADER = struct.Struct(">IIBB")
 _HEADER_OFFSET = 16  # bytes before these fields in the file
 
 
 def encode_labels(labels: Image) -> bytes:
-    """Encode a segmentation image (height, width) as a PNG with one channel.
-
-    Raises:
-        SimulationError: the encoder rejected the image.
-    """
+    """Encode a segmentation image (height, width) as a PNG with one channel; raise SimulationError on failure."""
     done, data = cv2.imencode(".png", labels, _LABEL_OPTIONS)
     if not done:
         raise SimulationError(f"a segmentation image of shape {labels.shape} could not be encoded as PNG")
@@ -72,7 +62,7 @@ def encode_labels(labels: Image) -> bytes:
 
 
 def decode_labels(data: bytes) -> Image | None:
-    """Decode a PNG to a segmentation image (height, width) of uint8; return None for other or damaged data."""
+    """Decode a PNG to a segmentation image (height, width); None for other or damaged data."""
     if not is_complete_png(data) or len(data) < _HEADER_OFFSET + _HEADER.size:
         return None
     width, height, bits, colour = _HEADER.unpack_from(data, _HEADER_OFFSET)
@@ -88,7 +78,7 @@ def decode_labels(data: bytes) -> Image | None:
 def is_complete_png(data: bytes) -> bool:
     """Return whether the data is a PNG with an end chunk and valid checksums. Source: PNG specification, 5.3.
 
-    This check is needed because the decoder reports damage only on stderr.
+    OpenCV's decoder reports damage only on stderr.
     """
     if not data.startswith(_SIGNATURE):
         return False

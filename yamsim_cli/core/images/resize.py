@@ -1,5 +1,3 @@
-"""Scaling of images to a given size."""
-
 from __future__ import annotations
 
 import cv2
@@ -9,11 +7,8 @@ from .image import Image
 
 
 def resize_image(image: Image, size: tuple[int, int], *, pad: bool) -> Image:
-    """Return an image (height, width, 3) scaled to another size.
-
-    Args:
-        size: width and height of the result, px.
-        pad: whether to keep the aspect ratio and add black borders. Otherwise the image is stretched.
+    """Return an image (height, width, 3) scaled to `size` (width, height), px; `pad` adds black borders instead of
+    stretching.
     """
     height, width = image.shape[:2]
     if (width, height) == size:

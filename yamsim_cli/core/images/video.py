@@ -1,7 +1,4 @@
-"""Writing of H.264 videos in MP4 files with exact frame times, and reading of video frames.
-
-A video file is published in one step, when it is complete.
-"""
+"""H.264 videos in MP4 files with exact frame times."""
 
 from __future__ import annotations
 
@@ -32,7 +29,7 @@ class ColorMatrix:
     """A conversion of RGB to luma and two colour differences in limited range.
 
     Attributes:
-        red, blue: weights of red and blue in luma; the weight of green is the rest to 1.
+        red, blue: weights in luma; the weight of green is the rest to 1.
         tag: code of the matrix in a video stream. Source: ITU-T H.273, table 4.
     """
 
@@ -54,8 +51,8 @@ _LUMA_RANGE, _COLOUR_RANGE = 219, 224
 def yuv420(image: Image, matrix: ColorMatrix) -> NDArray[np.uint8]:
     """Convert an RGB image to its planes Y, Cb and Cr, stacked as (3 / 2 height, width).
 
-    If a side is odd, the last row or column is repeated. FFmpeg's own conversion is not used, because its result
-    depends on the alignment of the memory.
+    If a side is odd, the last row or column is repeated. The result of FFmpeg's own conversion depends on the alignment
+    of the memory.
     """
     height, width = image.shape[:2]
     # Colours have half the resolution, so both sides must be even.
@@ -68,7 +65,6 @@ def yuv420(image: Image, matrix: ColorMatrix) -> NDArray[np.uint8]:
 
 
 def _yuv_from_rgb(matrix: ColorMatrix) -> NDArray[np.float64]:
-    """Return the matrix (3, 3) from RGB in 0..1 to Y, Cb and Cr."""
     luma = np.array([matrix.red, 1 - matrix.red - matrix.blue, matrix.blue])
     return np.array(
         [
@@ -93,16 +89,9 @@ def _import_av() -> Any:
 
 
 def read_video_frames(file: Path, begin: float, count: int, tolerance: float) -> Iterator[Image]:
-    """Yield RGB frames (height, width, 3) of a video file from a given time on.
+    """Yield at most `count` RGB frames (height, width, 3) of a video file from `begin` (s) on.
 
-    Args:
-        begin: time of the first frame, s.
-        count: largest number of frames.
-        tolerance: time by which the first frame may precede `begin`, s.
-
-    Raises:
-        DatasetError: the video cannot be read.
-        ResourceError: PyAV is not installed.
+    The first frame may precede `begin` by `tolerance` (s).
     """
     av = _import_av()
     try:
@@ -122,12 +111,7 @@ def read_video_frames(file: Path, begin: float, count: int, tolerance: float) ->
 
 
 def decode_packets(packets: Iterable[bytes], codec: str, source: str) -> Iterator[Image]:
-    """Yield the RGB frames (height, width, 3) of encoded packets of one frame each; `source` names them in errors.
-
-    Raises:
-        DatasetError: the packets cannot be decoded, or the codec is not H.264 or H.265.
-        ResourceError: PyAV is not installed.
-    """
+    """Yield the RGB frames (height, width, 3) of encoded packets of one frame each; `source` names them in errors."""
     av = _import_av()
     name = _CODECS.get(codec.lower())
     if name is None:
@@ -143,8 +127,8 @@ def decode_packets(packets: Iterable[bytes], codec: str, source: str) -> Iterato
         raise DatasetError(f"{source}: its pictures cannot be decoded: {error}") from error
 
 
-# These options give 43.7 dB for 57 recorded frames at 640 x 480; the preset medium gains 0.4 dB. With mbtree, equal
-# images sometimes give different bytes: 3 of 60 encodings at 224 x 224, 20 of 100 at 24 x 16. Without mbtree, never.
+# 43.7 dB for 57 recorded frames at 640 x 480; the preset medium gains 0.4 dB. With mbtree, equal images sometimes give
+# different bytes: 3 of 60 encodings at 224 x 224, 20 of 100 at 24 x 16. Without mbtree, never.
 H264_OPTIONS = {"preset": "veryfast", "crf": "21", "bf": "0", "mbtree": "0"}
 
 # sRGB has the primaries of BT.709 and nearly its transfer curve. Source of the codes: ITU-T H.273, tables 2 and 3.
@@ -156,22 +140,20 @@ _MAX_DENOMINATOR = 1_000_000  # of a frame period as a fraction of a second; 1/3
 
 
 class VideoWriter:
-    """Writes images into one MP4 file, with frame k at exactly k periods. Use the writer as a context manager.
+    """Writes images into one MP4 file, with frame k at exactly k periods; a context manager.
 
-    The writer builds the file under a hidden name in the same directory, and renames it at the end of the block. After
-    an exception, the writer deletes the file. Equal images give equal bytes with the same version of the encoder.
+    The file has a hidden name in the same directory until the end of the block, and is deleted after an exception.
+    Equal images give equal bytes with the same version of the encoder.
 
     Attributes:
-        path: path of the video file.
         frames: number of images written so far.
-        moved_aside: path to which an existing file was moved; None if no file was replaced.
+        moved_aside: path to which an existing file was moved.
 
     Args:
         path: ends in `.mp4`; the directory must exist.
         frame_period: time between two images, s.
         overwrite: whether to move an existing file to a backup. Otherwise an existing file is an error.
-        key_frame_interval: number of frames between key frames; the default corresponds to one second.
-        matrix: conversion of colours; the stream names it in its metadata.
+        key_frame_interval: frames between key frames; one second by default.
 
     Raises:
         ResourceError: PyAV is not installed or has no H.264 encoder, or the file cannot be written.
@@ -281,7 +263,7 @@ class VideoWriter:
         return ResourceError(f"{self.path} cannot be written: {error.strerror or error}; mend it, or write elsewhere")
 
     def __enter__(self) -> VideoWriter:
-        # The encoder writes nothing for its first frames. Creating the file tests whether the directory is writable.
+        # The encoder writes nothing for its first frames: test here whether the directory is writable.
         try:
             self._part.touch(exist_ok=False)
         except OSError as error:
@@ -299,11 +281,7 @@ class VideoWriter:
 
 
 def require_encoder() -> None:
-    """Check that an H.264 encoder is installed. Call this function before a job that writes videos.
-
-    Raises:
-        ResourceError: PyAV is not installed, or has no H.264 encoder.
-    """
+    """Raise ResourceError if PyAV is not installed, or has no H.264 encoder."""
     if "libx264" not in _import_av().codecs_available:
         raise ResourceError(
             "this PyAV was built without an H.264 encoder (libx264): install its wheel by pip install 'yamsim[video]'"

@@ -1,5 +1,3 @@
-"""Identified dynamics of one arm, which `yamsim identify` writes and which replace values of the arm's model."""
-
 from __future__ import annotations
 
 from typing import Annotated, Literal

@@ -1,5 +1,3 @@
-"""Checks joint positions from files, flags and programs against the joint limits of an arm."""
-
 from __future__ import annotations
 
 import math
@@ -11,15 +9,10 @@ from .robot import Robot
 
 
 def describe_limit_violation(name: str, robot: Robot, joints: Array, slack: float) -> str | None:
-    """Return an error message for the first joint beyond its limits, with its worst value; None if all are within.
+    """Return an error message for the first joint beyond its limits by more than `slack` rad; None if there is none.
 
-    Args:
-        name: name of the arm, for the message.
-        joints: joint positions (dof,) or (rows, dof), rad.
-        slack: tolerance beyond a joint limit, rad.
-
-    Returns:
-        For example "arm1.joint2: 106 rad lies outside 0..3.665; is it in degrees? Then give 1.85".
+    Joints are (dof,) or (rows, dof), rad. The message is such as "arm1.joint2: 106 rad lies outside 0..3.665; is it in
+    degrees? Then give 1.85".
     """
     rows = np.atleast_2d(joints)
     for j, joint in enumerate(robot.joints):

@@ -1,5 +1,3 @@
-"""Merges the MJCF of a gripper into the flange of an arm's MJCF."""
-
 from __future__ import annotations
 
 import xml.etree.ElementTree as ElementTree
@@ -13,12 +11,12 @@ from .dynamics import Dynamics, JointDynamics
 from .finray.segment_chain import add_fingers, get_or_add_child
 from .models import ArmModel, Element, Fit, Gripper, JointChange, Mjcf, Placement, parse_root
 
-# Sections of a gripper's MJCF that are merged into the arm's MJCF, besides body and default classes.
+# Sections that are merged into the arm's MJCF, besides body and default classes.
 _SECTIONS = ("asset", "equality", "tendon", "contact", "actuator", "sensor")
-# Sections that only an arm may have. Keyframes are not allowed, since a keyframe fits only one model.
+# Only an arm may have these. A keyframe fits only one model, so keyframes are not allowed.
 _ARM_SECTIONS = ("option", "size", "visual", "statistic", "custom")
 
-# Elements that read files or load plugins, which MJCFs of robots must not have. Includes are expanded before the check.
+# Elements that read files or load plugins, which MJCFs of robots must not do. Includes are expanded before.
 _FORBIDDEN_ELEMENTS = ("include", "plugin", "extension", "attach", "model", "hfield", "skin", "flexcomp", "composite")
 
 # Sites that every gripper must have: where the fingers meet, and the hand frame whose pose is recorded.
@@ -37,16 +35,14 @@ _ATTRIBUTES = {
     "kv": ("drive", "kv"),
     "torque": ("drive", "forcerange"),
 }
-_TIP_SITE = "pinch_site"  # site at which the additional mass `tip_mass_g` of identified dynamics is placed
-_POINT_INERTIA = 1e-9  # kg m2, inertia of a point mass: MuJoCo needs an inertia above 0
+_TIP_SITE = "pinch_site"  # of the additional mass `tip_mass_g` of identified dynamics
+_POINT_INERTIA = 1e-9  # kg m2, of a point mass: MuJoCo needs an inertia above 0
 
 
 def merge_gripper(arm: ArmModel, gripper: Gripper, fit: Fit) -> Element:
-    """Return the MJCF of an arm with a gripper.
+    """Return the MJCF of an arm with a gripper, or raise ConfigError.
 
     The gripper's default classes get the gripper's name as prefix. Assets that are equal in both files are merged.
-
-    Raises ConfigError if a file is not a valid MJCF of an arm or gripper, or the files contradict each other.
     """
     root, hand = parse_mjcf(arm.mjcf), parse_mjcf(gripper.mjcf)
     if gripper.finray is not None:
@@ -90,7 +86,7 @@ def parse_mjcf(mjcf: Mjcf) -> Element:
 
 
 def _check_files(root: Element, mjcf: Mjcf) -> None:
-    """Make sure that MuJoCo opens no file by itself: an MJCF may only name meshes as `<set>/<file>`."""
+    """MuJoCo must open no file by itself: an MJCF may only name meshes as `<set>/<file>`."""
     for element in root.iter():
         if element.tag in _FORBIDDEN_ELEMENTS:
             raise ConfigError(f"{mjcf.file}: <{element.tag}> is not read here; write what it stands for into this file")
@@ -107,7 +103,7 @@ def _check_files(root: Element, mjcf: Mjcf) -> None:
 
 
 def find_body(root: Element, name: str, mjcf: Mjcf) -> Element:
-    """Return the body called `name`. Raises ConfigError if the MJCF has no such body."""
+    """Return the body called `name`, or raise ConfigError."""
     bodies = {found.get("name", ""): found for found in root.iter("body")}
     if name not in bodies:
         raise ConfigError(f"{mjcf.file}: has no body {name!r}; its bodies: {', '.join(bodies) or 'none'}")
@@ -115,7 +111,7 @@ def find_body(root: Element, name: str, mjcf: Mjcf) -> Element:
 
 
 def find_joint(root: Element, name: str, mjcf: Mjcf) -> Element:
-    """Return the joint called `name` in `worldbody`. Raises ConfigError if the MJCF has no such joint."""
+    """Return the joint called `name` in `worldbody`, or raise ConfigError."""
     joints = {found.get("name", ""): found for part in _parts(root, "worldbody") for found in part.iter("joint")}
     if name not in joints:
         raise ConfigError(f"{mjcf.file}: has no joint {name!r}; its joints: {', '.join(joints) or 'none'}")
@@ -123,10 +119,7 @@ def find_joint(root: Element, name: str, mjcf: Mjcf) -> Element:
 
 
 def find_position_drive(root: Element, joint: str, mjcf: Mjcf) -> Element:
-    """Return the position drive of a joint.
-
-    Raises ConfigError unless the joint has exactly one actuator, which is a <position> with a name.
-    """
+    """Return a joint's only actuator, or raise ConfigError if it is no <position> with a name."""
     found = [element for element in _parts(root, "actuator") if element.get("joint") == joint]
     if len(found) != 1 or found[0].tag != "position" or not found[0].get("name"):
         raise ConfigError(f"{mjcf.file}: joint {joint!r} needs one <position> actuator with a name of its own")
@@ -134,7 +127,7 @@ def find_position_drive(root: Element, joint: str, mjcf: Mjcf) -> Element:
 
 
 def format_numbers(values: Iterable[float]) -> str:
-    """Return numbers as an MJCF attribute, separated by blanks and without loss of precision."""
+    """Return numbers as an MJCF attribute, without loss of precision."""
     return " ".join(repr(float(value)).removesuffix(".0") for value in values)
 
 
@@ -157,7 +150,6 @@ def _attributes(root: Element, tag: str) -> dict[str, str]:
 
 
 def _gripper_frame(hand: Element, mjcf: Mjcf) -> Element:
-    """Return the only body of a gripper's `worldbody`."""
     bodies = list(_parts(hand, "worldbody"))
     if len(bodies) != 1 or bodies[0].tag != "body" or not bodies[0].get("name"):
         raise ConfigError(f"{mjcf.file}: <worldbody> must hold one body with a name, the gripper's frame, and no more")
@@ -213,7 +205,6 @@ def _rename_body(hand: Element, name: str, new: str) -> None:
 
 
 def _fill(flange: Element, frame: Element, mount: Placement) -> None:
-    """Move the content of the gripper's only body `frame` into the flange's body, at the pose `mount`."""
     inside = Element("frame")
     if childclass := frame.get("childclass"):
         inside.set("childclass", childclass)
@@ -235,7 +226,6 @@ def _fill(flange: Element, frame: Element, mount: Placement) -> None:
 
 
 def _move(inertial: Element, mount: Placement) -> None:
-    """Transform an `<inertial>` element from the gripper's frame into the flange's frame."""
     place, turn = (
         [float(number) for number in inertial.get(key, default).split()]
         for key, default in (("pos", "0 0 0"), ("quat", "1 0 0 0"))
@@ -268,7 +258,6 @@ def _add_assets(root: Element, hand: Element, arms: Mjcf, grippers: Mjcf) -> Non
 
 
 def _change_joints(root: Element, arm: ArmModel, changes: Mapping[str, JointChange]) -> None:
-    """Write the joint limits and a gripper's changes of joints into the MJCF."""
     names = [limits.name for limits in arm.joints]
     for name in changes:
         if name not in names:
@@ -283,11 +272,9 @@ def _change_joints(root: Element, arm: ArmModel, changes: Mapping[str, JointChan
 
 
 def write_dynamics(root: Element, arm: ArmModel, gripper: Gripper, dynamics: Dynamics) -> None:
-    """Write an arm's dynamics into the merged MJCF of arm and gripper.
+    """Write an arm's dynamics into the merged MJCF of arm and gripper, or raise ConfigError.
 
     Gravity factors, encoder offsets, sensor errors and delays have no attribute in MJCF, and are not written.
-
-    Raises ConfigError if the dynamics have a tip mass and the MJCF has no site for that mass.
     """
     for limits in arm.joints:
         _set_joint(root, arm, limits.name, dynamics.joint(limits.name))
@@ -304,7 +291,6 @@ def write_dynamics(root: Element, arm: ArmModel, gripper: Gripper, dynamics: Dyn
 
 
 def _set_joint(root: Element, arm: ArmModel, name: str, values: JointChange | JointDynamics) -> None:
-    """Write those values of a joint and its drive into the MJCF that are not None."""
     parts = {"joint": find_joint(root, name, arm.mjcf), "drive": find_position_drive(root, name, arm.mjcf)}
     for key, (part, attribute) in _ATTRIBUTES.items():
         value = getattr(values, key, None)

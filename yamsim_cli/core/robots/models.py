@@ -39,10 +39,9 @@ from .finray.finger import FinRay
 
 Element = ElementTree.Element
 
-# Codes of a `RefusedError` for an included file that is not in the folder of the MJCF.
+# For an included file that is not in the folder of the MJCF.
 _OUTSIDE_CODES = ("outside", "missing", "not-a-file")
 
-# The name of an element in an MJCF.
 Part = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9_/-]+$")]
 _Range = Annotated[tuple[JointAngle, JointAngle], AfterValidator(require_ordered)]
 _Opening = Annotated[FiniteFloat, QuantityBounds("m", 1e-4, 0.5)]
@@ -171,20 +170,16 @@ class WristCamera(Config):
     name: Annotated[Name | None, OMIT_NONE] = None
 
     def fovy(self, size: tuple[int, int]) -> float:
-        """Return the vertical field of view of images of a size (width, height in px), degrees."""
+        """Return the vertical field of view, degrees, of images of a size (width, height), px."""
         return fovy_for_size(size, self.fovy_deg, self.modes)
 
 
 def fovy_for_size(size: tuple[int, int], fovy_deg: float, modes: tuple[CameraMode, ...]) -> float:
-    """Return the field of view (degrees) of the mode with `size` (width, height in px); `fovy_deg` if none."""
+    """Return the field of view (degrees) of the mode with `size` (width, height), px; `fovy_deg` if none."""
     return next((mode.fovy_deg for mode in modes if mode.size_px == size), fovy_deg)
 
 
 def _read_mjcf(path: Path) -> dict[str, object]:
-    """Return the values of a file's `Mjcf`, with includes expanded.
-
-    Raises ConfigError if the file cannot be read, is no UTF-8, or has invalid includes.
-    """
     data = read_config(path)
     try:
         text = data.decode()
@@ -220,7 +215,7 @@ class _FolderConfig(Config):
     source: str | None = None
 
     def __hash__(self) -> int:
-        """Hash the MJCF, since the mappings in the config have no hash."""
+        """The mappings in the config have no hash."""
         return hash((self.name, self.mjcf.text))
 
     @classmethod

@@ -1,5 +1,3 @@
-"""Assembles an arm and a gripper, from their configs and MJCF files, into one robot."""
-
 from __future__ import annotations
 
 import functools
@@ -20,18 +18,16 @@ class Robot:
     """An arm with its gripper.
 
     Attributes:
-        model, gripper: names of the arm and the gripper.
         xml: the merged MJCF of arm and gripper.
         base: the body whose frame is the arm's base frame.
         flange: the body that turns with the last joint, and carries the gripper.
-        joints: joints from the base to the flange, with their limits for this gripper.
-        joint_drives: the actuators of these joints, in the same order.
+        joints: from the base to the flange, with their limits for this gripper.
+        joint_drives: the actuators of these joints.
         home, start: joint positions of the idle arm, and at the start of tasks without `start_joints`, rad.
-        fingers: None for a gripper without fingers.
         finger_signs: for the left and the right finger, 1 if its joint increases with the opening, else -1.
-        mesh_sets: names of the asset sets (folders of mesh files) of the MJCF.
-        T_base_mesh: pose (4, 4), in the base frame, of the frame in which fiducial boards and mounts are given.
-        dynamics: measured dynamics, or None. `xml` already contains those that MJCF has an attribute for.
+        mesh_sets: asset sets of the MJCF's meshes.
+        T_base_mesh: pose, in the base frame, of the frame in which fiducial boards and mounts are given.
+        dynamics: measured dynamics. `xml` already contains those that MJCF has an attribute for.
     """
 
     model: str
@@ -51,7 +47,7 @@ class Robot:
 
     @property
     def dof(self) -> int:
-        """Number of the arm's joints, without fingers."""
+        """Joints, without fingers."""
         return len(self.joints)
 
     @property
@@ -61,7 +57,7 @@ class Robot:
 
     @property
     def drives(self) -> tuple[str, ...]:
-        """Names of the joints' drives, then of the fingers' drive if the gripper has fingers."""
+        """Names of the joints' drives, then of the fingers' drive."""
         return (*self.joint_drives, *((self.fingers.drive,) if self.fingers else ()))
 
     @property
@@ -72,10 +68,7 @@ class Robot:
 
 @functools.lru_cache(maxsize=64)
 def assemble(arm: ArmModel, gripper: Gripper, dynamics: Dynamics | None = None) -> Robot:
-    """Return an arm with a gripper mounted.
-
-    Args:
-        dynamics: measured dynamics of the arm; None for those of its model.
+    """Return an arm with a gripper mounted, and with measured `dynamics`.
 
     Raises:
         ValueError: the gripper does not fit the arm, or the dynamics belong to another arm.
@@ -111,7 +104,7 @@ def assemble(arm: ArmModel, gripper: Gripper, dynamics: Dynamics | None = None) 
 
 
 def widest_joint_limits(arm: ArmModel) -> tuple[JointLimits, ...]:
-    """Return an arm's joints, each with its lowest and highest limit over all grippers in the arm's file."""
+    """Return an arm's joints, each with its widest limits over all grippers in the arm's file."""
 
     def widest(joint: JointLimits) -> tuple[float, float]:
         changed = (how.joints.get(joint.name, JointChange()).range for how in arm.grippers.values())
@@ -122,7 +115,6 @@ def widest_joint_limits(arm: ArmModel) -> tuple[JointLimits, ...]:
 
 
 def _write_fingers(root: ElementTree.Element, gripper: Gripper) -> tuple[float, float]:
-    """Write the fingers' joint limits into the MJCF, and return the fingers' signs as in `Robot.finger_signs`."""
     fingers = gripper.fingers
     assert fingers is not None
     drive = mjcf.find_position_drive(root, fingers.joints[0], gripper.mjcf)

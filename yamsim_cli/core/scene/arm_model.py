@@ -1,5 +1,3 @@
-"""MuJoCo models of an arm: complete with gripper and geoms for scenes, or joints and links alone for kinematics."""
-
 from __future__ import annotations
 
 import functools
@@ -19,7 +17,7 @@ from ..robots.models import ArmModel, Gripper
 from ..robots.robot import Robot
 from .compilation import compile_spec
 
-_SEEN_GROUP = 2  # highest geom group that viewers show by default; collision geoms are in group 3
+_SEEN_GROUP = 2  # geom group that viewers show by default; collision geoms are in group 3
 
 
 def _load_spec(arm: ArmConfig) -> mujoco.MjSpec:
@@ -32,7 +30,6 @@ def _load_spec(arm: ArmConfig) -> mujoco.MjSpec:
 
 @functools.lru_cache(maxsize=64)
 def _require_compiles(xml: str, arm: ArmModel, gripper: Gripper) -> None:
-    """Raise a ConfigError with the file and MuJoCo's message if an arm with its gripper does not compile."""
     for mjcf in (arm.mjcf, gripper.mjcf):
         try:
             mujoco.MjSpec.from_string(mjcf.text)
@@ -47,7 +44,7 @@ def _require_compiles(xml: str, arm: ArmModel, gripper: Gripper) -> None:
 
 
 def _error_text(error: ValueError, *, lines: bool) -> str:
-    """Return MuJoCo's message in one line. Unless `lines`, strip line numbers, which are wrong for combined files."""
+    """Unless `lines`, strip line numbers, which are wrong for combined files."""
     reason = " ".join(str(error).split())
     return reason if lines else re.sub(r",? line \d+", "", reason)
 
@@ -89,7 +86,7 @@ def show_meshes_or_primitives(spec: mujoco.MjSpec, sets: Iterable[str], meshes: 
 
 
 def mesh_bytes(path: Path) -> bytes:
-    """Return the content of a mesh file; raise `ResourceError` if it cannot be read."""
+    """Return the content of a mesh file, or raise `ResourceError`."""
     try:
         return path.read_bytes()
     except OSError as error:
@@ -102,7 +99,7 @@ def mesh_bytes(path: Path) -> bytes:
 def kinematic_model(arm: ArmConfig) -> mujoco.MjModel:
     """Return a model of the arm's joints and links in the base frame, without fingers, geoms and drives.
 
-    The model has all sites of the arm. Inverse kinematics moves a further site, `tool`, which is on the flange.
+    It has all sites of the arm, and the site `tool` on the flange, which inverse kinematics moves.
     """
     robot = arm.robot
     spec = _load_spec(arm)
@@ -127,7 +124,7 @@ def kinematic_model(arm: ArmConfig) -> mujoco.MjModel:
 
 
 def finger_addresses(model: mujoco.MjModel, robot: Robot, prefix: str = "") -> tuple[NDArray[np.int_], Array]:
-    """Return the indices (2,) of the finger joints in `qpos`, and the sign (2,) of opening; (0,) without fingers."""
+    """Return the finger joints' indices (2,) in `qpos`, and the sign (2,) of opening; (0,) without fingers."""
     if robot.fingers is None:
         return np.zeros(0, int), np.zeros(0)
     addresses = np.array([model.joint(prefix + name).qposadr[0] for name in robot.fingers.joints])

@@ -1,5 +1,3 @@
-"""The blueprint of a scene: the configs and options from which `compose.compose` builds the MuJoCo model."""
-
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
@@ -12,8 +10,8 @@ from ..config.rig import RigConfig
 from ..config.scene import SceneConfig
 from .cameras import SceneCamera, fixed_camera, station_camera, wrist_camera
 
-# MuJoCo's `impratio` for grasps by friction, and for objects held at one end, as for a handover. With the default of 1,
-# an object rotates in the hand by a few degrees per second. With 10, an object held at its end droops by 11 degrees.
+# `impratio` for grasps by friction, and for objects held at one end, as for a handover. With MuJoCo's default of 1, an
+# object rotates in the hand by a few degrees per second. With 10, an object held at its end droops by 11 degrees.
 _IMPRATIO, _IMPRATIO_AT_THE_END = 10.0, 100.0
 
 
@@ -30,10 +28,10 @@ class TaskPhysics:
     """The physics options of a task's scene.
 
     Attributes:
-        timestep: time step of physics, s.
-        impratio: MuJoCo's `impratio` for grasps by friction; None (MuJoCo's default) if welds hold grasped objects.
-        weld_placeholder: name of any rigid object, which each hand's inactive weld needs to compile; None without
-            welds. At run time, a weld can hold any object.
+        timestep: s.
+        impratio: for grasps by friction; None (MuJoCo's default) if welds hold grasped objects.
+        weld_placeholder: any rigid object, which each hand's inactive weld needs to compile. At run time, a weld can
+            hold any object.
     """
 
     timestep: float
@@ -46,17 +44,13 @@ class Blueprint:
     """The configs and options of a scene. `compose.compose` adds the files of robots and meshes.
 
     Attributes:
-        rig: arms with their poses, marker boards and board mounts.
         scene: the environment, with a table wide enough for all arms.
-        name: name of the scene; by default that of the rig.
+        name: by default that of the rig.
         boards: whether the scene has the marker boards beside the arms' bases, and their mounts.
-        background: whether the scene has sky, floor and lights. Without them, MuJoCo's default headlight stays. The
-            table does not depend on this option.
-        objects: objects of the task, as free bodies.
-        randomization: domain randomization, whose distractors and materials are added to the scene.
-        physics: physics options; None keeps MuJoCo's default time step, without welds.
-        cameras: cameras that `compose` adds, in this order.
-        pictures: quality and size of images; None if the scene is not rendered.
+        background: whether the scene has sky, floor and lights. Without them, MuJoCo's default headlight stays.
+        randomization: its distractors and materials are added to the scene.
+        physics: None keeps MuJoCo's default time step, without welds.
+        pictures: None if the scene is not rendered.
     """
 
     rig: RigConfig
@@ -87,7 +81,7 @@ def task_blueprint(config: RecordConfig, *, boards: bool = True, background: boo
 
 
 def recording_blueprint(config: RecordConfig) -> Blueprint:
-    """Return the blueprint of a recording: the task's scene with all recorded cameras and domain randomization."""
+    """Return the blueprint of a task's scene with all recorded cameras and domain randomization."""
     task, size = task_blueprint(config, boards=config.boards), config.image.size_px
     return replace(
         task,
@@ -103,7 +97,6 @@ def recording_blueprint(config: RecordConfig) -> Blueprint:
 
 
 def _weld_placeholder(config: RecordConfig) -> str | None:
-    """Return the name of the first rigid object, with which welds are compiled; None if friction holds objects."""
     stiff = (item.name for item in config.task.objects if item.cloth is None)
     return next(stiff, None) if config.grasp == "weld" else None
 

@@ -1,5 +1,3 @@
-"""Compilation of scenes for recordings and for rigs without a task, and descriptions of their visual meshes."""
-
 from __future__ import annotations
 
 from collections.abc import Mapping
@@ -25,16 +23,12 @@ from .compilation import compile_spec
 from .compiled import ArmAddresses, ClothAddresses, CompiledScene, FingerAddresses, GeomOwner, Ids
 from .compose import READING, WELD, compose, visual_mesh_sets
 
-TIMESTEP = 0.002  # s, default time step of physics for a rig without a task; equal to that of tasks
+TIMESTEP = 0.002  # s, of physics for a rig without a task; equal to that of tasks
 _MOUNTS = "mounts"  # key, among the asset sets, of the board mounts whose STL file a user supplies
 
 
 def build_scene(session: Session) -> CompiledScene:
-    """Build and compile the MuJoCo model of a recording's scene, and look up the addresses of its parts.
-
-    Raises:
-        SimulationError: MuJoCo rejected the composed model.
-    """
+    """Compile a recording's scene."""
     config, locations = session.config, session.locations
     blueprint = recording_blueprint(config)
     model = compile_spec(compose(blueprint, locations))
@@ -57,15 +51,7 @@ def build_scene(session: Session) -> CompiledScene:
 def build_rig_scene(
     rig: RigConfig, scene: SceneConfig, locations: Locations, timestep: float = TIMESTEP
 ) -> CompiledScene:
-    """Build and compile the MuJoCo model of a rig's arms alone, without floor, table and boards.
-
-    Args:
-        scene: the environment, which has no effect on physics; its table is ignored.
-        timestep: time step of physics, s.
-
-    Raises:
-        SimulationError: MuJoCo rejected the composed model.
-    """
+    """Compile a rig's arms alone, without floor, table and boards; `scene` has no effect on physics."""
     physics = TaskPhysics(timestep, impratio=None, weld_placeholder=None)
     bare = scene.model_copy(update={"table": None})
     blueprint = Blueprint(rig, bare, boards=False, background=False, physics=physics)
@@ -110,7 +96,7 @@ def _describe_mesh_set(folder: Path | None, files: Mapping[str, bytes]) -> str:
 
 
 def with_mesh_descriptions(session: Session) -> Session:
-    """Return a copy of the session whose config has the result of `describe_meshes` in its field `meshes`."""
+    """Return the session with the result of `describe_meshes` in its config's field `meshes`."""
     return session.with_values(meshes=describe_meshes(session))
 
 
@@ -140,7 +126,6 @@ def _arm_addresses(model: mujoco.MjModel, rig: RigConfig, number: int, *, welds:
 
 
 def _dynamics_attributes(model: mujoco.MjModel, arm: ArmConfig) -> dict[str, Any]:
-    """Return those attributes of `ArmAddresses` that describe identified dynamics and the delayed encoder sensors."""
     found: dict[str, Any] = {}
     fingers = arm.robot.fingers
     read = [arm.prefix + name + READING for name in (*arm.robot.joint_names, *(fingers.joints[:1] if fingers else ()))]
@@ -201,7 +186,7 @@ def _finger_addresses(model: mujoco.MjModel, arm: ArmConfig, fingers: Fingers) -
 
 
 def _subtree(model: mujoco.MjModel, body: int) -> list[int]:
-    """Return a body and all its descendants. MuJoCo numbers parents before their children."""
+    """MuJoCo numbers parents before their children."""
     found = [body]
     for other in range(body + 1, model.nbody):
         if model.body_parentid[other] in found:

@@ -1,5 +1,3 @@
-"""Conversion of camera configs to `SceneCamera` in MuJoCo's convention, and their addition to a scene."""
-
 from __future__ import annotations
 
 import math
@@ -21,9 +19,9 @@ class SceneCamera:
     """A camera of a scene.
 
     Attributes:
-        body: name of the body to which the camera is attached; `WORLD` for a fixed camera.
-        T_in_body: pose (4, 4) in the body's frame, in MuJoCo's convention: view along -z, +y up in the image.
-        fovy_deg: vertical field of view, degrees.
+        body: name of the body that carries the camera; `WORLD` for a fixed camera.
+        T_in_body: in MuJoCo's convention: view along -z, +y up in the image.
+        fovy_deg: vertical field of view.
     """
 
     name: str
@@ -33,18 +31,18 @@ class SceneCamera:
 
 
 def fixed_camera(name: str, camera: FixedCamera) -> SceneCamera:
-    """Convert a camera config with a position and a target point to a `SceneCamera`."""
+    """Convert a camera config with a position and a target point."""
     return SceneCamera(name, WORLD, pose(camera.position, _look_at(camera)), camera.fovy_deg)
 
 
 def station_camera(rig: RigConfig, camera: RigCamera, size: tuple[int, int]) -> SceneCamera:
-    """Convert a fixed camera of a rig's config to a `SceneCamera`, for images of `size` (width, height), px."""
+    """Convert a fixed camera of a rig's config, for images of `size` (width, height), px."""
     T = rig.T_cam_in_world(camera)
     return SceneCamera(camera.name, WORLD, pose(T[:3, 3], opencv_from_mujoco(T[:3, :3])), camera.fovy(size))
 
 
 def wrist_camera(arm: ArmConfig, size: tuple[int, int]) -> SceneCamera:
-    """Convert an arm's wrist camera to a `SceneCamera` on the flange, for images of `size` (width, height), px."""
+    """Convert an arm's wrist camera, for images of `size` (width, height), px."""
     camera = arm.wrist_camera
     x = np.asarray(camera.x_axis) / np.linalg.norm(camera.x_axis)
     y = np.asarray(camera.y_axis) / np.linalg.norm(camera.y_axis)
@@ -62,7 +60,7 @@ def add_camera(spec: mujoco.MjSpec, camera: SceneCamera) -> None:
 
 
 def _look_at(camera: FixedCamera) -> Array:
-    """Return the rotation (3, 3) of a MuJoCo camera in `world`: -z to the target, +y as far up as possible."""
+    """Return the rotation of a MuJoCo camera in `world`: -z to the target, +y as far up as possible."""
     forward = np.asarray(camera.look_at) - np.asarray(camera.position)
     forward /= np.linalg.norm(forward)
     right = np.cross(forward, (0.0, 0.0, 1.0))

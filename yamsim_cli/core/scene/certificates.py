@@ -1,4 +1,4 @@
-"""Files (certificates) with the results of an object's checks, named by a hash of the object's config and meshes."""
+"""Certificates: files with the results of an object's checks, named by a hash of the object's config and meshes."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _CONTENT = re.compile(r"-[0-9a-f]{12}$")  # content hash at the end of an import
 
 
 class CertificateStatus(StrEnum):
-    """The state of an object's certificate; `STALE` if it was made for another config, other meshes or other checks."""
+    """State of a certificate; `STALE` if it was made for another config, other meshes or other checks."""
 
     NONE = "not certified"
     GOOD = "certified"
@@ -32,7 +32,7 @@ class CertificateStatus(StrEnum):
 
 @dataclass(frozen=True)
 class Certificate:
-    """The result of an object's checks: state, codes of the failed checks, and file; None without a certificate."""
+    """State, codes of the failed checks, and file of an object's certificate."""
 
     status: CertificateStatus
     failed: tuple[str, ...] = ()
@@ -60,13 +60,7 @@ def store_certificate(
 ) -> Path:
     """Write the certificate of an object's present config and meshes, and return its file. Older ones are kept.
 
-    Args:
-        assets: folder of the asset store.
-        found: results as JSON values.
-        made_with: program -> version.
-
-    Raises:
-        ResourceError: the certificate cannot be written.
+    `assets` is the folder of the asset store, `found` the results as JSON values, and `made_with` program -> version.
     """
     inputs = inputs_hash(item, lock)
     path = _path(assets, item, inputs)
@@ -82,7 +76,7 @@ def store_certificate(
 def find_certificate(assets: Path, item: ObjectConfig, lock: AssetLock) -> Certificate:
     """Return the certificate of an object's present config and meshes, else its newest older one, as `STALE`.
 
-    Without any, the status is `NONE`. Unreadable certificates are ignored.
+    Unreadable certificates are ignored.
     """
     inputs = inputs_hash(item, lock)
     path = _path(assets, item, inputs)
@@ -95,7 +89,6 @@ def find_certificate(assets: Path, item: ObjectConfig, lock: AssetLock) -> Certi
 
 
 def _failed_checks(path: Path, inputs: str | None = None) -> tuple[str, ...] | None:
-    """Return the codes of failed checks in a certificate; None if unreadable or for other inputs."""
     try:
         stored = json.loads(path.read_bytes())
         if inputs not in (None, stored["inputs"]):
@@ -110,7 +103,7 @@ def _path(assets: Path, item: ObjectConfig, inputs: str) -> Path:
 
 
 def _older(path: Path, item: ObjectConfig) -> list[Path]:
-    """Return the certificate files of an object for any config and meshes, the newest first and that of 0.2.0 last.
+    """Return an object's certificate files for any config and meshes, the newest first and that of 0.2.0 last.
 
     Up to version 0.2.0, file names had no content hash, and imports of different files under one name shared a file.
     """

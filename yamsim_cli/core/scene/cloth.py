@@ -13,14 +13,14 @@ from ..config.objects.object_config import ObjectConfig
 from ..config.rig import RigConfig
 from ..geometry.se3 import Array
 
-_CHECK_PX = 16  # px, edge of one square of the checker texture
-_TIME_CONSTANT = 0.01  # s, time constant of cloth contacts and grasp constraints; at least two time steps
-# MuJoCo's `solimp` of grasp constraints for cloth with `held: layers`. With 0.9 and 0.95, points of 0.1 g lag 4 cm.
+_CHECK_PX = 16  # px, of one square of the checker texture
+_TIME_CONSTANT = 0.01  # s, of cloth contacts and grasp constraints; at least two time steps
+# `solimp` of grasp constraints for cloth with `held: layers`. With 0.9 and 0.95, points of 0.1 g lag 4 cm.
 _GRASP_SOLIMP = (0.999, 0.9999)
-_CONDIM = 3  # MuJoCo's contact dimension: normal and tangential forces
-# Tolerance of the CG solver. With MuJoCo's 1e-8, a fold of 21 x 21 points takes a third longer, for less than 0.02 mm.
+_CONDIM = 3  # normal and tangential forces
+# CG solver. With MuJoCo's 1e-8, a fold of 21 x 21 points takes a third longer, for less than 0.02 mm.
 _TOLERANCE = 1e-6
-_INERTIA_PER_MASS = 1e-6  # m2, inertia over mass of a point, about that of a 1 mm ball; no torque acts on points
+_INERTIA_PER_MASS = 1e-6  # m2, of a point, about that of a 1 mm ball; no torque acts on points
 
 
 def flat_points(cloth: Cloth) -> Array:
@@ -35,7 +35,7 @@ def flat_points(cloth: Cloth) -> Array:
 def grid_triangles(columns: int, rows: int) -> NDArray[np.int_]:
     """Return the point indices (m, 3) of each triangle of a grid of points, numbered row by row.
 
-    The diagonals of neighbouring cells alternate, so that the sheet is equally stiff along both diagonals.
+    The diagonals of neighbouring cells alternate, so that the sheet is equally stiff along both.
     """
     found = []
     for row in range(rows - 1):
@@ -49,7 +49,7 @@ def grid_triangles(columns: int, rows: int) -> NDArray[np.int_]:
 
 
 def grid_edges(columns: int, rows: int) -> NDArray[np.int_]:
-    """Return the point indices (m, 2) of each edge of the triangles of `grid_triangles`, each edge once."""
+    """Return the point indices (m, 2) of each edge of the triangles of `grid_triangles`."""
     corners = grid_triangles(columns, rows)
     pairs = np.concatenate([corners[:, [0, 1]], corners[:, [1, 2]], corners[:, [2, 0]]])
     found: NDArray[np.int_] = np.unique(np.sort(pairs, axis=1), axis=0)
@@ -85,7 +85,7 @@ def add_cloth(spec: mujoco.MjSpec, item: ObjectConfig) -> None:
 
 
 def _masses(cloth: Cloth) -> Array:
-    """Return the mass of each point (n,), kg: a quarter of the mass of each cell around the point."""
+    """Return each point's mass (n,), kg: a quarter of the mass of each cell around it."""
     columns, rows = (np.where(np.isin(np.arange(n), (0, n - 1)), 0.5, 1.0) / (n - 1) for n in cloth.grid)
     shares: Array = np.outer(rows, columns).ravel() * cloth.mass
     return shares
@@ -140,5 +140,5 @@ def add_cloth_constraints(spec: mujoco.MjSpec, item: ObjectConfig, rig: RigConfi
 
 
 def cloth_constraint_name(prefix: str, cloth: str, point: int) -> str:
-    """Return the name of the constraint by which the hand of the arm with `prefix` can hold a point of a cloth."""
+    """Return the name of the constraint by which the arm with `prefix` can hold a point of a cloth."""
     return f"{prefix}{cloth}_{point}_grip"

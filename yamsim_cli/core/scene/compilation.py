@@ -19,12 +19,7 @@ _FATAL = (
 
 
 def compile_spec(spec: mujoco.MjSpec, called: str = "", refused: type[YamsimError] = SimulationError) -> mujoco.MjModel:
-    """Compile a spec, or raise an error with MuJoCo's reason.
-
-    Args:
-        called: subject of the error message; by default the scene with its name.
-        refused: type of the error that is raised if MuJoCo rejects the spec.
-    """
+    """Compile a spec, or raise an error of type `refused` with MuJoCo's reason about `called`, by default the scene."""
     silence_mujoco_warnings()
     try:
         return spec.compile()
@@ -40,7 +35,7 @@ def silence_mujoco_warnings() -> None:
 
 
 def physics_failure(data: mujoco.MjData) -> str | None:
-    """Return MuJoCo's text of a fatal warning since the last reset of `data`; None without a fatal warning."""
+    """Return MuJoCo's fatal warning since the last reset of `data`; None without one."""
     for kind in _FATAL:
         counted = data.warning[int(kind)]
         if counted.number:

@@ -1,5 +1,3 @@
-"""A compiled scene with the addresses of its parts in MuJoCo's arrays."""
-
 from __future__ import annotations
 
 import functools
@@ -28,7 +26,7 @@ class GeomOwner(IntEnum):
     TABLE = 4
 
 
-# Element [i, j]: whether geoms of kinds i and j must not touch, which are an arm or finger and the table.
+# [i, j]: whether geoms of kinds i and j must not touch, which are an arm or finger and the table.
 FORBIDDEN = np.zeros((len(GeomOwner), len(GeomOwner)), dtype=bool)
 for _part in (GeomOwner.ARM, GeomOwner.LEFT_FINGER, GeomOwner.RIGHT_FINGER):
     FORBIDDEN[_part, GeomOwner.TABLE] = FORBIDDEN[GeomOwner.TABLE, _part] = True
@@ -40,11 +38,11 @@ class FingerAddresses:
 
     Attributes:
         qpos, dof: addresses (2,) of the left and the right finger in `qpos` and `qvel`.
-        sign: sign of each finger's opening in `qpos` (2,), 1 or -1.
+        sign: of each finger's opening in `qpos` (2,).
         ctrl: address of the drive in `ctrl`.
         gain: position gain of the drive, N/m; both fingers share the force.
-        ctrl_range: range of the drive's commands (2,), m.
-        opening_limits: mechanical lower and upper limit of one finger's opening, m.
+        ctrl_range: of the drive's commands (2,), m.
+        opening_limits: mechanical limits of one finger's opening, m.
         full_opening: largest opening of one finger that commands use, m.
         has_pads: whether the fingers can hold an object by friction.
     """
@@ -66,21 +64,19 @@ class ArmAddresses:
 
     Attributes:
         number: index of the arm in the rig.
-        prefix: prefix of all names of the arm.
-        flange: name of the body that rotates with the last joint.
+        prefix: of all names of the arm.
+        flange: the body that rotates with the last joint.
         joint_qpos, joint_dof: addresses (dof,) of the joints in `qpos` and `qvel`.
         arm_ctrl: addresses (dof,) of the joints' drives in `ctrl`.
-        position_gain, velocity_gain: position and velocity gains (dof,) of these drives, N m/rad and N m s/rad.
-        ctrl_range: command ranges (dof, 2) of these drives, rad.
+        position_gain, velocity_gain: of these drives (dof,), N m/rad and N m s/rad.
+        ctrl_range: of these drives (dof, 2), rad.
         weld: id of the weld by which the hand holds an object; None for grasps by friction.
-        T_base_in_world: pose (4, 4) of the base.
         joint_range: joint limits (dof, 2), rad.
-        motor_speed, max_torque: largest speed (dof,), rad/s, and torque (dof,), N m, of the joints.
-        fingers: addresses of the fingers; None for an arm without fingers.
-        gravity_error: error of each joint's gravity compensation (dof,), as a fraction of it; None if exact.
+        motor_speed, max_torque: of the joints (dof,), rad/s and N m.
+        gravity_error: error of each joint's gravity compensation (dof,), as a share of it; None if exact.
         encoder_offset: encoder reading of each joint at position 0 (dof,), rad, or 0 for all.
         sensors: ids of the delayed sensors of the joints and the left finger (drives,); None without delay.
-        command_delay, sensor_delay: delay of commands and of readings, s.
+        command_delay, sensor_delay: s.
         sensor_noise, encoder_step: standard deviation and resolution of joint readings, rad.
     """
 
@@ -114,22 +110,22 @@ class ArmAddresses:
 
     @property
     def dof(self) -> int:
-        """Number of joints, without fingers."""
+        """Joints, without fingers."""
         return len(self.joint_qpos)
 
     @property
     def drives(self) -> Ids:
-        """Addresses of the recorded drives in `ctrl`: those of the joints, then that of the gripper, if any."""
+        """Addresses in `ctrl` of the joints' drives, then of the gripper's, if any."""
         return self.arm_ctrl if self.fingers is None else np.append(self.arm_ctrl, self.fingers.ctrl)
 
     @property
     def recorded_qpos(self) -> Ids:
-        """Addresses of the recorded joints in `qpos`, then of the left finger, if any."""
+        """Addresses in `qpos` of the joints, then of the left finger, if any."""
         return self.joint_qpos if self.fingers is None else np.append(self.joint_qpos, self.fingers.qpos[0])
 
     @property
     def recorded_dof(self) -> Ids:
-        """Addresses of the recorded joints in `qvel`, then of the left finger, if any."""
+        """Addresses in `qvel` of the joints, then of the left finger, if any."""
         return self.joint_dof if self.fingers is None else np.append(self.joint_dof, self.fingers.dof[0])
 
 
@@ -138,9 +134,9 @@ class ClothAddresses:
     """The addresses of a cloth's points, ordered by rows along the cloth's x axis.
 
     Attributes:
-        flex: id of the flex.
+        flex: id.
         grid: number of points along x and along y.
-        flat_points: points (n, 3) of the flat cloth in its frame, m; also their positions in `world` at `qpos` 0.
+        flat_points: (n, 3) of the flat cloth in its frame, m; also in `world` at `qpos` 0.
         qpos, dof: addresses (n, 3) in `qpos` and `qvel`.
         constraints: ids (arms, n) of the equalities by which each hand can hold each point.
         radius: half the thickness, m.
@@ -164,7 +160,7 @@ class ClothAddresses:
         return 2 * self.radius
 
     def set_flat_pose(self, qpos: Array, T_in_world: Array) -> None:
-        """Write the positions of the flat cloth at a pose (4, 4) into `qpos` (nq,)."""
+        """Write the positions of the flat cloth at a pose into `qpos` (nq,)."""
         qpos[self.qpos] = self.flat_points @ T_in_world[:3, :3].T + T_in_world[:3, 3] - self.flat_points
 
     def points(self, qpos: Array) -> Array:
@@ -173,7 +169,7 @@ class ClothAddresses:
         return found
 
     def pose(self, qpos: Array) -> Array:
-        """Return the pose (4, 4) in `world` of an upright frame at the centroid of the points, with their mean yaw."""
+        """Return the pose in `world` of an upright frame at the centroid of the points, with their mean yaw."""
         points = self.points(qpos)
         middle = points.mean(axis=0)
         shared = self.flat_points[:, :2].T @ (points - middle)[:, :2]
@@ -186,13 +182,12 @@ class CompiledScene:
     """A compiled model with the addresses for stepping and recording.
 
     Attributes:
-        model: compiled model, constant between attempts. Attempts write the targets of welds into the model.
-        arms: arms in the order of recordings, the left one first.
-        object_qpos, object_dof: name of a rigid object -> address of its free joint in `qpos` and in `qvel`.
+        model: constant between attempts, except that attempts write the targets of welds into it.
+        arms: in the order of recordings, the left one first.
+        object_qpos, object_dof: rigid object -> address of its free joint in `qpos` and in `qvel`.
         cameras: names of the recorded cameras, in order.
         geom_kind: `GeomOwner` of each geom (ngeom,).
         geom_arm: index of each geom's arm in `arms` (ngeom,), -1 for none.
-        cloths: name -> addresses of the cloth.
     """
 
     model: mujoco.MjModel
@@ -216,12 +211,12 @@ class CompiledScene:
 
     @functools.cached_property
     def drives(self) -> Ids:
-        """Addresses of the recorded drives of each arm in `ctrl` (arms, drives)."""
+        """Addresses of each arm's recorded drives in `ctrl` (arms, drives)."""
         return np.array([arm.drives for arm in self.arms])
 
     @property
     def T_base_in_world(self) -> Array:
-        """Pose (4, 4) of the base of `arm`, in whose frame poses are recorded."""
+        """Pose of the base of `arm`, in whose frame poses are recorded."""
         return self.arms[0].T_base_in_world
 
     def forbidden(self, geoms: NDArray[np.int32]) -> NDArray[np.bool_]:
@@ -231,7 +226,7 @@ class CompiledScene:
 
     @functools.cached_property
     def _forbidden(self) -> NDArray[np.bool_]:
-        """Whether two geoms must not touch (ngeom + 1, ngeom + 1); the last row and column are for cloth, geom -1."""
+        """Shape (ngeom + 1, ngeom + 1): the last row and column are for cloth, geom -1."""
         kinds, arms = self.geom_kind, self.geom_arm
         two_arms = (arms[:, None] != arms) & (arms[:, None] >= 0) & (arms >= 0)
         return np.pad(FORBIDDEN[kinds[:, None], kinds] | two_arms, (0, 1))
@@ -248,7 +243,7 @@ class CompiledScene:
         return qpos
 
     def set_object_pose(self, qpos: Array, name: str, T_in_world: Array) -> None:
-        """Write the positions of an object at a pose (4, 4) into `qpos` (nq,); a cloth lies flat."""
+        """Write an object's positions at a pose into `qpos` (nq,); a cloth lies flat."""
         if name in self.cloths:
             self.cloths[name].set_flat_pose(qpos, T_in_world)
             return
@@ -259,10 +254,8 @@ class CompiledScene:
     def reset(self, data: mujoco.MjData, qpos: Array, commanded: Array | None = None) -> None:
         """Reset `data` to rest at `qpos` (nq,), with commands that hold each drive's position.
 
-        The result is the same bit for bit, whatever `data` contained before.
-
-        Args:
-            commanded: past commands (nu,) that delayed drives still execute; by default the present positions.
+        The result is the same bit for bit, whatever `data` contained before. Delayed drives still execute the past
+        commands `commanded` (nu,), by default the present positions.
         """
         mujoco.mj_resetData(self.model, data)
         data.qpos[:] = qpos
@@ -279,8 +272,8 @@ class CompiledScene:
     def step(self, data: mujoco.MjData, steps: int = 1) -> None:
         """Step physics. Use only this method to step a scene.
 
-        Before each step, the method applies the gravity compensation error of each joint. MuJoCo's own `gravcomp`
-        scales the compensation of a body, not of a joint.
+        It applies each joint's gravity compensation error: MuJoCo's own `gravcomp` scales that of a body, not of a
+        joint.
         """
         if not self._gravity_errors:
             mujoco.mj_step(self.model, data, steps)
@@ -296,7 +289,7 @@ class CompiledScene:
 
 
 def _fill_commands(model: mujoco.MjModel, data: mujoco.MjData, drive: int, command: float) -> None:
-    """Fill the history of a delayed drive with a command, since MuJoCo starts with zeros."""
+    """MuJoCo starts the history of a delayed drive with zeros: fill it with a command."""
     times = _history_times(int(model.actuator_history[drive, 0]), model.opt.timestep)
     mujoco.mj_initCtrlHistory(model, data, drive, times, np.full(len(times), command))
 

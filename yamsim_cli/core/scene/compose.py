@@ -1,5 +1,3 @@
-"""Composition of the MjSpec of a scene from its blueprint."""
-
 from __future__ import annotations
 
 import math
@@ -51,12 +49,7 @@ def _all_mesh_folders(locations: Locations, blueprint: Blueprint) -> Meshes:
 
 
 def compose(blueprint: Blueprint, locations: Locations) -> mujoco.MjSpec:
-    """Build the spec of a scene from its blueprint. All names of an arm begin with its prefix, which may be empty.
-
-    Raises:
-        ConfigError: a mount's STL cannot be read, or a board's dictionary does not exist.
-        ResourceError: a mesh cannot be read.
-    """
+    """Return the spec of a scene. All names of an arm begin with its prefix, which may be empty."""
     rig, meshes = blueprint.rig, _all_mesh_folders(locations, blueprint)
     bases = [rig.T_base_in_world(k) for k in range(len(rig.arms))]
     spec = _arms(rig, bases, locations, meshes)
@@ -113,13 +106,13 @@ def set_friction_cones(spec: mujoco.MjSpec, impratio: float = 10.0) -> None:
 
 
 def _add_delays(spec: mujoco.MjSpec, arm: ArmConfig, timestep: float, ranges: ArmRanges | None) -> None:
-    """Add the delays of an arm's drives and encoders: the longest ones, which `RandomizedArms` shortens."""
+    """Add the longest delays of an arm's drives and encoders, which `RandomizedArms` shortens."""
     own = arm.dynamics or Dynamics(revision=arm.name, base=arm.model.name)
     most, robot = ranges or ArmRanges(), arm.robot
     if delay := (own.command_delay_ms + most.command_delay_ms[1]) / 1000:
         for name in robot.drives:
             drive = spec.actuator(arm.prefix + name)
-            # Interpolation is needed, because a delay may not be a whole number of steps.
+            # A delay may not be a whole number of steps.
             drive.delay, drive.nsample, drive.interp = delay, math.ceil(delay / timestep) + 2, _LINEAR
     if delay := (own.sensor_delay_ms + most.sensor_delay_ms[1]) / 1000:
         for name in (*robot.joint_names, *(robot.fingers.joints[:1] if robot.fingers else ())):
@@ -152,7 +145,7 @@ def _add_physics(spec: mujoco.MjSpec, physics: TaskPhysics, rig: RigConfig, rang
 
 
 def _arms(rig: RigConfig, bases: Sequence[Array], locations: Locations, meshes: Meshes) -> mujoco.MjSpec:
-    """Return a spec with all arms. An arm without a prefix is the root, because MuJoCo attaches only with a prefix."""
+    """An arm without a prefix is the root, because MuJoCo attaches only with a prefix."""
     specs = [arm_spec(arm, meshes) for arm in rig.arms]
     root = mujoco.MjSpec()
     for arm, child, T in zip(rig.arms, specs, bases, strict=True):
@@ -197,8 +190,8 @@ def add_home_key(
     """Add a keyframe `home`, in which the drives hold the arms at rest, and return the compiled model.
 
     Args:
-        start: object -> pose (4, 4) in `world`, in the keyframe and in the model's default state.
-        joints: joint positions (dof,) of each arm, rad; by default the robots' home.
+        start: object -> pose in `world`, also in the model's default state.
+        joints: (dof,) of each arm, rad; by default the robots' home.
         parts: joint of an articulated object -> position, m or rad.
     """
     for name, T in start.items():
@@ -217,7 +210,7 @@ def add_home_key(
         for name, moved, angle in zip(arm.robot.joint_drives, arm.robot.joint_names, angles, strict=True):
             drive = model.actuator(arm.prefix + name)
             # Uncompensated loads, such as a wrist camera, would displace the drives by milliradians. The commands
-            # compensate for this displacement, rounded to a nanoradian.
+            # compensate for this, rounded to a nanoradian.
             offset = round(load[model.joint(arm.prefix + moved).dofadr[0]] / drive.gainprm[0], 9)
             ctrl[drive.id] = np.clip(angle + offset, *drive.ctrlrange)
     spec.add_key(name="home", qpos=qpos, ctrl=ctrl)
@@ -225,7 +218,6 @@ def add_home_key(
 
 
 def _static_load(model: mujoco.MjModel, qpos: Array) -> Array:
-    """Return the static load of each degree of freedom (nv,) at `qpos` (nq,), N m and N."""
     data = mujoco.MjData(model)
     data.qpos[:] = qpos
     mujoco.mj_forward(model, data)

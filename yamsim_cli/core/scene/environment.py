@@ -1,5 +1,3 @@
-"""The environment of a rig (floor, sky, lights, table with legs), and the render quality."""
-
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
@@ -16,7 +14,7 @@ from ..geometry.stl import stl_bytes
 from .objects.object_geoms import SEEN_GROUP, contact_numbers
 
 _HALF_FLOOR, _TILE = 5.0, 0.5  # m, half the edge of the floor, and the edge of a tile
-_TILE_HEIGHT = 0.001  # m, height of the tiles above the floor, sufficient for the depth buffer
+_TILE_HEIGHT = 0.001  # m above the floor, sufficient for the depth buffer
 _CORE_DEPTH = 0.003  # m, inset of the inner box that casts a box's shadow: about two texels of the default shadow map
 
 
@@ -33,7 +31,7 @@ def add_background(spec: mujoco.MjSpec, scene: SceneConfig) -> None:
     )
     for name, colour in zip(("floor", "floor_tiles"), scene.floor_rgba, strict=True):
         spec.add_material(name=name, rgba=(*colour, 1), specular=0.1, shininess=0.1)
-    # The floor casts no shadow, because it could only shade itself falsely.
+    # No shadow: the floor could only shade itself falsely.
     spec.worldbody.add_geom(
         name="safety_plane",
         type=mujoco.mjtGeom.mjGEOM_PLANE,
@@ -71,11 +69,7 @@ def _tiles() -> tuple[Array, NDArray[np.int32]]:
 
 
 def add_lights(spec: mujoco.MjSpec, scene: SceneConfig, centre: Sequence[float] | Array) -> None:
-    """Add the scene's directional lights and the camera's headlight.
-
-    Args:
-        centre: point (3,) in `world` around which shadows are sharpest.
-    """
+    """Add the scene's directional lights and the headlight; shadows are sharpest around `centre` (3,), in `world`."""
     headlight = spec.visual.headlight
     headlight.ambient = scene.ambient
     headlight.diffuse = (0.15, 0.15, 0.15)
@@ -95,12 +89,7 @@ def add_lights(spec: mujoco.MjSpec, scene: SceneConfig, centre: Sequence[float] 
 
 
 def add_table(spec: mujoco.MjSpec, table: Table, floor: float, bases: Sequence[Array]) -> None:
-    """Add the table, its legs, and a post from each arm's base to the floor. Legs and posts have no contacts.
-
-    Args:
-        floor: height of the floor, m.
-        bases: pose (4, 4) of each arm's base in `world`.
-    """
+    """Add the table, its legs, and a post from each arm's base to the floor. Legs and posts have no contacts."""
     spec.add_material(name="table", rgba=table.rgba, specular=0.1, shininess=0.1, reflectance=table.reflectance)
     _add_box(spec, "table", table.position, table.half_size, contact_numbers(table.contact))
     x, y, _ = table.position
@@ -118,10 +107,9 @@ def add_table(spec: mujoco.MjSpec, table: Table, floor: float, bases: Sequence[A
 def _add_box(
     spec: mujoco.MjSpec, name: str, position: Sequence[float], half_size: Sequence[float], contact: Mapping[str, Any]
 ) -> None:
-    """Add a box of the table's material with a smaller box inside, which casts the shadow and avoids shadow acne.
+    """Add a box with a smaller box inside, which casts the shadow and avoids shadow acne.
 
-    Args:
-        contact: MuJoCo's contact parameters; if empty, the box has no contacts.
+    Without MuJoCo's `contact` parameters, the box has no contacts.
     """
     shared = {"type": mujoco.mjtGeom.mjGEOM_BOX, "pos": position, "group": SEEN_GROUP}
     nothing = {"contype": 0, "conaffinity": 0}
@@ -129,7 +117,7 @@ def _add_box(
         name=name, size=half_size, material="table", castshadow=False, **shared, **(contact or nothing)
     )
     core = np.maximum(np.asarray(half_size) - _CORE_DEPTH, np.asarray(half_size) / 4)
-    # The core has no material, because MuJoCo renders each box of a reflective material in a separate pass.
+    # MuJoCo renders each box of a reflective material in a separate pass, so the core has no material.
     spec.worldbody.add_geom(name=f"{name}_core", size=core, **shared, **nothing)
 
 
@@ -139,7 +127,7 @@ def apply_quality(spec: mujoco.MjSpec, quality: RenderConfig, size: tuple[int, i
     visual.global_.offwidth, visual.global_.offheight = quality.fine_size(size)
     visual.quality.offsamples = quality.multisamples
     visual.quality.shadowsize = quality.shadow_map_px
-    # `compose` has set the shadow clip for the default reach, `SHADOW_REACH`.
+    # `compose` has set the shadow clip for the default reach.
     visual.map.shadowclip += quality.shadow_reach_m - SHADOW_REACH
     visual.quality.numslices, visual.quality.numstacks = quality.slices, quality.slices // 2
     for number, light in enumerate(spec.lights):

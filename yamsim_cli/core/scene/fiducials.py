@@ -1,7 +1,6 @@
-"""Adds the marker board beside an arm's base, and the board's mount, to a scene as mocap bodies.
+"""The marker board beside an arm's base, and the board's mount, as mocap bodies.
 
-Each body has the pose of its arm's base, from the rig or from a photo. Its geom has the constant pose of the board or
-mount in the base's frame.
+Each body has the pose of its arm's base. Its geom has the constant pose of the board or mount in the base's frame.
 """
 
 from __future__ import annotations
@@ -85,7 +84,7 @@ def _add_mount(spec: mujoco.MjSpec, arm: ArmConfig, config: MountConfig, T_base_
 
 
 def _mount_stl(config: MountConfig, board: BoardConfig | None) -> bytes:
-    """Return the mount's STL, mm, in the frame of the base's mesh: the user's file, or a generated mesh."""
+    """Return the mount's STL, mm, in the frame of the base's mesh."""
     if config.stl is not None:
         try:
             return Path(config.stl).read_bytes()

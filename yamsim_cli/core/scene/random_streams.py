@@ -38,8 +38,7 @@ class Stream(IntEnum):
 def random_generator(job: AttemptJob, stream: Stream, *of: int) -> np.random.Generator:
     """Return the generator of a stream of an attempt, independent of all other attempts and streams.
 
-    Args:
-        of: indices that split the stream further, such as those of a frame and a camera.
+    `of` splits the stream further, for example by the indices of a frame and a camera.
     """
     # NumPy ignores trailing zeros of a seed, so all indices are increased by one.
     return np.random.default_rng([job.seed, job.attempt, int(stream), *(number + 1 for number in of)])

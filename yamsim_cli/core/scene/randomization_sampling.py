@@ -1,5 +1,3 @@
-"""Sampling of an attempt's variation from configured ranges, with an independent random stream for each part."""
-
 from __future__ import annotations
 
 import colorsys
@@ -15,8 +13,8 @@ from ..config.variation import ArmVariation, LightVariation, LookVariation, Surf
 from .random_streams import Stream, random_generator
 
 _REPEATS = (2, 9)  # half-open range of a pattern's repetitions along each edge of a surface
-_SEEDS = 2**31  # number of possible seeds of a texture
-TABLE = "table"  # key of the table in `Variation.friction`, whose other keys are objects
+_SEEDS = 2**31
+TABLE = "table"  # key in `Variation.friction`, whose other keys are objects
 
 
 def sample_variation(
@@ -24,10 +22,7 @@ def sample_variation(
 ) -> Variation:
     """Sample an attempt's variation without distractors, which `sim.placement` places when the motion is known.
 
-    Args:
-        lights: number of lights in the scene.
-        objects: objects of the task.
-        dofs: number of joints of each arm, in the scene's order.
+    `lights` and `dofs` are the numbers of lights and of each arm's joints.
     """
 
     def rng(stream: Stream) -> np.random.Generator:
@@ -114,7 +109,7 @@ def _sample_surface(ranges: SurfaceRanges, rng: np.random.Generator) -> SurfaceV
 
 
 def _weighted_choice(weights: Mapping[Texture, float], share: float) -> Texture:
-    """Return the name at a fraction `share` (0 to 1) of the weights, summed up in alphabetical order."""
+    """Return the name at a share (0 to 1) of the weights, summed up in alphabetical order."""
     rest = share * sum(weights.values())
     for name in sorted(weights):
         if rest < weights[name]:

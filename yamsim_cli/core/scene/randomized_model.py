@@ -1,5 +1,3 @@
-"""Domain randomization of a compiled scene: one model is reset and then varied for each attempt."""
-
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
@@ -22,9 +20,9 @@ from .objects.scene_object import add_object
 _ABSENT_GROUP, _ABSENT_POSITION = 4, (0.0, 0.0, -5.0)  # unrendered geom group and position, m, of unused distractors
 _TEXTURED = "_textured"
 _TEXTURE_SIZE = 256  # px, edge of a texture
-_OCTAVES = 4  # number of noise grids, each twice as fine as the previous one
+_OCTAVES = 4  # noise grids, each twice as fine as the previous one
 _TILES = "floor_tiles"
-_FLOOR_REPEAT = 8  # repetitions of the floor's texture per repetition of the table's: the floor is ten times as wide
+_FLOOR_REPEAT = 8  # per repetition of the table's texture: the floor is ten times as wide
 _SURFACES = {"table": "table", "floor": "safety_plane"}  # surface in the config -> name of its geom
 
 _SAVED = (  # fields of `MjModel` that a variation can change; `apply` resets them
@@ -38,7 +36,7 @@ _SAVED_HEADLIGHT = ("ambient", "diffuse")
 
 
 def _is_textured(ranges: SurfaceRanges | None, part: str) -> bool:
-    """Return whether an attempt may give a surface an image texture. The floor's checker pattern is a mesh."""
+    """The floor's checker pattern is a mesh, so it needs no image texture."""
     untextured = {"plain", "checker"} if part == "floor" else {"plain"}
     return ranges is not None and not untextured.issuperset(ranges.textures)
 
@@ -66,14 +64,9 @@ def add_randomized_parts(spec: mujoco.MjSpec, config: RandomizationConfig, meshe
 
 
 class RandomizedModel:
-    """A compiled model that is varied for each attempt.
+    """A compiled model with the parts of `add_randomized_parts`, which is reset and then varied for each attempt.
 
-    Attributes:
-        textures: ids of the textures that the last `apply` changed. Renderers must upload these textures.
-
-    Args:
-        model: the model as compiled, with the parts of `add_randomized_parts`.
-        scene: config with the model's lights.
+    Renderers must upload `textures`, whose ids the last `apply` changed.
     """
 
     def __init__(self, model: mujoco.MjModel, config: RandomizationConfig, scene: SceneConfig) -> None:
@@ -178,11 +171,7 @@ class RandomizedModel:
 
 
 def scale_masses(model: mujoco.MjModel, factors: Mapping[str, float]) -> None:
-    """Multiply the masses and inertias of objects with their links, and recompute MuJoCo's derived constants.
-
-    Args:
-        factors: object -> factor of the mass of each of its bodies.
-    """
+    """Multiply the masses and inertias of objects with their links, and recompute MuJoCo's derived constants."""
     for name, factor in factors.items():
         bodies = model.body_rootid == model.body(name).id
         model.body_mass[bodies] *= factor
@@ -228,9 +217,7 @@ def _noise(rng: np.random.Generator, cells: int, size: int) -> NDArray[np.float6
 class RandomizedArms:
     """A compiled scene whose arms vary between attempts in delays, readings and gravity compensation.
 
-    Args:
-        scene: the compiled scene, whose model was compiled for the longest delays. Its `arms` have the delays of an
-            attempt without variation.
+    The model was compiled for the longest delays. The scene's `arms` have the delays of an attempt without variation.
     """
 
     def __init__(self, scene: CompiledScene) -> None:
@@ -238,7 +225,7 @@ class RandomizedArms:
         self.apply(())  # replaces the longest delays, with which the model was compiled
 
     def apply(self, variations: Sequence[ArmVariation]) -> CompiledScene:
-        """Return the scene with one variation applied to each arm, or none if empty. The model changes in place."""
+        """Return the scene with one variation for each arm, or none if empty. The model changes in place."""
         arms, model = self._scene.arms, self._scene.model
         if variations:
             arms = tuple(_randomized_arm(arm, by) for arm, by in zip(arms, variations, strict=True))

@@ -1,5 +1,3 @@
-"""Sampling of the role assignment, the prompt and the initial placements of an attempt."""
-
 from __future__ import annotations
 
 import itertools
@@ -17,20 +15,20 @@ from ..config.scene import Table
 from ..geometry.se3 import Array, pose, rotation_from_vector, rotation_z
 from .random_streams import Stream, random_generator
 
-_MAX_TRIES = 60  # sampled placements of one object, after which the round fails
-_MAX_ROUNDS = 20  # rounds, each of which samples the placements of all objects again
+_MAX_TRIES = 60  # of one object, after which the round fails
+_MAX_ROUNDS = 20  # each of which samples the placements of all objects again
 
 LocalBoxFunction = Callable[[str, Mapping[str, float]], Array]  # the type of `sample_placements.box_of`
 
 
 @dataclass(frozen=True)
 class ObjectPlacement:
-    """The initial placement of an object, before the object settles.
+    """The initial placement of an object, before it settles.
 
     Attributes:
-        T: pose (4, 4) in `world`; settling corrects the height.
-        on: name of the supporting object, or `table`.
-        joint_openings: part -> opening of its joint as a fraction of the joint's range.
+        T: pose in `world`; settling corrects the height.
+        on: the supporting object, or `table`.
+        joint_openings: part -> opening of its joint as a share of the joint's range.
     """
 
     T: Array
@@ -60,15 +58,10 @@ def sample_phrasing(task: ProgramTask, job: AttemptJob) -> str:
 def sample_placements(
     task: ProgramTask, roles: RoleAssignment, box_of: LocalBoxFunction, table: Table, job: AttemptJob, number: int = 0
 ) -> dict[str, ObjectPlacement] | str:
-    """Sample the initial placements of an attempt.
+    """Sample object -> initial placement, in the order in which objects settle.
 
-    Args:
-        box_of: function of an object and `ObjectPlacement.open` that returns the local bounding box (2, 3), m.
-        number: how many samples of this attempt the caller has already rejected.
-
-    Returns:
-        Object -> placement, in the order in which objects settle. If 20 rounds of 60 tries find no free placement for
-        an object, the function returns this object's name.
+    If 20 rounds of 60 tries find no free placement for an object, the result is this object's name. `box_of` gives an
+    object's local bounding box (2, 3), m. `number` is how many samples of this attempt the caller has rejected.
     """
     if task.arrangements:
         return _arranged_placements(task, roles, job, number)
@@ -85,7 +78,7 @@ def sample_placements(
 def _arranged_placements(
     task: ProgramTask, roles: RoleAssignment, job: AttemptJob, number: int
 ) -> dict[str, ObjectPlacement]:
-    """Return the placements of one arrangement of the task's list. Attempts use the list in a random order per seed."""
+    """Attempts use the task's list of arrangements in a random order per seed."""
     order = random_generator(AttemptJob(job.seed, 0), Stream.PLACES).permutation(len(task.arrangements))
     one = task.arrangements[order[(job.attempt + number) % len(order)]]
     return {
@@ -151,11 +144,11 @@ def _start_rotation(orientation: StartOrientation, roll: float) -> Array:
     return np.eye(3)
 
 
-_CORNERS = tuple(itertools.product((0, 1), repeat=3))  # corners of a box: 0 (low) or 1 (high) for each axis
+_CORNERS = tuple(itertools.product((0, 1), repeat=3))  # 0 (low) or 1 (high) for each axis
 
 
 def footprint_corners(box: Array, T: Array) -> Array:
-    """Return x and y (8, 2), m, of the corners of a box (2, 3: low and high corner) at a pose (4, 4)."""
+    """Return x and y (8, 2), m, of the corners of a box (2, 3: low and high corner) at a pose."""
     corners: Array = (box[_CORNERS, (0, 1, 2)] @ T[:3, :3].T + T[:3, 3])[:, :2]
     return corners
 

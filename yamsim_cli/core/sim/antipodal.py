@@ -12,19 +12,19 @@ import numpy as np
 from ..geometry.se3 import Array, pose
 from .geom_shapes import geom_points
 
-_INNER_POINTS = 24  # number of points inside an object through which lines are tried, besides the centre of mass
+_INNER_POINTS = 24  # points inside an object through which lines are tried, besides the centre of mass
 
-# Unit vectors in the object's frame: its axes, and the bisectors of two and of three axes.
+# The object's axes, and the bisectors of two and of three axes.
 _DIRECTIONS = tuple(
     np.array(direction) / math.sqrt(sum(map(abs, direction)))
     for direction in itertools.product((0, 1, -1), repeat=3)
     if next((part for part in direction if part), 0) == 1
 )
 
-_MAX_SLOPE = math.tan(math.radians(15))  # tangent, largest slope of a face against the plane normal to the line
-_SLOPE_OFFSET = 0.003  # m, offset from the line of the rays that measure slopes
-_SQUARED_RADIUS_FACTOR = 1.001  # factor of the squared radius of geoms' bounding spheres, against rounding errors
-_RAY_START = 1.0  # m, distance of a ray's start from a point in an object; larger than any object on a table
+_MAX_SLOPE = math.tan(math.radians(15))  # tangent, of a face against the plane normal to the line
+_SLOPE_OFFSET = 0.003  # m, from the line of the rays that measure slopes
+_SQUARED_RADIUS_FACTOR = 1.001  # of geoms' bounding spheres, against rounding errors
+_RAY_START = 1.0  # m, from a point in an object; larger than any object on a table
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class AntipodalPair:
     """A line through an object, with a finger contact at each end.
 
     Attributes:
-        middle: middle (3,) of the line in the object's frame, m.
+        middle: (3,), in the object's frame, m.
         direction: unit vector (3,) along the line in the object's frame.
         width: distance between the ends, m.
         steepness: slope of the steeper face, as a tangent; 0 if both faces are perpendicular to the line.

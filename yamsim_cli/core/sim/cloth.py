@@ -1,5 +1,3 @@
-"""The state of simulated cloth, the switching of its grasp constraints, and simulated drops and pulls of cloth."""
-
 from __future__ import annotations
 
 import math
@@ -16,47 +14,42 @@ from ..scene.cloth import grid_edges, grid_triangles
 from ..scene.compiled import ClothAddresses, CompiledScene, GeomOwner
 from .settling import settle_objects
 
-_CLOSED_OPENING = 0.006  # m, largest opening of each finger at which a hand grasps cloth
-_MIN_FORCE = 2.0  # N, least force of each finger at which a hand grasps cloth
+_CLOSED_OPENING = 0.006  # m, of each finger at which a hand grasps cloth
+_MIN_FORCE = 2.0  # N, of each finger at which a hand grasps cloth
 _RELEASE_OPENING = 0.002  # m, a hand releases cloth if its commanded opening exceeds the present one by more
 
-_PAD_WIDTH = 0.0072  # m, half the width of a finger pad
-_PAD_LENGTH = 0.0082  # m, half the length of a finger pad
+_PAD_WIDTH = 0.0072  # m, half
+_PAD_LENGTH = 0.0082  # m, half
 _BELOW_TIPS = 0.002  # m, reach of closing fingers beyond their tips, in addition to the cloth's thickness
 
-# m, x and y of the lines along which layers are found, in the pinch frame: origin between the pads, z along fingers.
+# m, x and y of the lines along which layers are found, in the pinch frame.
 _LINES = np.array([(0.0, 0.0), (-_PAD_WIDTH, 0.0), (_PAD_WIDTH, 0.0)])
 
-_MOVED_MASS = 1.0  # kg, mass of each point while `moving_points` moves it, so that the cloth cannot pull it back
+_MOVED_MASS = 1.0  # kg, of each point while `moving_points` moves it, so that the cloth cannot pull it back
 
-_LIFT_SPEED = 0.3  # m/s, speed of the point by which cloth is lifted before a drop
-# Least height of a lift before a drop: the smaller of this height, m, and this fraction of half the cloth's diagonal.
+_LIFT_SPEED = 0.3  # m/s, of the point by which cloth is lifted before a drop
+# A lift before a drop has at least the smaller of this height, m, and this share of half the cloth's diagonal.
 _MIN_LIFT, _MIN_LIFT_SHARE = 0.08, 0.3
-_MAX_HEADING = 0.5  # rad, largest deviation of a lifted point's path from the direction to the cloth's middle
+_MAX_HEADING = 0.5  # rad, from a lifted point's path to the direction to the cloth's middle
 
 # Crumpled cloth must not pass through itself or into the table.
-_MAX_DROPS = 40  # drops; if all have faults (crossings, sunk points, too flat), the best is used
-_MAX_SINK = 0.5  # thicknesses, depth below the flat cloth from which a point counts as sunk into its support
-_MIN_CRUMPLED = 4.0  # layer thicknesses, least height of crumpled cloth
+_MAX_DROPS = 40  # if all have faults (crossings, sunk points, too flat), the best is used
+_MAX_SINK = 0.5  # thicknesses below the flat cloth, from which a point counts as sunk into its support
+_MIN_CRUMPLED = 4.0  # layer thicknesses, height of crumpled cloth
 _SETTLINGS = 3  # runs of `settle_objects` after a drop; cloth takes longer to come to rest than other objects
 
-_REST_SECONDS = 0.5  # s, simulated after the points of a pull are released
+_REST_SECONDS = 0.5  # after the points of a pull are released
 
 
 class ClothState:
-    """Read access to the present state of a cloth.
-
-    Args:
-        cloth: addresses of the points in MuJoCo's arrays.
-        data: MuJoCo's state.
-    """
+    """Read access to the present state of a cloth."""
 
     def __init__(self, cloth: ClothAddresses, data: mujoco.MjData) -> None:
         self._cloth, self._data = cloth, data
 
     @property
     def addresses(self) -> ClothAddresses:
-        """Indices of the points in MuJoCo's arrays."""
+        """Addresses of the points in MuJoCo's arrays."""
         return self._cloth
 
     @property
@@ -72,7 +65,7 @@ class ClothState:
 
     @property
     def pose(self) -> Array:
-        """Pose (4, 4) in `world` of an upright frame at the centroid of the points, with their mean yaw."""
+        """See `ClothAddresses.pose`."""
         return self._cloth.pose(self._data.qpos)
 
     @property
@@ -121,9 +114,7 @@ class ClothConstraints:
     def update(self, data: mujoco.MjData, ctrl: Array) -> list[bool]:
         """Grasp or release cloth for the next commands `ctrl` (nu,), and return whether each arm's hand holds cloth.
 
-        Args:
-            data: present poses and contacts. The constraints are switched in `data`; their anchors are written into
-                the scene's model.
+        The constraints are switched in `data`; their anchors are written into the scene's model.
         """
         return [self._update_hand(data, number, ctrl) for number in range(len(self._scene.arms))]
 
@@ -180,13 +171,10 @@ def points_between_pads(cloth: ClothAddresses, points: Array, T_pinch_in_world: 
 def moving_points(
     model: mujoco.MjModel, data: mujoco.MjData, cloth: ClothAddresses, points: NDArray[np.int_]
 ) -> Iterator[Callable[[Array], None]]:
-    """Yield a function that steps physics once and moves points of a cloth to given positions (n, 3) in `world`, m.
+    """Yield a function that steps physics once and moves points of a cloth to positions (n, 3) in `world`, m.
 
     Within the context, the points have a larger mass in the model. MuJoCo solves for all points together: the cloth
     would pull back a point of 0.1 g instead of following it, and would stretch tenfold.
-
-    Args:
-        points: indices (n,) of the moved points.
     """
     dof = cloth.dof[points]
     bodies = model.dof_bodyid[dof[:, 0]]
@@ -208,19 +196,12 @@ def moving_points(
 def crumple(
     scene: CompiledScene, start: Array, cloth: str, rng: np.random.Generator, share: float, timestep: float
 ) -> Array:
-    """Crumple a cloth, and return MuJoCo's positions (nq,) with the cloth at rest.
+    """Crumple a flat cloth, and return MuJoCo's positions (nq,) with the cloth at rest.
 
-    The function lifts a point of the cloth's outer half and moves it roughly towards the middle. Then it lowers the
-    point to half the height and drops the cloth. Up to 40 drops are tried, until the cloth is at least 4 layers high
-    and passes neither through itself nor through the table.
-
-    Args:
-        start: MuJoCo's positions (nq,) with the cloth flat.
-        cloth: name of the cloth.
-        rng: samples the lifted point and the heading of its path.
-        share: height of the lift as a fraction of half the diagonal. The point moves towards the middle by twice this
-            fraction of its distance.
-        timestep: time step of physics, s.
+    The function lifts a point of the cloth's outer half, by `share` of half the diagonal, and moves it towards the
+    middle by twice this share of its distance. Then it lowers the point to half the height and drops the cloth. Up to
+    40 drops are tried, until the cloth is at least 4 layers high and passes neither through itself nor through the
+    table.
     """
     sheet = scene.cloths[cloth]
     ends, corners = grid_edges(*sheet.grid), grid_triangles(*sheet.grid)
@@ -274,10 +255,10 @@ def simulated_pull(
     """Simulate a pull of a cloth, and return its points (rows, columns, 3) in `world`, m, after the release.
 
     Args:
-        data: the present state, which is not changed.
+        data: is not changed.
         patches: point indices (n,) of each grasped patch.
         paths: displacement (3,) of each patch, m.
-        arch: height of the path as a fraction of the longest horizontal displacement.
+        arch: height of the path as a share of the longest horizontal displacement.
         seconds: duration of the motion, s.
     """
     simulated = mujoco.MjData(model)

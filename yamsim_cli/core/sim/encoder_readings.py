@@ -1,5 +1,3 @@
-"""Simulated encoder readings with the delay, noise, resolution and offset of the arms' dynamics."""
-
 from __future__ import annotations
 
 import mujoco
@@ -19,11 +17,9 @@ def delayed_positions(scene: CompiledScene, data: mujoco.MjData) -> Array | None
 
 
 def encoder_readings(scene: CompiledScene, positions: Array, job: AttemptJob, tick: int) -> Array:
-    """Add offset, noise and resolution to joint positions, and return the readings (arms, drives), rad and m.
+    """Add offset, noise and resolution to delayed positions (arms, drives) of joints and left fingers, rad and m.
 
-    Args:
-        positions: positions of the joints and the left finger (arms, drives), delayed by `delayed_positions`.
-        tick: number of the control tick. The noise depends only on the attempt, the tick and the arm.
+    The noise depends only on the attempt, the control `tick` and the arm.
     """
     if all(arm.has_ideal_encoders for arm in scene.arms):
         return positions

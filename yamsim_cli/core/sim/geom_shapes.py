@@ -1,5 +1,3 @@
-"""Bounding boxes, surfaces, corners and volumes of MuJoCo's geoms."""
-
 from __future__ import annotations
 
 import functools
@@ -15,11 +13,11 @@ _GEOM = mujoco.mjtGeom
 
 _MESHES = (int(_GEOM.mjGEOM_MESH), int(_GEOM.mjGEOM_SDF))
 
-_SIDES = 24  # sides of the polygon that replaces a circle; the error is less than 1 % of the radius
+_SIDES = 24  # of the polygon that replaces a circle; the error is less than 1 % of the radius
 
 
 def geom_aabb(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> Array:
-    """Return the axis-aligned bounding box of a geom: lowest and highest corner (2, 3) in `world`, m."""
+    """Return a geom's lowest and highest corner (2, 3) in `world`, m."""
     R, at, size = data.geom_xmat[geom].reshape(3, 3), data.geom_xpos[geom], model.geom_size[geom]
     match _GEOM(model.geom_type[geom]):
         case _GEOM.mjGEOM_SPHERE:
@@ -39,10 +37,8 @@ def geom_aabb(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> Array:
 
 
 def body_box(model: mujoco.MjModel, geoms: Sequence[int], T: Array | None = None) -> Array:
-    """Return the bounding box of geoms of one body: lowest and highest corner (2, 3), m.
-
-    Args:
-        T: pose (4, 4) of the body in the frame whose axes the box follows; by default the body's own frame.
+    """Return the lowest and highest corner (2, 3) of geoms of one body, m, in the frame where the body has pose `T`, by
+    default its own.
     """
     boxes = []
     for geom in geoms:
@@ -52,7 +48,7 @@ def body_box(model: mujoco.MjModel, geoms: Sequence[int], T: Array | None = None
 
 
 def enclosing_box(boxes: Sequence[Array]) -> Array:
-    """Return the lowest and highest corner (2, 3) of the smallest box around boxes (n, 2, 3) along the same axes."""
+    """Return the lowest and highest corner (2, 3) of all boxes (n, 2, 3)."""
     corners = np.array(boxes)
     return np.array([corners[:, 0].min(axis=0), corners[:, 1].max(axis=0)])
 

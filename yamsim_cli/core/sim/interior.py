@@ -1,5 +1,3 @@
-"""The interior of a container, which is the space that its walls enclose."""
-
 from __future__ import annotations
 
 import math
@@ -12,7 +10,7 @@ from ..geometry.loft import Surface
 from ..geometry.se3 import Array, rotation_from_vector, rotation_z
 
 _CELLS = 64  # rays along the longer side of a body seen from one direction: 2 mm apart for a mug, 4 mm for a bin
-_HORIZONTAL_VIEWS = 8  # horizontal ray directions; with four, the space beside a slanted handle counts as enclosed
+_HORIZONTAL_VIEWS = 8  # with four, the space beside a slanted handle counts as enclosed
 
 _SIDEWAYS = rotation_from_vector([0.0, -math.pi / 2, 0.0])
 
@@ -30,15 +28,11 @@ class Interior:
     """The space that one rigid body encloses, in the body's frame.
 
     A point lies inside if rays from the point hit the body in enough directions:
-
     - down and in all eight horizontal directions, as in a cup, a bin or a drawer; or
     - down, up, and in at least one of each two opposite horizontal directions, as in a cupboard with an open front.
 
     The space under or in the loop of a mug's handle is therefore not inside. The body's solid parts count as inside,
     because no other object can be there. Rays pass through gaps in walls, such as those between wires.
-
-    Args:
-        surface: surface of the body.
     """
 
     def __init__(self, surface: Surface) -> None:

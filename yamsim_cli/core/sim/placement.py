@@ -18,16 +18,12 @@ from ..scene.compiled import CompiledScene
 from ..scene.random_streams import Stream, random_generator
 from ..scene.randomized_model import RandomizedModel
 
-_MAX_TRIES = 12  # sampled places for each distractor, after which the distractor is left out
+_MAX_TRIES = 12  # for each distractor, after which it is left out
 _MAX_OVERLAP = 5e-4  # m, penetration up to which a contact is no collision
 
 
 class DistractorPlacer:
-    """Samples places for a recording's distractors in a copy of the scene's model.
-
-    Args:
-        scene: the compiled scene, without variations.
-    """
+    """Samples places for a recording's distractors in a copy of a scene without variations."""
 
     def __init__(self, config: RecordConfig, scene: CompiledScene) -> None:
         self._distractors = config.randomization.distractors
@@ -38,11 +34,8 @@ class DistractorPlacer:
     def sample_poses(self, job: AttemptJob, positions: Sequence[Array]) -> dict[str, UprightPose]:
         """Return distractor -> place `[x, y, z, yaw]` in `world`, m and rad, sampled for an attempt.
 
-        Distractors are placed after the motion is known. They never move and nothing comes near them, so they do not
-        change the motion. A distractor without a free place after 12 tries is left out.
-
-        Args:
-            positions: MuJoCo's positions (nq,) at all times of the attempt, m and rad.
+        Distractors are placed after the motion (`qpos` at all times) is known, where nothing comes near, so they do not
+        change it. A distractor without a free place after 12 tries is left out.
         """
         config = self._distractors
         if config is None:
@@ -73,7 +66,6 @@ class DistractorPlacer:
         return placed
 
     def _is_clear(self, data: mujoco.MjData, name: str, clearance: float, positions: Sequence[Array]) -> bool:
-        """Return whether all other geoms keep `clearance` (m) from a distractor at all `positions` (nq,)."""
         model = self._model
         body = model.body(name)
         mocap = int(body.mocapid[0])
@@ -113,11 +105,7 @@ def _disc_distance(one: Array, other: Array) -> float:
 
 
 class ArmCollisionCheck:
-    """Finds collisions of an arm at given joints. Contacts with the task's objects, which can be moved, are ignored.
-
-    Args:
-        arm: index of the arm in the scene.
-    """
+    """Finds collisions of an arm. Contacts with the task's objects, which can be moved, are ignored."""
 
     def __init__(self, scene: CompiledScene, arm: int) -> None:
         self._scene = scene
@@ -131,9 +119,7 @@ class ArmCollisionCheck:
     def depth(self, qpos: Array, joints: Array) -> tuple[float, str]:
         """Return the deepest penetration of the arm, m, and the name of the penetrated geom; 0 and "" if none.
 
-        Args:
-            qpos: MuJoCo's positions (nq,) of the rest of the scene.
-            joints: joint positions (dof,) of the arm, rad.
+        `qpos` (nq,) are the positions of the rest of the scene.
         """
         data, model = self._data, self._scene.model
         data.qpos[:] = qpos

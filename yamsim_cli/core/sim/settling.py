@@ -1,5 +1,3 @@
-"""Simulation of a scene until its objects are at rest."""
-
 from __future__ import annotations
 
 from typing import NamedTuple
@@ -10,18 +8,13 @@ import numpy as np
 from ..geometry.se3 import Array
 from ..scene.compiled import CompiledScene
 
-SETTLE_SECONDS = 2.0  # s, longest simulated time
-CHECK_STEPS = 25  # physics steps between two checks of the speeds
-AT_REST = 0.01  # m/s and rad/s, speed below which an object counts as at rest
+SETTLE_SECONDS = 2.0  # longest simulated time
+CHECK_STEPS = 25  # between two checks of the speeds
+AT_REST = 0.01  # m/s and rad/s
 
 
 class SettledScene(NamedTuple):
-    """The result of `settle_objects`.
-
-    Attributes:
-        qpos: MuJoCo's positions (nq,).
-        speed: largest remaining speed of a rigid object, m/s or rad/s.
-    """
+    """MuJoCo's positions (nq,), and the largest remaining speed of a rigid object, m/s or rad/s."""
 
     qpos: Array
     speed: float

@@ -1,5 +1,3 @@
-"""Queries of a scene's state (poses, contacts, holders, containers) by object names, for goals and skills."""
-
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -16,18 +14,15 @@ from .cloth import ClothState
 from .geom_shapes import body_box, body_surface, enclosing_box, geom_aabb, geom_points
 from .interior import Interior
 
-_VOLUME_POINTS = 1000  # sample points in a body, which give volume fractions a resolution of 0.001
-_MIN_UPWARD_NORMAL = 0.5  # vertical component of a contact normal above which a finger is under a cloth
+_VOLUME_POINTS = 1000  # sample points in a body, which give volume shares a resolution of 0.001
+_MIN_UPWARD_NORMAL = 0.5  # vertical component of a contact, above which a finger is under a cloth
 
 
 @dataclass(frozen=True)
 class ContainerRegion:
-    """A box-shaped region of an object, such as a compartment of a tray.
+    """A box-shaped region of an object, such as a compartment of a tray, of `size` (3,), m.
 
-    Attributes:
-        thing: name of the object.
-        T_in_object: pose (4, 4) of the region's frame in the object's frame; origin at the centre of the floor.
-        size: size (3,) of the box, m.
+    The region's origin is at the centre of the floor.
     """
 
     thing: str
@@ -36,19 +31,18 @@ class ContainerRegion:
 
     @property
     def corners(self) -> Array:
-        """Lowest and highest corner (2, 3) of the box in the region's frame, m."""
+        """Lowest and highest corner (2, 3) in the region's frame, m."""
         x, y, z = self.size
         return np.array([[-x / 2, -y / 2, 0.0], [x / 2, y / 2, z]])
 
 
 class SimWorld:
-    """The state of a compiled scene by object names; implements `config.goals.world.GoalWorld`.
+    """The state of a compiled scene by object names, for goals and skills; implements `config.goals.world.GoalWorld`.
 
     Args:
         things: names of the objects, in order. An object is the body of that name with all its descendants.
-        sides: side of each arm, "left" or "right", in the order of `arms`.
+        sides: "left" or "right", in the order of `arms`.
         regions: name -> region of an object, such as a tray's compartment.
-        cloths: name -> addresses of the points, for each object that is a cloth.
     """
 
     def __init__(
@@ -91,7 +85,7 @@ class SimWorld:
         return self._data
 
     def pose(self, thing: str) -> Array:
-        """Return the pose (4, 4) in `world` of an object, a region or a cloth."""
+        """Return the pose in `world` of an object, a region or a cloth."""
         if region := self._regions.get(thing):
             return self.pose(region.thing) @ region.T_in_object
         if cloth := self._cloths.get(thing):
@@ -100,22 +94,22 @@ class SimWorld:
         return pose(body.xpos, body.xmat.reshape(3, 3))
 
     def handle_pose(self, thing: str, handle: str) -> Array:
-        """Return the pose (4, 4) in `world` of a handle of an object; z points into the handle."""
+        """Return the pose in `world` of a handle of an object; z points into the handle."""
         site = self._data.site(f"{self._check(thing)}_{handle}")
         return pose(site.xpos, site.xmat.reshape(3, 3))
 
     def start_pose(self, thing: str) -> Array:
-        """Return the pose (4, 4) in `world` that an object had at the last `store_start`."""
+        """Return the pose in `world` that an object had at the last `store_start`."""
         return self._starts[self._check(thing)]
 
     def store_start(self) -> None:
-        """Store the poses of all objects at the start of an attempt, and clear the records of holders and handovers."""
+        """Store the poses of all objects, and clear the records of holders and handovers."""
         self._starts = {name: self.pose(name) for name in self.object_names}
         self._hands = {name: [] for name in self.object_names}
         self._handovers = {name: [] for name in self.object_names}
 
     def aabb(self, thing: str) -> tuple[Array, Array]:
-        """Return the lowest and highest corner (3,) of the bounding box of all collision geoms in `world`, m."""
+        """Return the lowest and highest corner (3,) of all collision geoms in `world`, m."""
         if region := self._regions.get(thing):
             T = self.pose(thing)
             corners = np.array([T[:3, :3] @ corner + T[:3, 3] for corner in _box_corners(region.corners)])
@@ -126,7 +120,7 @@ class SimWorld:
         return corners[:, 0].min(axis=0), corners[:, 1].max(axis=0)
 
     def geom_aabbs(self, thing: str) -> Array:
-        """Return the lowest and highest corner (n, 2, 3) in `world` of each collision geom of an object, m."""
+        """Return the lowest and highest corner (n, 2, 3) of each collision geom in `world`, m."""
         geoms = self._geoms[self._check(thing)]
         solid = geoms[self._model.geom_contype[geoms] != 0]
         return np.array([geom_aabb(self._model, self._data, int(geom)) for geom in solid])
@@ -152,7 +146,7 @@ class SimWorld:
         return found
 
     def cloth_points(self, thing: str) -> Array:
-        """Return the points (rows, columns, 3) of a cloth in `world`, m; rows run along the cloth's x axis."""
+        """Return a cloth's points (rows, columns, 3) in `world`, m; rows run along its x axis."""
         return self._cloths[thing].rows
 
     def cloth_addresses(self, thing: str) -> ClothAddresses:
@@ -164,7 +158,7 @@ class SimWorld:
         return self.holding_sides_by_object()[self._check(thing)]
 
     def holding_sides_by_object(self) -> dict[str, frozenset[str]]:
-        """Return object -> sides of the hands that hold the object, in the order of `things`."""
+        """Return object -> sides of the hands that hold it."""
         pairs = self._data.contact.geom
         things, fingers = self._geom_object[pairs], self._geom_finger[pairs]
         # Whether each object touches each finger, two per arm; the last row and column stand for other geoms.
@@ -188,7 +182,7 @@ class SimWorld:
         return bool(self._model.eq_obj2id[weld] == self._model.body(thing).id)
 
     def sides_with_finger_under_cloth(self, thing: str) -> frozenset[str]:
-        """Return the sides of the hands that have a finger under a cloth and would lift the cloth."""
+        """Return the sides of the hands that have a finger under a cloth and would lift it."""
         contact = self._data.contact
         flexes = self._cloths[thing].contacts
         # A contact normal points from the first side to the second.
@@ -209,15 +203,14 @@ class SimWorld:
         return tuple(self._handovers[self._check(thing)])
 
     def volume_fraction_inside(self, thing: str, container: str) -> float:
-        """Return the fraction, 0..1, of an object's volume in a container's interior, estimated by sample points."""
+        """Return the share, 0..1, of an object's volume in a container's interior, estimated by sample points."""
         return self._fraction(thing, lambda points: self.points_inside(container, points))
 
     def volume_fraction_in_box(self, thing: str, container: str) -> float:
-        """Return the fraction, 0..1, of an object's volume that lies in a container's local bounding box."""
+        """Return the share, 0..1, of an object's volume in a container's local bounding box."""
         return self._fraction(thing, lambda points: self._in_local_box(container, points))
 
     def _fraction(self, thing: str, held: Callable[[Array], NDArray[np.bool_]]) -> float:
-        """Return the fraction of an object's volume whose points (n, 3) in `world` satisfy `held` -> (n,)."""
         shares, volumes = zip(
             *((held(points).mean(), volume) for points, volume in self._volume_samples(thing)), strict=True
         )
@@ -242,13 +235,13 @@ class SimWorld:
         return held
 
     def joint_opening(self, thing: str, joint: str) -> float:
-        """Return the opening of an articulated object's joint: 0 at the lower end of its range, 1 at the upper end."""
+        """Return how far a joint is open: 0 at the lower end of its range, 1 at the upper end."""
         found = self._model.joint(f"{self._check(thing)}_{joint}")
         low, high = found.range
         return float((self._data.qpos[found.qposadr[0]] - low) / (high - low))
 
     def part_pose(self, thing: str, part: str) -> Array:
-        """Return the pose (4, 4) in `world` of a moving part of an object."""
+        """Return the pose in `world` of a moving part of an object."""
         body = self._data.body(f"{self._check(thing)}_{part}")
         return pose(body.xpos, body.xmat.reshape(3, 3))
 
@@ -280,7 +273,7 @@ class SimWorld:
         return thing
 
     def local_box(self, thing: str) -> Array:
-        """Return the lowest and highest corner (2, 3) of an object at its present joint positions, in its frame, m."""
+        """Return an object's lowest and highest corner (2, 3) at its present joint positions, in its frame, m."""
         if region := self._regions.get(thing):
             return region.corners
         if cloth := self._cloths.get(thing):
@@ -304,7 +297,7 @@ class SimWorld:
         return pose(self._data.xpos[body], self._data.xmat[body].reshape(3, 3))
 
     def _volume_samples(self, thing: str) -> Iterator[tuple[Array, float]]:
-        """Yield, for each body of an object, evenly spread points (n, 3) in `world`, m, and the volume, m3."""
+        """Yield evenly spread points (n, 3) in `world`, m, and the volume, m3, of each body of an object."""
         if cloth := self._cloths.get(thing):
             yield cloth.points, 1.0
             return
@@ -320,7 +313,6 @@ def _box_corners(block: Array) -> list[Array]:
 
 
 def _finger_geoms(model: mujoco.MjModel, arm: ArmAddresses) -> tuple[NDArray[np.int_], ...]:
-    """Return the geoms of each finger of an arm, including the geoms of descendant bodies."""
     fingers = []
     for address in () if arm.fingers is None else arm.fingers.qpos:
         joint = int(np.searchsorted(model.jnt_qposadr, address))

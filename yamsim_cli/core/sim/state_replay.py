@@ -1,5 +1,3 @@
-"""A copy of the scene that is set to recorded states, for reading and rendering. The copy is never stepped."""
-
 from __future__ import annotations
 
 import math
@@ -15,7 +13,10 @@ from .cloth import ClothState
 
 
 class StateReplay:
-    """Reads joints and poses from recorded states. Poses are in the base frame of the only arm, or the left one."""
+    """A copy of the scene that is set to recorded states and never stepped.
+
+    Poses are in the base frame of the only arm, or the left one.
+    """
 
     def __init__(self, scene: CompiledScene) -> None:
         self.scene = scene
@@ -25,7 +26,7 @@ class StateReplay:
         self._fixed = np.flatnonzero(scene.model.body_mocapid >= 0)
 
     def set_state(self, qpos: Array) -> None:
-        """Set the state to positions `qpos` (nq,), and compute the poses of bodies, cameras and lights."""
+        """Set the state to `qpos` (nq,), and compute the poses of bodies, cameras and lights."""
         model = self.scene.model
         self.data.qpos[:] = qpos
         # Randomization changes the poses of mocap bodies in the model, so the poses are copied from the model.
@@ -38,16 +39,16 @@ class StateReplay:
         mujoco.mj_flex(model, self.data)
 
     def joints(self) -> Array:
-        """Return each arm's joint positions, rad, and the position of its left finger, m, if any, as (arms, drives)."""
+        """Return each arm's joint positions, rad, and left finger's position, m, as (arms, drives)."""
         return np.array([self.data.qpos[arm.recorded_qpos] for arm in self.scene.arms])
 
     def openings(self) -> Array:
-        """Return the position of the left finger of each arm (arms,), m; 0 for an arm without fingers."""
+        """Return each arm's left finger's position (arms,), m; 0 for an arm without fingers."""
         fingers = [arm.fingers for arm in self.scene.arms]
         return np.array([self.data.qpos[one.qpos[0]] if one else 0.0 for one in fingers])
 
     def T_object_in_base(self, name: str) -> Array:
-        """Return the pose (4, 4) of a body, or of a cloth's upright frame at the centroid of its points."""
+        """Return the pose of a body, or of a cloth's upright frame at the centroid of its points."""
         if cloth := self._cloths.get(name):
             return self._T_world_in_base @ cloth.pose
         body = self.data.body(name)
@@ -73,6 +74,6 @@ class StateReplay:
         return Intrinsics.from_fovy(*size, math.radians(float(self.scene.model.cam(camera).fovy[0])))
 
     def T_cam_in_base(self, camera: str) -> Array:
-        """Return the pose (4, 4) of a camera in OpenCV's convention."""
+        """Return the pose of a camera in OpenCV's convention."""
         view = self.data.cam(camera)
         return self._T_world_in_base @ pose(view.xpos, opencv_from_mujoco(view.xmat))

@@ -1,5 +1,3 @@
-"""Protocols of executors, which run jobs and return results, and the executor that runs jobs in this process."""
-
 from __future__ import annotations
 
 import contextlib
@@ -26,7 +24,7 @@ class JobRunner(Protocol[JobIn, ResultOut]):
         ...
 
 
-# Function that creates the runner of a worker, as a context manager; must be picklable.
+# Creates the runner of a worker, as a context manager; must be picklable.
 Factory = Callable[[], AbstractContextManager[JobRunner[J, R]]]
 
 
@@ -37,9 +35,7 @@ class WorkerBugError(RuntimeError):
 class LostJobError(PartialJobError):
     """A job whose every try ended the worker. The executor continues with other jobs.
 
-    Attributes:
-        tries: number of workers that tried the job.
-        reason: how the last worker ended.
+    `tries` workers tried the job; `reason` is how the last one ended.
     """
 
     def __init__(self, job: object, tries: int, reason: str) -> None:
@@ -70,7 +66,7 @@ class Executor(Protocol[J, R]):
         """Wait for the next job that finishes, and return the job and its result.
 
         Args:
-            timeout: seconds to wait; None for no limit.
+            timeout: s; None for no limit.
 
         Raises:
             TimeoutError: no job finished in that time.
@@ -97,8 +93,7 @@ def run_all(
 ) -> Iterator[tuple[J, R]]:
     """Yield every job with its result, in the order in which jobs finish. Raises as `Executor.result`.
 
-    Args:
-        lost: returns the result of a job that ended every worker; with None, the `LostJobError` is raised.
+    `lost` returns the result of a job that ended every worker; with None, the `LostJobError` is raised.
     """
     waiting = iter(jobs)
     while True:
@@ -115,7 +110,7 @@ def run_all(
 
 
 class InlineExecutor(Closable, Generic[J, R]):
-    """An `Executor` that runs a job in the caller's process, when the job's result is requested."""
+    """Runs a job in the caller's process, when the job's result is requested."""
 
     def __init__(self, factory: Factory[J, R]) -> None:
         self._stack = contextlib.ExitStack()
@@ -124,12 +119,12 @@ class InlineExecutor(Closable, Generic[J, R]):
 
     @property
     def idle(self) -> int:
-        """Number of jobs that can be submitted now: 0 while a job waits, else 1."""
+        """See `Executor.idle`."""
         return 1 - len(self._waiting)
 
     @property
     def in_flight(self) -> int:
-        """Number of submitted jobs without a returned result: 1 while a job waits, else 0."""
+        """See `Executor.in_flight`."""
         return len(self._waiting)
 
     def submit(self, job: J) -> None:

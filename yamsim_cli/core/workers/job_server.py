@@ -1,7 +1,4 @@
-"""The server in a worker's process: a `WorkerJobRunner` creates a runner, and then answers one job after the other.
-
-This module has few imports, so that a new process soon ignores stop signals and watches its parent.
-"""
+"""The server in a worker's process. Few imports let a new process soon ignore stop signals and watch its parent."""
 
 from __future__ import annotations
 
@@ -20,15 +17,18 @@ from ..errors import YamsimError
 from .executors import Factory, JobRunner
 from .worker_pool import Event, JobFailed, JobFinished, WorkerCrashed, WorkerReady
 
-# Signals that stop the parent. All processes of the parent's group receive them, but only the parent reacts.
+# All processes of the parent's group receive these signals, but only the parent reacts.
 STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
-# The header of every answer: the id of the answering process, and the number of the job, or 0 for "ready".
+# Header of an answer: the id of the answering process, and the number of the job, or 0 for "ready".
 HEADER = struct.Struct("!QQ")
 
 
 class WorkerJobRunner:
-    """Runs jobs. `open` and `run` return a pickled `worker_pool.Event`, which also reports errors, and never raise."""
+    """Creates a runner, and then runs one job after the other.
+
+    `open` and `run` return a pickled `worker_pool.Event`, which also reports errors, and never raise.
+    """
 
     def __init__(self) -> None:
         self._stack = contextlib.ExitStack()
@@ -40,10 +40,9 @@ class WorkerJobRunner:
         return self._runner is not None
 
     def open(self, factory: bytes) -> bytes:
-        """Create the runner, and return a pickled event: `WorkerReady` or an error.
+        """Create the runner from a pickled `executors.Factory`, and return a pickled event: `WorkerReady` or an error.
 
-        Args:
-            factory: a pickled `executors.Factory`; unpickling imports the runner's modules, which takes seconds.
+        Unpickling imports the runner's modules, which takes seconds.
         """
 
         def make() -> Event[Any]:
@@ -65,13 +64,11 @@ class WorkerJobRunner:
 
 
 def serve_jobs(pipe: Connection, factory: bytes) -> None:
-    """Answer jobs from a pipe until the pipe closes.
+    """Answer jobs from a pipe until it closes.
 
-    Args:
-        pipe: delivers numbered jobs, and takes pickled `worker_pool.Event`s, each after a `HEADER`.
-        factory: the pickled function that creates the runner.
+    The pipe delivers numbered jobs, and takes pickled `worker_pool.Event`s, each after a `HEADER`.
     """
-    # EOFError or OSError mean that the parent closed the pipe, or has ended.
+    # The parent closed the pipe, or has ended.
     with contextlib.closing(WorkerJobRunner()) as server, contextlib.suppress(EOFError, OSError):
         pipe.send_bytes(HEADER.pack(os.getpid(), 0) + server.open(factory))
         while server.is_ready:

@@ -1,6 +1,5 @@
-"""Workers as processes of this machine.
+"""Workers as processes of this machine, each with its own pipe, so that a process that dies loses only its job.
 
-Each process has its own pipe, so that a process that dies loses only its job. Each process ends when its parent ends.
 Processes are spawned and never forked: a fork would share OpenGL.
 """
 
@@ -22,11 +21,10 @@ from .executors import Factory, J, R
 from .job_server import HEADER, STOP_SIGNALS, end_with_parent, serve_jobs
 from .worker_pool import JOB_SECONDS, BaseWorkerPool, Event, Worker, WorkerDied
 
-_END_SECONDS = 5.0  # s, timeout for the end of a killed process
-_MESSAGE_SECONDS = 60.0  # s, timeout from the first byte of a message to the last
+_END_SECONDS = 5.0  # for a killed process
+_MESSAGE_SECONDS = 60.0  # from the first byte of a message to the last
 
-# Signals that are blocked while a process starts. SIGALRM is included, because `__main__` uses an alarm to delay a stop
-# that arrives during an import.
+# Blocked while a process starts. `__main__` uses SIGALRM to delay a stop that arrives during an import.
 _BLOCKED_SIGNALS = (*STOP_SIGNALS, signal.SIGALRM)
 
 
@@ -59,7 +57,7 @@ class _Process(Generic[J, R]):
         self.pipe.send((self._sent, job))
 
     def receive(self) -> Event[R] | None:
-        """Return the event that is arriving; None if a forked copy of the worker sent it, or for an earlier job."""
+        """Return the event that is arriving; None if it is from a forked copy of the worker, or for an earlier job."""
         # A worker that stops during a message would block the parent forever.
         guard = threading.Timer(_MESSAGE_SECONDS, self._process.kill)
         guard.daemon = True
@@ -89,8 +87,6 @@ class _Process(Generic[J, R]):
 
 
 class _Processes(Generic[J, R]):
-    """The `WorkerBackend` that spawns processes."""
-
     def __init__(self, factory: Factory[J, R]) -> None:
         # The worker unpickles the factory itself, after its signal setup.
         self._factory = pickle.dumps(factory)

@@ -1,12 +1,13 @@
-"""A stop request, which a job checks between two steps."""
-
 from __future__ import annotations
 
 import time
 
 
 class StopRequest:
-    """A request to end a job. A signal handler or another thread makes the request; no request is withdrawn."""
+    """A request to end a job, which the job checks between two steps.
+
+    A signal handler or another thread makes the request; no request is withdrawn.
+    """
 
     def __init__(self) -> None:
         self._asked_at: float | None = None

@@ -1,11 +1,9 @@
-"""Runs jobs on workers that may die or hang: assigns jobs, repeats lost jobs, and limits the number of tries.
-
-The rules are the same for every kind of worker. A `WorkerBackend` starts workers and receives their events.
+"""Runs jobs on workers that may die or hang.
 
 - A worker that dies, or takes too long for a job, is replaced, and the job is tried again.
 - A job's last try runs while all other workers are idle, so that their memory use cannot make the job fail.
-- A worker that dies before it is ready counts against no job. A worker that fails to start `_MAX_STARTS` times in
-  a row is dropped, and the others continue. The pool ends with the last worker.
+- A worker that dies before it is ready counts against no job. A worker that fails to start `_MAX_STARTS` times in a row
+  is dropped. The pool ends with the last worker.
 """
 
 from __future__ import annotations
@@ -21,11 +19,11 @@ from ..closable import Closable
 from ..errors import PartialJobError, YamsimError
 from .executors import J, JobIn, LostJobError, R, WorkerBugError
 
-JOB_SECONDS = 600.0  # s, time limit of a job; a longer job means a hung driver or a swapping machine
-START_SECONDS = 300.0  # s, time limit for a worker's start: imports, compilation of its scene, OpenGL
-_MAX_TRIES = 3  # tries of a job, each on another worker
-_MAX_STARTS = 3  # consecutive failed starts after which a worker is dropped
-_POLL_SECONDS = 0.5  # s, period of the checks of time limits
+JOB_SECONDS = 600.0  # s, of a job; a longer job means a hung driver or a swapping machine
+START_SECONDS = 300.0  # s, for imports, compilation of the scene, OpenGL
+_MAX_TRIES = 3  # of a job, each on another worker
+_MAX_STARTS = 3  # failed in a row, after which a worker is dropped
+_POLL_SECONDS = 0.5  # between checks of time limits
 
 
 @dataclass(frozen=True)
@@ -116,16 +114,11 @@ class _Slot(Generic[J]):
     task: _Task[J] | None = None
     ready: bool = False
     failed_starts: int = 0
-    busy: float = 0.0  # s, time spent so far on the start or on the task
+    busy: float = 0.0  # s, spent so far on the start or on the task
 
 
 class BaseWorkerPool(Closable, Generic[J, R]):
-    """An `Executor` for any kind of worker, which replaces workers that die or hang.
-
-    Args:
-        workers: number of workers.
-        job_seconds: time limit of a job, s; after this time its worker is replaced.
-    """
+    """An `Executor` for any kind of worker, which replaces workers that die, hang, or exceed `job_seconds`."""
 
     def __init__(self, backend: WorkerBackend[Worker[J], R], workers: int, job_seconds: float = JOB_SECONDS) -> None:
         self._backend = backend
@@ -151,7 +144,7 @@ class BaseWorkerPool(Closable, Generic[J, R]):
 
     @property
     def in_flight(self) -> int:
-        """Number of submitted jobs without a returned result."""
+        """See `Executor.in_flight`."""
         return self._working + len(self._waiting) + len(self._done)
 
     @property
@@ -159,13 +152,13 @@ class BaseWorkerPool(Closable, Generic[J, R]):
         return sum(slot.task is not None for slot in self._slots)
 
     def submit(self, job: J) -> None:
-        """Give a job to an idle worker; requires `idle` above 0."""
+        """See `Executor.submit`."""
         assert self.idle
         self._waiting.append(_Task(job))
         self._assign()
 
     def result(self, timeout: float | None = None) -> tuple[J, R]:
-        """Wait for the next job that finishes, and return the job and its result. Raises as `Executor.result`."""
+        """See `Executor.result`."""
         end = math.inf if timeout is None else time.monotonic() + timeout
         while not self._done:
             assert self.in_flight, "nothing was submitted"
@@ -181,7 +174,7 @@ class BaseWorkerPool(Closable, Generic[J, R]):
     def _listen(self, timeout: float) -> None:
         began = time.monotonic()
         events = self._backend.wait([slot.worker for slot in self._slots], timeout)
-        # Count at most `timeout`: while the machine or this process slept, the workers slept too.
+        # While the machine or this process slept, the workers slept too: count at most `timeout`.
         passed = min(time.monotonic() - began, timeout)
         heard = []
         for worker, event in events:
@@ -213,7 +206,6 @@ class BaseWorkerPool(Closable, Generic[J, R]):
                 self._replace(slot, how)
 
     def _check(self, slot: _Slot[J]) -> None:
-        """Replace a worker that exceeds its time limit."""
         limit = self._job_seconds if slot.ready else START_SECONDS
         if slot.busy > limit:
             slot.worker.kill()
@@ -236,7 +228,7 @@ class BaseWorkerPool(Closable, Generic[J, R]):
             raise PartialJobError(f"workers do not start: each tried {_MAX_STARTS} times, and the last one {how}")
 
     def _assign(self) -> None:
-        """Give waiting jobs, in order, to ready workers; a last try only while no other worker is busy."""
+        """Give waiting jobs to ready workers; a last try only while no other worker is busy."""
         for slot in self._slots:
             if not self._waiting or (self._waiting[0].last_try and self._working):
                 return
@@ -254,7 +246,7 @@ class BaseWorkerPool(Closable, Generic[J, R]):
         return self._backend.start(self._started - 1)
 
     def close(self) -> None:
-        """End all workers at once, even during a job."""
+        """See `Executor.close`."""
         for slot in self._slots:
             slot.worker.kill()
         self._slots = []

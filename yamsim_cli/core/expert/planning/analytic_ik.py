@@ -1,11 +1,10 @@
 """Analytic inverse kinematics for arms with parallel axes 2, 3 and 4 whose last two axes intersect.
 
-The decomposition into subproblems is that of A. J. Elias and J. T. Wen, "IK-Geo: Unified robot inverse kinematics using
-subproblem decomposition" (Mechanism and Machine Theory 209, 2025), for three parallel axes and two that intersect.
-Notation, all at zero joints: `R_i` rotates about the axis `h_i` of joint i through its anchor `a_i`. `h` is the
-direction of the parallel axes. Axes 5 and 6 meet at `c`. The flange's motion from its pose at zero is
-`x -> R x + t`, the product of the six rotations. Joints 5 and 6 do not move `c`. Joints 2 to 4 do not change
-components along `h`. Therefore:
+Source of the decomposition: A. J. Elias and J. T. Wen, "IK-Geo: Unified robot inverse kinematics using subproblem
+decomposition" (Mechanism and Machine Theory 209, 2025). Notation, all at zero joints: `R_i` rotates about the axis
+`h_i` of joint i through its anchor `a_i`. `h` is the direction of the parallel axes. Axes 5 and 6 meet at `c`. The
+flange's motion from its pose at zero is `x -> R x + t`, the product of the six rotations. Joints 5 and 6 do not move
+`c`. Joints 2 to 4 do not change components along `h`. Therefore:
 
 - q1: `h . R_1^T (R c + t - a_1) = h . (c - a_1)`, at most two angles.
 - q5: `h . R_1^T R h_6 = h . R_5 h_6`, at most two angles.
@@ -32,12 +31,12 @@ Vector = tuple[float, float, float]
 Joints = tuple[float, ...]
 Ids = NDArray[np.intp]
 
-_SOLUTION_TOLERANCE = 1e-6  # m and rad, largest error of a solution's forward kinematics
-_AXIS_TOLERANCE = 1e-9  # rad and m, largest error of axes that count as parallel or as intersecting
-_COSINE_ROUNDING = 1e-9  # excess of a cosine over 1 that counts as rounding; occurs where two solutions meet
+_SOLUTION_TOLERANCE = 1e-6  # m and rad, of a solution's forward kinematics
+_AXIS_TOLERANCE = 1e-9  # rad and m, of axes that count as parallel or as intersecting
+_COSINE_ROUNDING = 1e-9  # excess of a cosine over 1 where two solutions meet
 _MIN_COEFFICIENT = 1e-7  # m or 1, smaller coefficients leave an angle undetermined; the error is below 1e-6
-_SAMPLE_ANGLES = tuple(math.tau * k / 16 for k in range(16))  # rad, angles that are tried for an undetermined joint
-_LIMIT_ROUNDING = 1e-7  # rad, excess of a joint over its limit that counts as rounding
+_SAMPLE_ANGLES = tuple(math.tau * k / 16 for k in range(16))  # rad, tried for an undetermined joint
+_LIMIT_ROUNDING = 1e-7  # rad, excess of a joint over its limit
 _REACH_SLACK = 1e-5  # rad and 1, extra tolerance of `maybe_reachable` over `solutions`: far above rounding
 _VALIDATION_POSES = 20  # random poses that must be solved before an arm counts as having analytic inverse kinematics
 _CACHE_SIZE = 4096  # poses whose solutions are cached: a search solves each pose up to five times
@@ -45,11 +44,7 @@ HAND_LENGTH = 0.13  # m, from the flange to the fingertips: lever that converts 
 
 
 class AnalyticIk:
-    """Find all joint positions that bring an arm's flange to a pose; for arms that `find_analytic_ik` accepts.
-
-    Args:
-        model: the arm of six hinge joints without its fingers, see `scene.arm_model.kinematic_model`.
-    """
+    """Finds all joint positions that bring an arm's flange to a pose; made by `find_analytic_ik`."""
 
     def __init__(self, model: mujoco.MjModel) -> None:
         self._model, self._data = model, mujoco.MjData(model)
@@ -63,7 +58,7 @@ class AnalyticIk:
         h = axes[1]
         across = np.cross(h, np.eye(3)[np.argmin(np.abs(h))])
         across /= np.linalg.norm(across)
-        # In the following frame, the third axis is h; x and y are coordinates in the plane across h.
+        # The third axis is h; x and y span the plane across h.
         basis = np.array([across, np.cross(h, across), h])
         self._signs = (1.0, *np.sign(axes[1:4] @ h).tolist(), 1.0, 1.0)
         self._T_zero = inverse(T_flange) @ pose(rotation=basis.T)
@@ -83,22 +78,20 @@ class AnalyticIk:
         self._cached_solutions = functools.lru_cache(_CACHE_SIZE)(self._solutions)
 
     def pose_of(self, joints: Array) -> Array:
-        """Return the pose (4, 4) of the flange in the base at joints (6,), rad."""
+        """Return the flange's pose in the base at joints (6,), rad."""
         self._qpos[:] = joints
         mujoco.mj_kinematics(self._model, self._data)
         return pose(self._position, self._rotation)
 
     def solutions(self, T_flange_in_base: Array) -> Array:
-        """Return all joints (n, 6), in rad and within their limits, that bring the flange to a pose (4, 4) in the base.
+        """Return all joints (n, 6), rad, within their limits that bring the flange to a pose in the base.
 
-        An empty array means that the arm does not reach the pose. Some poses leave a joint undetermined: the wrist's
-        centre lies on the first joint's axis, or the last axis is parallel to axes 2 to 4. For these poses, only 16
-        angles of that joint are tried, so an empty array proves nothing.
+        Where the wrist's centre lies on the first joint's axis, or the last axis is parallel to axes 2 to 4, a joint is
+        undetermined. Only 16 of its angles are tried, so an empty array does not prove that the pose is out of reach.
         """
         return self._cached_solutions(T_flange_in_base.tobytes())
 
     def _solutions(self, T_flange_in_base: bytes) -> Array:
-        """Compute `solutions` from a pose's bytes, which are a cache key; the array is read-only."""
         T = np.frombuffer(T_flange_in_base).reshape(4, 4)
         candidates = self._candidates(self._T_basis @ T @ self._T_zero)
         found = np.array([joints for joints in candidates if self._reaches(joints, T)]).reshape(-1, self._model.nq)
@@ -106,13 +99,11 @@ class AnalyticIk:
         return found
 
     def passes_reach_test(self, T_flange_in_base: Array, margin: float) -> Array:
-        """Return for which flange poses (n, 4, 4) in the base `solutions` may not be empty, (n,) bool.
+        """Return which flange poses (n, 4, 4) in the base may have `solutions` with a `margin` (rad) to all limits, as
+        (n,).
 
-        False means out of reach. A batch is some 30 times as fast as single poses. Rounding in a batch differs between
-        processors, so borderline poses give True.
-
-        Args:
-            margin: least distance of every joint from its limits, rad.
+        A batch is some 30 times as fast as single poses. Its rounding differs between processors, so borderline poses
+        give True.
         """
         T = self._T_basis @ T_flange_in_base @ self._T_zero
         R, wrist = T[:, :3, :3], T[:, :3, :3] @ self._centre + T[:, :3, 3] - self._a1
@@ -144,14 +135,10 @@ class AnalyticIk:
         return reached
 
     def _solve_all(self, joint: int, a: ArrayLike, b: ArrayLike, c: Array, margin: float) -> tuple[Array, Ids]:
-        """Return both angles q about a joint's axis with `a cos q + b sin q = c` that keep a margin to the limits.
+        """Return both angles (m,) with `a cos q + b sin q = c` that keep a margin to a joint's limits, and their
+        indices into `c`.
 
-        Args:
-            a, b: coefficients, (n,) or numbers.
-            c: right-hand side (n,).
-
-        Returns:
-            The angles (m,) and their indices into `c` (m,). The angle is 0 where every angle is a solution.
+        The angle is 0 where every angle is a solution.
         """
         length = np.hypot(a, b)
         is_undetermined = length <= _REACH_SLACK
@@ -171,7 +158,7 @@ class AnalyticIk:
     def nearest(self, solutions: Array, start: Array) -> Array:
         """Return the solution (6,) of several (n, 6), n > 0, that moves the hand least from joints `start` (6,).
 
-        Each joint's motion is weighted by the distance from its axis to the end of the stretched arm.
+        A joint's lever is the distance from its axis to the end of the stretched arm.
         """
         weighted = (solutions - start) * self._levers
         nearest: Array = solutions[np.argmin(np.einsum("ij,ij->i", weighted, weighted))]
@@ -180,15 +167,15 @@ class AnalyticIk:
     def from_singular(self, joints: Array) -> float:
         """Return the distance of joints (6,) from a singular posture, rad.
 
-        The distance is the smaller of two angles: the elbow's bend, 0 for a stretched arm, and the angle between the
-        last axis and the three parallel axes.
+        It is the smaller of the elbow's bend, 0 for a stretched arm, and the angle between the last axis and the three
+        parallel axes.
         """
         fore = self._fore * cmath.rect(1.0, self._signs[2] * float(joints[2]))
         x, y, along = _rotate(self._h6, self._h5, float(joints[4]))
         return min(abs(cmath.phase(self._upper.conjugate() * fore)), math.atan2(math.hypot(x, y), abs(along)))
 
     def _candidates(self, T: Array) -> Iterator[Joints]:
-        """Yield joints (6,) for the flange's motion (4, 4) from zero, in the frame whose third axis is h."""
+        """Yield joints (6,) for the flange's motion from zero, in the frame whose third axis is h."""
         rows = T[:3, :3].tolist()
         columns = tuple(zip(*rows, strict=True))
         wrist = _minus(_vector(T[:3, :3] @ self._centre + T[:3, 3]), self._a1)
@@ -216,14 +203,13 @@ class AnalyticIk:
                             yield from itertools.product(all_q1, all_q2, all_q3, all_q4, all_q5, all_q6)
 
     def _two_links(self, place: complex) -> Iterator[tuple[float, float]]:
-        """Yield angles of joints 2 and 3 that bring joint 4's anchor to a point in the plane, from joint 2's anchor."""
+        """Yield angles of joints 2 and 3 that bring joint 4's anchor to `place`, relative to joint 2's anchor."""
         bent = self._upper.conjugate() * self._fore
         rest = (abs(place) ** 2 - abs(self._upper) ** 2 - abs(self._fore) ** 2) / 2
         for q3 in _solve_angle(bent.real, -bent.imag, rest):
             yield cmath.phase(place) - cmath.phase(self._upper + self._fore * cmath.rect(1.0, q3)), q3
 
     def _joint_positions(self, k: int, angle: float) -> list[float]:
-        """Return the positions of a joint within its limits for an angle about its axis, plus whole turns."""
         low, high = self._ranges[k]
         joint = self._signs[k] * angle
         turn = math.ceil((low - _LIMIT_ROUNDING - joint) / math.tau)
@@ -245,7 +231,7 @@ class AnalyticIk:
 def find_analytic_ik(model: mujoco.MjModel) -> AnalyticIk | None:
     """Return an arm's analytic inverse kinematics, verified on random poses; None if the arm has none.
 
-    The arm needs six hinge joints, parallel or antiparallel axes 2, 3 and 4, and intersecting axes 5 and 6.
+    The arm needs six hinge joints, (anti)parallel axes 2, 3 and 4, and intersecting axes 5 and 6.
     """
     if model.nq != 6 or (model.jnt_type != mujoco.mjtJoint.mjJNT_HINGE).any():
         return None
@@ -287,7 +273,6 @@ def _rotate_all(v: Array, axis: Array, angles: Array) -> Array:
 
 
 def _skew(axis: Array) -> Array:
-    """Return the matrix (3, 3) of the cross product with an axis."""
     x, y, z = axis
     return np.array(((0.0, -z, y), (z, 0.0, -x), (-y, x, 0.0)))
 
@@ -298,8 +283,8 @@ def _as_complex(points: Array) -> Array:
 
 
 def _angle_between(v: Vector, u: Vector, axis: Vector) -> tuple[float, ...]:
-    """Return the angle about a unit axis from one vector to another; sample angles if both are parallel to the axis."""
-    # Take the components across the axis first: near a singular pose they are short, and products stay precise.
+    """Return the angle about a unit axis between two vectors; sample angles if both are parallel to it."""
+    # Near a singular pose the components across the axis are short: take them first, so that products stay precise.
     v, u = _cross(axis, v), _cross(axis, u)
     if max(*map(abs, v), *map(abs, u)) < _MIN_COEFFICIENT:
         return _SAMPLE_ANGLES

@@ -1,5 +1,3 @@
-"""Forward kinematics of an arm, and inverse kinematics that raises an error with the nearest joints."""
-
 from __future__ import annotations
 
 import math
@@ -15,26 +13,22 @@ from ...geometry.se3 import Array, pose, rotation_vector
 from .analytic_ik import HAND_LENGTH
 from .ik import IkSolver
 
-_ITERATIONS = 100  # largest number of iterations of a search, which may start far from the pose
+_ITERATIONS = 100  # of a search, which may start far from the pose
 
 
 class ArmKinematics:
-    """Computes the poses of the hand's sites from joints.
-
-    Args:
-        model: an arm without fingers, see `scene.arm_model.kinematic_model`.
-    """
+    """Forward kinematics of a `scene.arm_model.kinematic_model`."""
 
     def __init__(self, model: mujoco.MjModel) -> None:
         self._model = model
         self._data = mujoco.MjData(model)
 
     def T_grasp_in_base(self, joints: ArrayLike) -> Array:
-        """Return the pose (4, 4) of `grasp_site` in the arm's base, with the arm at `joints` (dof,), rad."""
+        """Return the pose of `grasp_site` in the arm's base at joints (dof,), rad."""
         return self.T_site_in_base(joints, "grasp_site")
 
     def T_site_in_base(self, joints: ArrayLike, name: str) -> Array:
-        """Return the pose (4, 4) of a site of the hand in the arm's base, with the arm at `joints` (dof,), rad."""
+        """Return the pose of a site of the hand in the arm's base at joints (dof,), rad."""
         self._data.qpos[:] = np.asarray(joints, dtype=np.float64)
         mujoco.mj_kinematics(self._model, self._data)
         site = self._data.site(name)
@@ -43,7 +37,7 @@ class ArmKinematics:
 
 @dataclass(frozen=True)
 class ReachResult:
-    """Result of an inverse kinematics search: joints (dof,) in rad, and the errors of their pose, m and rad."""
+    """Joints (dof,), rad, and the errors of their pose, m and rad."""
 
     joints: Array
     position_error: float
@@ -56,11 +50,7 @@ class ReachResult:
 
 
 class OutOfReachError(SimulationError):
-    """The arm does not reach a pose.
-
-    Attributes:
-        nearest: the joints with the smallest total error.
-    """
+    """The arm does not reach a pose; `nearest` has the smallest total error."""
 
     def __init__(self, nearest: ReachResult, position_tolerance: float, rotation_tolerance: float) -> None:
         super().__init__(
@@ -79,14 +69,10 @@ def solve_or_raise(
     position_tolerance: float,
     rotation_tolerance: float,
 ) -> ReachResult:
-    """Return joints that bring the solvers' frame to a pose (4, 4), by a search from each start (dof,) in turn.
+    """Return joints that bring the solvers' frame to a pose, by a search from each start (dof,) in turn.
 
-    Args:
-        solvers: are run one after the other; each solver starts from the previous solver's result.
-        position_tolerance, rotation_tolerance: largest errors, m and rad.
-
-    Raises:
-        OutOfReachError: no joints are within the tolerances; the error holds the nearest ones.
+    Each solver starts from the previous solver's result. Tolerances are in m and rad. If no joints are within them,
+    `OutOfReachError` holds the nearest ones.
     """
     nearest: ReachResult | None = None
     for start in starts:

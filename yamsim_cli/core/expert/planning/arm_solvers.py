@@ -1,5 +1,3 @@
-"""Inverse kinematics, dynamics and start postures of a scene's arms."""
-
 from __future__ import annotations
 
 from dataclasses import dataclass
@@ -16,14 +14,14 @@ from .ik import IkSolver
 
 @dataclass(frozen=True)
 class ArmSolvers:
-    """Inverse kinematics and dynamics of one arm."""
+    """The solvers of one arm."""
 
     ik: IkSolver
     dynamics: ArmDynamics
 
 
 def make_arm_solvers(rig: RigConfig) -> tuple[ArmSolvers, ...]:
-    """Return the solvers of each arm in a rig's scene, built from the arms' model files."""
+    """Return the solvers of each arm in a rig's scene."""
 
     def tools(number: int) -> ArmSolvers:
         arm = rig.arms[number]

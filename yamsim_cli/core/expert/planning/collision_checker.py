@@ -1,5 +1,3 @@
-"""Collision checks of an arm and its held object at given joints, in an otherwise static scene."""
-
 from __future__ import annotations
 
 import copy
@@ -15,30 +13,24 @@ from ...config.goals.world import TABLE
 from ...geometry.se3 import Array, pose, quat_from_rotation
 from ...scene.compiled import ArmAddresses, Ids
 
-_ARM_DISTANCE = 0.004  # m, least distance of an arm from everything else
-_OBJECT_DISTANCE = 0.003  # m, least distance of an object from everything else
-_FINGER_DEPTH = 5e-4  # m, largest penetration of fingers into a grasped object: contacts are soft in physics
+_ARM_DISTANCE = 0.004  # m that an arm keeps from everything else
+_OBJECT_DISTANCE = 0.003  # m that an object keeps from everything else
+_FINGER_DEPTH = 5e-4  # m that fingers may penetrate a grasped object: contacts are soft in physics
 
-_DESCENT_STEP = 0.004  # m, step of the search for a resting height
-_BISECTIONS = 6  # bisections of the last step of that search
+_DESCENT_STEP = 0.004  # m, of the search for a resting height
+_BISECTIONS = 6  # of the last step of that search
 
-_LATERAL_STEP = 0.002  # m, step of the search in `free_distance`
+_LATERAL_STEP = 0.002  # m, of the search in `free_distance`
 _MIN_SUPPORT_NORMAL = 0.7  # vertical component of a contact's normal above which the contact is with the support
 
-# MuJoCo's masks: two geoms collide if one geom's type and the other's affinity have a common bit. A body has the bits
-# of all its geoms.
+# Two geoms collide if the type of one and the affinity of the other have a common bit. A body has the bits of all its
+# geoms.
 _MASKS = ("geom_contype", "geom_conaffinity", "body_contype", "body_conaffinity")
 
 
 @dataclass(frozen=True)
 class AttachedObject:
-    """A held object in collision checks.
-
-    Attributes:
-        thing: name of the object.
-        T_thing_in_pinch: pose (4, 4) of the object in the pinch frame.
-        allowed_contacts: names of objects, or `TABLE`, that the held object may touch.
-    """
+    """A held object, and the names of objects, or `TABLE`, that it may touch."""
 
     thing: str
     T_thing_in_pinch: Array
@@ -46,13 +38,10 @@ class AttachedObject:
 
 
 class CollisionChecker:
-    """Check for contacts of a moved arm or object, in a copy of a scene.
+    """Checks for contacts of a moved arm or object, in a copy of an otherwise static scene.
 
-    Args:
-        model: the compiled scene.
-        things: names of the objects in the scene.
-        fingers: geoms of each arm's fingers, in the order of `arms`.
-        absent: names of bodies that are no obstacles: distractors, which are placed after planning.
+    `fingers` are the geoms of each arm's fingers. The bodies `absent` are no obstacles: distractors, which are placed
+    after planning.
     """
 
     def __init__(
@@ -75,14 +64,13 @@ class CollisionChecker:
             self._object_of_geom[root == model.body(name).id] = k
         self._finger = np.isin(np.arange(model.ngeom), np.concatenate(list(fingers)))
         self._table = np.arange(model.ngeom) == model.geom(TABLE).id
-        # Cloth is no obstacle.
         self._model.flex_contype[:] = self._model.flex_conaffinity[:] = self._model.flex_selfcollide[:] = 0
         away = np.isin(root, [model.body(name).id for name in absent])
         self._model.geom_contype[away] = self._model.geom_conaffinity[away] = 0
         self._model.geom_margin[self._arm_of >= 0] = _ARM_DISTANCE
         self._model.geom_margin[self._object_of_geom >= 0] = _OBJECT_DISTANCE
         self._solid = self._model.geom_contype != 0
-        # The arm and the object that move in the model now, and cached masks for each pair of moving arm and object.
+        # The arm and the object that move in the model now, and cached masks for each such pair.
         self._moving: tuple[int | None, str | None] = (None, None)
         self._masks: dict[tuple[int | None, str | None], list[NDArray[np.int_]]] = {
             (None, None): [getattr(self._model, name).copy() for name in _MASKS]
@@ -98,16 +86,14 @@ class CollisionChecker:
         grasped: str | None = None,
         finger_clearance: float | None = None,
     ) -> str | None:
-        """Return the names of two geoms that are too near to each other; None if there are none.
+        """Return the names of two geoms that are too near to each other.
 
         Args:
             qpos: MuJoCo's positions (nq,) of everything else.
-            arm: index of the arm.
-            joints: joints (dof,) of the arm, rad.
-            opening: opening of one finger, m.
-            attached: the object that moves with the hand; None for an empty hand.
+            joints: (dof,) of the arm, rad.
+            opening: of one finger, m.
             grasped: an object between the fingers, which the fingers may touch.
-            finger_clearance: least distance of the fingers from everything else, m; default: that of the arm.
+            finger_clearance: least distance of the fingers from everything else, m; by default that of the arm.
         """
         data = self._pose(qpos, arm, joints, opening, attached)
         self._update_contacts(arm, None if attached is None else attached.thing)
@@ -121,7 +107,7 @@ class CollisionChecker:
         return f"{one} and {other}"
 
     def has_self_collision(self, arm: int, joints: Array) -> bool:
-        """Return whether links of an arm, except the fingers, collide with each other at joints (dof,), rad."""
+        """Return whether an arm's links, except the fingers, collide at joints (dof,), rad."""
         data = self._pose(self._data.qpos, arm, joints, 0.0, None)
         self._update_contacts(None, None)
         of_arm = (self._arm_of[data.contact.geom] == arm) & ~self._finger[data.contact.geom]
@@ -130,16 +116,12 @@ class CollisionChecker:
     def qpos_with_arm(
         self, qpos: Array, arm: int, joints: Array, opening: float, attached: AttachedObject | None = None
     ) -> Array:
-        """Return MuJoCo's positions (nq,) with an arm, its fingers (`opening`, m) and its attached object moved."""
+        """Return `qpos` (nq,) with an arm, its fingers (`opening`, m) and its attached object moved."""
         positions: Array = self._pose(qpos, arm, joints, opening, attached).qpos.copy()
         return positions
 
     def rest_height(self, qpos: Array, thing: str, T_in_world: Array, lowest: float) -> float:
-        """Lower an object from a pose (4, 4), and return the height of its origin at the first contact, in `world`, m.
-
-        Args:
-            lowest: limit of the search, m; returned if there is no contact above it.
-        """
+        """Lower an object from a pose, and return its height in `world` at the first contact, else `lowest`, m."""
         data, address = self._data, int(self._model.joint(thing).qposadr[0])
         data.qpos[:] = qpos
         data.qpos[address : address + 2] = T_in_world[:2, 3]
@@ -166,11 +148,7 @@ class CollisionChecker:
         return high
 
     def free_distance(self, qpos: Array, thing: str, direction: Array, maximum: float) -> float:
-        """Return how far an object can move along a horizontal direction (2,) before it touches another one, m.
-
-        Args:
-            maximum: limit of the search, m; returned if there is no contact before it.
-        """
+        """Return how far an object can move in a horizontal direction (2,) before a contact, at most `maximum`, m."""
         data, address = self._data, int(self._model.joint(thing).qposadr[0])
         step = direction / np.linalg.norm(direction) * _LATERAL_STEP
         data.qpos[:] = qpos
@@ -183,7 +161,7 @@ class CollisionChecker:
         return maximum
 
     def _clearance_below(self, data: mujoco.MjData, thing: str) -> float:
-        """Return a lower bound of the distance by which an object can be lowered, from bounding boxes, m."""
+        """Return a lower bound of the distance by which an object can be lowered, m, from bounding boxes."""
         low, high = _bounding_boxes(self._model, data)
         of_thing = self._object_of_geom == self._object_names.index(thing)
         mine = np.flatnonzero(self._solid & of_thing)
@@ -193,11 +171,9 @@ class CollisionChecker:
         return float(gaps[under].min(initial=np.inf))
 
     def _update_contacts(self, arm: int | None, thing: str | None) -> None:
-        """Update the contacts between moving and static geoms. Contacts within either group are left out.
+        """Update the contacts between moving and static geoms, without those within either group.
 
-        Args:
-            arm: index of the moving arm. None leaves out all arms; with no object either, nothing is left out.
-            thing: name of the moving object; None without one.
+        Without a moving arm, all arms are left out; with no moving object either, nothing is left out.
         """
         if self._moving != (arm, thing):
             self._moving = arm, thing
@@ -215,7 +191,7 @@ class CollisionChecker:
         if thing is not None:
             moves |= self._object_of_geom == self._object_names.index(thing)
         stays = ~moves if arm is not None else ~moves & (self._arm_of < 0)
-        # Geoms with the same type and affinity in the scene form a group. Each group gets one bit.
+        # Geoms with the same type and affinity in the scene share one bit.
         masks = np.column_stack(self._masks[None, None][:2])
         kinds, kind = np.unique(masks, axis=0, return_inverse=True)
         bits = 1 << np.arange(len(kinds))

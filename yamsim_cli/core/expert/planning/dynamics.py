@@ -1,5 +1,3 @@
-"""Inverse dynamics: the torques that move an arm along a path, for feed-forward commands."""
-
 from __future__ import annotations
 
 import mujoco
@@ -11,12 +9,7 @@ from ...scene.arm_model import finger_addresses
 
 
 class ArmDynamics:
-    """Compute the joint torques of one arm from its motion.
-
-    Args:
-        model: the whole arm with its gripper, see `scene.arm_model.arm_spec`.
-        robot: the robot of the model.
-    """
+    """Inverse dynamics of a whole arm with its gripper, see `scene.arm_model.arm_spec`, for feed-forward commands."""
 
     def __init__(self, model: mujoco.MjModel, robot: Robot) -> None:
         self._model = model
@@ -24,16 +17,13 @@ class ArmDynamics:
         joints = [model.joint(name) for name in robot.joint_names]
         self._qpos, self._dof = (np.array([getattr(j, key)[0] for j in joints]) for key in ("qposadr", "dofadr"))
         self._fingers, self._signs = finger_addresses(model, robot)
-        # The controller handles contact torques: paths are planned without contacts.
+        # Paths are planned without contacts; the controller handles their torques.
         model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
 
     def torques(self, joints: Array, gripper: Array, tick: float) -> Array:
-        """Return torques (n, dof), N m, at the middle of each tick: inertia, friction and uncompensated gravity.
+        """Return torques (n, dof), N m, at the middle of each tick (s): inertia, friction and uncompensated gravity.
 
-        Args:
-            joints: positions (n + 1, dof) at the tick boundaries, rad.
-            gripper: opening (n,) of one finger, m.
-            tick: length of a control tick, s.
+        Joints (n + 1, dof), rad, are at the tick boundaries; `gripper` (n,) is the opening of each finger, m.
         """
         positions = (joints[1:] + joints[:-1]) / 2
         velocities = np.diff(joints, axis=0) / tick
@@ -53,13 +43,7 @@ class ArmDynamics:
         return torques
 
     def weight_torques(self, joints: Array, point: Array, weight: float) -> Array:
-        """Return the torques (n, dof), N m, that support a weight in the hand.
-
-        Args:
-            joints: positions (n, dof), rad.
-            point: point of application (3,) in the pinch frame, m.
-            weight: downward force, N.
-        """
+        """Return the torques (n, dof), N m, that support a `weight` (N) at a `point` (3,) in the pinch frame, m."""
         data, site = self._data, self._model.site("pinch_site").id
         jacobian = np.empty((3, self._model.nv))
         torques = np.empty_like(joints)

@@ -1,5 +1,3 @@
-"""Fast numerical inverse kinematics, which rejects poses out of reach, for arms without analytic inverse kinematics."""
-
 from __future__ import annotations
 
 import math
@@ -9,12 +7,12 @@ import numpy as np
 
 from ...geometry.se3 import Array, inverse
 
-_DAMPING = 1e-3 * np.eye(6)  # damping matrix of a least-squares step
-_MAX_STEP = 0.4  # rad, largest change of a joint in a step
-_MAX_STEPS = 40  # largest number of steps of a search
+_DAMPING = 1e-3 * np.eye(6)  # of a least-squares step
+_MAX_STEP = 0.4  # rad, of a joint in a step
+_MAX_STEPS = 40
 _ROTATION_LEVER = 0.25  # m, distance that an error of 1 rad counts as
 
-# m and rad, largest errors of a returned solution; `IkSolver` refines the solution.
+# m and rad, of a returned solution, which `IkSolver` refines
 _MAX_POSITION_ERROR = 3e-3
 _MAX_ROTATION_ERROR = math.radians(4.0)
 
@@ -22,11 +20,9 @@ _MIN_PROGRESS_RATIO = 0.97  # ratio of the error to the error two steps before, 
 
 
 class FastIkSolver:
-    """Fast inverse kinematics of the site `tool`, the held frame; less exact and less robust than `IkSolver`.
+    """Rejects poses out of reach faster than `IkSolver`, less exactly, for arms without analytic inverse kinematics.
 
-    Args:
-        model: the arm without fingers, see `scene.arm_model.kinematic_model`.
-        T_base_in_world: pose (4, 4) of the arm's base; targets are given in `world`.
+    The model is a `scene.arm_model.kinematic_model`, whose site `tool` is the held frame. Targets are given in `world`.
     """
 
     def __init__(self, model: mujoco.MjModel, T_base_in_world: Array) -> None:
@@ -37,7 +33,7 @@ class FastIkSolver:
         self._jacobian, self._quat, self._turn = np.empty((6, model.nv)), np.empty(4), np.empty(3)
 
     def solve(self, T_tool_in_world: Array, start: Array) -> Array | None:
-        """Return joints (dof,) that bring the held frame near a pose (4, 4); None if none are found."""
+        """Return joints (dof,) that bring the held frame near a pose; None if none are found."""
         T, joints = self._T_world_in_base @ T_tool_in_world, np.clip(start, self._low, self._high)
         before = (math.inf, math.inf)
         for _ in range(_MAX_STEPS):

@@ -1,5 +1,3 @@
-"""Inverse kinematics of an arm: analytic if the arm allows it, else by an iterative search with mink."""
-
 from __future__ import annotations
 
 import functools
@@ -22,39 +20,33 @@ _TILT_COST = 0.02
 _HEADING_COST = 0.05
 _DEFAULT_ROTATION_COSTS = (_TILT_COST, _TILT_COST, _HEADING_COST)
 
-# Levenberg-Marquardt: a step that increases the cost is undone, and a shorter step is tried. Without damping, the
-# iteration diverges for a nearly stretched arm, which is the case over a third of the table.
-_DAMPING_START = 1e-5  # damping of the first step
+# Levenberg-Marquardt undoes a step that increases the cost, and tries a shorter one. Without damping, the iteration
+# diverges for a nearly stretched arm, which is the case over a third of the table.
+_DAMPING_START = 1e-5
 _DAMPING_MIN = 1e-8
-_DAMPING_MAX = 1e4  # damping above which the search ends
-_DAMPING_DECREASE = 0.2  # factor on the damping after a successful step
-_DAMPING_INCREASE = 10.0  # factor on the damping after a failed step
+_DAMPING_MAX = 1e4  # the search ends above it
+_DAMPING_DECREASE = 0.2  # after a successful step
+_DAMPING_INCREASE = 10.0  # after a failed step
 
 _QP_SOLVER = "daqp"
-_CONVERGED = 1e-5  # rad, largest change of a joint in the last step
+_CONVERGED = 1e-5  # rad, of a joint in the last step
 _CONVERGED_COST = 1e-14  # squared weighted error, as of 10 nm; rounding makes steps fail below this cost
 
-_MAX_STEP = 0.35  # rad, largest change of a joint between poses of a path; more may be another IK branch
-_MAX_ROTATION_LAG = 1e-3  # rad, rotation error at the previous pose above which an exact solution would be a jump
+_MAX_STEP = 0.35  # rad, of a joint between poses of a path; more may be another IK branch
+_MAX_ROTATION_LAG = 1e-3  # rad, at the previous pose: above it, an exact solution would be a jump
 
-# rad, least distance from a singular posture for exact solutions on a path. Nearer, as at the edge of the reach, exact
-# joints move fast and then turn back. The search slows them down: below 0.2 rad, its steps differ from exact ones.
+# rad. Nearer to a singular posture, as at the edge of the reach, exact joints on a path move fast and then turn back.
+# The search slows them down: below 0.2 rad, its steps differ from exact ones.
 _MIN_FROM_SINGULAR = 0.3
 
 _TILT_SHARE = 0.95  # share of the largest rotation error by which a hand tilts if the pose itself is out of reach
 
-_REFINEMENT_ITERATIONS = 30  # iterations from a solution of `FastIkSolver` to the exact pose
+_REFINEMENT_ITERATIONS = 30  # from a solution of `FastIkSolver` to the exact pose
 
 
 @dataclass(frozen=True)
 class IkSolution:
-    """Joints (dof,) in rad, with the errors of the pose.
-
-    Attributes:
-        position_error: m.
-        tilt_error, heading_error: rad.
-        margin: smallest distance of a joint from a limit, rad.
-    """
+    """Joints (dof,), rad, with the errors of the pose, m and rad, and the least distance to a joint limit, rad."""
 
     joints: Array
     position_error: float
@@ -67,8 +59,7 @@ class IkSolution:
 class Tolerance:
     """Largest position error, m, and rotation error, rad, and least distance of joints from their limits, rad.
 
-    Attributes:
-        allow_tilt: whether the hand may tilt by up to `rotation` if the pose itself is out of reach.
+    With `allow_tilt`, the hand may tilt by up to `rotation` if the pose itself is out of reach.
     """
 
     position: float
@@ -88,14 +79,10 @@ class Tolerance:
 class IkSolver:
     """Inverse kinematics within the joint limits.
 
-    An arm that `find_analytic_ik` accepts is solved exactly. For other arms, and for poses out of reach, differential
-    inverse kinematics is iterated to convergence, and the hand may tilt. The held frame, the site `tool`, is the frame
-    that solutions bring to a target: at first the pinch frame, which lies where the fingers meet.
-
-    Args:
-        model: an arm without fingers, with the sites `pinch_site` and `tool`, see `scene.arm_model.kinematic_model`.
-        T_base_in_world: pose (4, 4) of the arm's base; targets are given in `world`.
-        rotation_costs: costs (3,) of an error of 1 rad about the held frame's axes; an error of 1 m costs 10.
+    An arm that `find_analytic_ik` accepts is solved exactly. For other arms, and for poses out of reach, a search
+    iterates differential inverse kinematics to convergence, and the hand may tilt. Solutions bring the held frame, the
+    site `tool`, to a target in `world`. At first it is the pinch frame. An error of 1 rad about its axes costs
+    `rotation_costs` (3,), an error of 1 m costs 10.
     """
 
     def __init__(
@@ -125,7 +112,7 @@ class IkSolver:
         return self._analytic is not None
 
     def set_held_frame(self, T_object_in_pinch: Array) -> None:
-        """Set the held frame, which later calls bring to their targets, to a pose (4, 4) in the pinch frame."""
+        """Set the held frame, which later calls bring to their targets."""
         T = self._T_pinch_in_flange @ T_object_in_pinch
         tool = self._model.site("tool")
         tool.pos[:] = T[:3, 3]
@@ -133,21 +120,19 @@ class IkSolver:
         self._T_flange_in_tool = inverse(T)
 
     def solve(self, T_tool_in_world: Array, start: Array, iterations: int) -> IkSolution:
-        """Return a solution that brings the held frame to a pose (4, 4), or the nearest one that a search finds.
+        """Return a solution that brings the held frame to a pose, or the nearest one that a search finds.
 
-        Args:
-            start: joints (dof,), rad; the exact solution nearest to `start` is returned.
-            iterations: limit of the search that runs if there is no exact solution.
+        The exact solution nearest to joints `start` (dof,) is returned. `iterations` limits the search, which runs if
+        there is no exact solution.
         """
         exact = self._solve_exact(T_tool_in_world, start)
         return self._search(T_tool_in_world, start, iterations) if exact is None else exact
 
     def solve_next(self, T_tool_in_world: Array, before: IkSolution, iterations: int) -> IkSolution:
-        """Return a solution for the next pose (4, 4) of the held frame on a path, without a jump of a joint.
+        """Return a solution for the next pose of the held frame on a path, without a jump of a joint.
 
-        Args:
-            before: the solution for the previous pose; `solution_at` gives the first one.
-            iterations: limit of the search that runs if no exact solution is near `before`.
+        `before` is the solution for the previous pose; `solution_at` gives the first one. `iterations` limits the
+        search, which runs if no exact solution is near `before`.
         """
         start = before.joints
         if before.tilt_error + before.heading_error <= _MAX_ROTATION_LAG and self._is_regular(start):
@@ -157,15 +142,14 @@ class IkSolver:
         return self._search(T_tool_in_world, start, iterations)
 
     def solution_at(self, joints: Array) -> IkSolution:
-        """Return the solution with joints (dof,) and no error, for the pose that the held frame has at them."""
+        """Return joints (dof,) as the exact solution for the pose that the held frame has at them."""
         return IkSolution(joints, 0.0, 0.0, 0.0, self._margin(joints))
 
     def solve_from(self, T_tool_in_world: Array, starts: Sequence[Array], tolerance: Tolerance) -> Array | None:
-        """Return joints (dof,) that bring the held frame to a pose (4, 4); None if none are found.
+        """Return joints (dof,) that bring the held frame to a pose; None if none are found.
 
-        Args:
-            starts: joints (dof,), rad. The exact solution nearest to the first start is returned. For an arm without
-                analytic inverse kinematics, a search runs from each start in turn until one succeeds.
+        The exact solution nearest to the first start (dof,) is returned. Without analytic inverse kinematics, a search
+        runs from each start in turn until one succeeds.
         """
         if self._analytic is not None:
             exact = self._solve_exact(T_tool_in_world, starts[0], tolerance.margin)
@@ -180,7 +164,7 @@ class IkSolver:
         return None
 
     def maybe_reachable(self, T_tool_in_world: Array, tolerance: Tolerance) -> Array:
-        """Return which poses (n, 4, 4) `solve_from` may reach without tilt, (n,) bool; it cannot reach the others."""
+        """Return which poses (n, 4, 4) `solve_from` may reach without tilt, as (n,); it cannot reach the others."""
         if self._analytic is None:
             return np.ones(len(T_tool_in_world), bool)
         T_flange_in_base = self._T_world_in_base @ T_tool_in_world @ self._T_flange_in_tool
@@ -198,7 +182,7 @@ class IkSolver:
         return self.solution_at(found[0] if len(found) == 1 else self._analytic.nearest(found, start))
 
     def _solve_tilted(self, T_tool_in_world: Array, start: Array, tolerance: Tolerance) -> IkSolution | None:
-        """Return an exact solution for a pose (4, 4) tilted by about the rotation tolerance; None without one."""
+        """Return an exact solution for a pose tilted by about the rotation tolerance."""
         T_tilted = T_tool_in_world @ _tilt_rotations(_TILT_SHARE * tolerance.rotation)
         for k in np.flatnonzero(self.maybe_reachable(T_tilted, tolerance)):
             if (found := self._solve_exact(T_tilted[k], start, tolerance.margin)) is not None:
@@ -252,7 +236,7 @@ class IkSolver:
         )
 
     def pose_of(self, joints: Array) -> Array:
-        """Return the pose (4, 4) of the held frame in `world` with the arm at `joints` (dof,), rad."""
+        """Return the pose of the held frame in `world` at joints (dof,), rad."""
         self._configuration.update(joints)
         T: Array = self._configuration.get_transform_frame_to_world("tool", "site").as_matrix()
         return self._T_base_in_world @ T
@@ -264,6 +248,6 @@ class IkSolver:
 
 @functools.cache
 def _tilt_rotations(angle: float) -> Array:
-    """Return rotations (4, 4, 4) by an angle (rad) about the x and y axes, in both directions."""
+    """Return rotations (4, 4, 4) by an angle about the x and y axes, in both directions."""
     axes = np.array([(1.0, 0.0, 0.0), (-1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, -1.0, 0.0)])
     return np.array([pose(rotation=rotation_from_vector(angle * axis)) for axis in axes])

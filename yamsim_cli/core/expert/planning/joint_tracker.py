@@ -1,25 +1,21 @@
-"""Joint references that follow a moving goal with bounded speed and acceleration."""
-
 from __future__ import annotations
 
 import numpy as np
 
 from ...geometry.se3 import Array
 
-_MAX_SPEED_SHARE = 0.5  # share of the motors' no-load speed; the rest overcomes load and friction
-_MAX_ACCELERATION = 12.0  # rad/s^2, limits each joint
+_MAX_SPEED_SHARE = 0.5  # of the motors' no-load speed; the rest overcomes load and friction
+_MAX_ACCELERATION = 12.0  # rad/s^2, of each joint
 
 
 class JointTracker:
-    """A joint reference that follows a goal with bounded speed and acceleration, and stops on it.
-
-    Attributes:
-        joints: the present reference (dof,), rad.
+    """The reference `joints` (dof,), rad, which follow a moving goal with bounded speed and acceleration, and stop on
+    it.
 
     Args:
-        motor_speed: no-load speed (dof,) of each joint's motor, rad/s.
+        motor_speed: no-load speed (dof,), rad/s.
         joint_range: joint limits (dof, 2), rad.
-        tick: length of a control tick, s.
+        tick: s.
     """
 
     def __init__(self, motor_speed: Array, joint_range: Array, tick: float) -> None:
@@ -34,9 +30,9 @@ class JointTracker:
         self.joints, self._velocity = joints.copy(), np.zeros_like(joints)
 
     def next_reference(self, goal: Array) -> Array:
-        """Return the reference (dof,) one tick later towards `goal` (dof,), within limits, without applying it."""
+        """Return the reference (dof,) one tick later towards `goal` (dof,), without applying it."""
         distance = np.clip(goal, self._low, self._high) - self.joints
-        # Limits: the speed from which braking ends at the goal, and the speed that reaches the goal in this tick.
+        # The speed from which braking ends at the goal, and the speed that reaches the goal in this tick.
         braking = np.sqrt(2 * _MAX_ACCELERATION * np.abs(distance))
         wanted = np.sign(distance) * np.minimum.reduce([self._speed, braking, np.abs(distance) / self._tick])
         most = _MAX_ACCELERATION * self._tick

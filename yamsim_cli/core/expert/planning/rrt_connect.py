@@ -1,5 +1,3 @@
-"""Paths around obstacles in joint space, by RRT-Connect: two trees grow towards each other."""
-
 from __future__ import annotations
 
 import math
@@ -10,11 +8,11 @@ import numpy as np
 
 from ...geometry.se3 import Array
 
-_MAX_BRANCH = 0.25  # rad, largest change of a joint along a branch
-_EDGE_STEP = 0.06  # rad, largest change of a joint between two contact checks on an edge
-_MAX_BRANCHES = 400  # branches that are tried before the search gives up
+_MAX_BRANCH = 0.25  # rad, of a joint along a branch
+_EDGE_STEP = 0.06  # rad, of a joint between two contact checks on an edge
+_MAX_BRANCHES = 400  # tried before the search gives up
 _GOAL_BIAS = 0.3  # share of branches that grow towards the other tree
-_SHORTCUTS = 40  # random shortcuts that are tried on a found path
+_SHORTCUTS = 40  # random, tried on a found path
 
 
 @dataclass
@@ -43,11 +41,7 @@ def plan_rrt_connect(
 ) -> list[Array] | None:
     """Return waypoints (dof,) from start to goal with collision-free straight edges; None if none are found.
 
-    The method is that of Kuffner and LaValle, "RRT-Connect", ICRA 2000.
-
-    Args:
-        bounds: joint limits (dof, 2), rad.
-        find_contact: returns a description of a contact at joints (dof,); None without contact.
+    `bounds` are joint limits (dof, 2), rad. Source: Kuffner and LaValle, "RRT-Connect", ICRA 2000.
     """
     if find_contact(goal):
         return None
@@ -84,7 +78,7 @@ def _step_towards(start: Array, goal: Array) -> Array:
 
 
 def _connect(tree: _Tree, joints: Array, free: Callable[[Array, Array], bool]) -> int | None:
-    """Grow a tree straight to joints (dof,), and return the index of the node there; None if an obstacle is met."""
+    """Grow a tree straight to joints, and return the index of the node there; None if an obstacle is met."""
     node = tree.nearest(joints)
     while True:
         here = tree.nodes[node]

@@ -1,5 +1,3 @@
-"""Motions of one arm as joint references, one for each control tick."""
-
 from __future__ import annotations
 
 import math
@@ -10,33 +8,30 @@ import numpy as np
 from ...geometry.se3 import Array, pose, rotation_from_vector, rotation_vector
 from .ik import IkSolver
 
-_MAX_SPEED_SHARE = 0.55  # share of the motor's no-load speed that limits a joint's speed
-_MAX_SPEED = 2.2  # rad/s, limits a joint's speed
+_MAX_SPEED_SHARE = 0.55  # of the motor's no-load speed
+_MAX_SPEED = 2.2  # rad/s, of a joint
 
-_PEAK = 1.875  # peak speed of a minimum-jerk motion, as a multiple of its mean speed
-_WAYPOINT_PEAK = 1.5  # peak speed of a motion through waypoints without stops, as a multiple of its mean speed
+_PEAK = 1.875  # peak speed over mean speed of a minimum-jerk motion
+_WAYPOINT_PEAK = 1.5  # peak speed over mean speed of a motion through waypoints without stops
 
-LINE_SPEED = 0.25  # m/s, peak speed of a hand on a straight line
-_LINE_TURN_SPEED = 1.2  # rad/s, peak rotation speed of a hand on a straight line
+LINE_SPEED = 0.25  # m/s, peak speed of a hand
+_LINE_TURN_SPEED = 1.2  # rad/s, peak rotation speed of a hand on a line
 _MIN_TICKS = 6  # control ticks of the shortest motion
 
 _MAX_LINE_ERROR = 0.004  # m, distance from the curve above which a pose counts as out of reach
 _MAX_JOINT_STEP = 0.35  # rad, change of a joint in a control tick above which a pose counts as out of reach
-_LINE_ITERATIONS = 8  # largest number of iterations of each inverse kinematics search on a curve
+_LINE_ITERATIONS = 8  # of each inverse kinematics search
 
 
 def minimum_jerk(fraction: float) -> float:
-    """Return the position, 0..1, of a minimum-jerk motion at a fraction, 0..1, of its duration."""
+    """Return the position, 0..1, of a minimum-jerk motion at a fraction of its duration."""
     return fraction**3 * (10 - 15 * fraction + 6 * fraction**2)
 
 
 def time_waypoints(points: Sequence[Array], motor_speed: Array, tick: float) -> Array:
-    """Return a motion through waypoints, from rest to rest within speed limits: joints (n + 1, dof) at tick boundaries.
+    """Return joints (n + 1, dof) at tick boundaries that pass through waypoints, from rest to rest within speed limits.
 
-    Args:
-        points: waypoints (dof,), rad; the first one is the present joints.
-        motor_speed: no-load speed of each joint's motor (dof,), rad/s.
-        tick: length of a control tick, s.
+    The first waypoint is the present joints. `motor_speed` (dof,) is the no-load speed, rad/s.
     """
     limit = np.minimum(motor_speed * _MAX_SPEED_SHARE, _MAX_SPEED)
     knots = np.asarray(points)
@@ -65,15 +60,9 @@ def time_waypoints(points: Sequence[Array], motor_speed: Array, tick: float) -> 
 def cartesian_line(
     ik: IkSolver, start: Array, T_tool_in_world: Array, tick: float, speed: float = LINE_SPEED
 ) -> Array | None:
-    """Return joints (n + 1, dof) that move the held frame on a straight line to a pose (4, 4), from rest to rest.
+    """Return joints (n + 1, dof) that move the held frame of `ik` straight to a pose, from rest to rest.
 
-    Args:
-        ik: has the held frame, the frame that moves on the line, see `IkSolver.set_held_frame`.
-        start: the present joints (dof,), rad.
-        speed: peak speed of the frame, m/s.
-
-    Returns:
-        The motion, or None if the line leaves the arm's reach.
+    The frame's peak speed is `speed`, m/s. The result is None if the line leaves the arm's reach.
     """
     T_start = ik.pose_of(start)
     distance = float(np.linalg.norm(T_tool_in_world[:3, 3] - T_start[:3, 3]))
@@ -90,16 +79,10 @@ def cartesian_line(
 def cartesian_curve(
     ik: IkSolver, start: Array, pose_at: Callable[[float], Array], seconds: float, tick: float
 ) -> Array | None:
-    """Return joints (n + 1, dof) that move the held frame on a curve, from rest to rest.
+    """Return joints (n + 1, dof) that move the held frame of `ik` on a curve, from rest to rest.
 
-    Args:
-        ik: has the held frame, the frame that moves on the curve, see `IkSolver.set_held_frame`.
-        start: the present joints (dof,), rad.
-        pose_at: share of the curve, 0..1 -> the frame's pose (4, 4) in `world`.
-        seconds: length of the curve by the peak speed, s; the motion lasts 1.875 times as long.
-
-    Returns:
-        The motion, or None if the curve leaves the arm's reach.
+    `pose_at` gives the pose in `world` at a share of the curve, 0..1. The curve takes `seconds` at the peak speed; the
+    motion lasts 1.875 times as long. The result is None if the curve leaves the arm's reach.
     """
     number = max(_MIN_TICKS, math.ceil(seconds * _PEAK / tick))
     rows, solution = [start], ik.solution_at(start)

@@ -11,16 +11,16 @@ from .grasp_candidates import GraspCandidate
 from .hand import WAYPOINT_TOLERANCE, Hand
 from .planning_context import FingerTarget, MotionSegment, PlanningContext, SkillFailedError
 
-GRIP_TICKS = 10  # control ticks in which fingers close
-_OPEN_TICKS = 8  # control ticks in which fingers open
-_REST_TICKS = 4  # control ticks in which the arms and a released object come to rest
+GRIP_TICKS = 10
+_OPEN_TICKS = 8
+_REST_TICKS = 4  # control ticks in which arms and a released object come to rest
 
-# m, retreat of a hand from a released object; the shorter one is used if the other ends near a joint limit
+# m from a released object; the shorter retreat is used if the other ends near a joint limit
 _RETREAT_DISTANCE, _SHORT_RETREAT_DISTANCE = 0.07, 0.04
 
 
 def close_fingers_on(context: PlanningContext, hand: Hand, candidate: GraspCandidate) -> Iterator[MotionSegment]:
-    """Yield segments that close the fingers on the object between them, and wait until everything rests.
+    """Close the fingers on the object between them, and wait until everything rests.
 
     Fingers close with the grasp's force. A hand with a weld closes to the object's width, and switches its weld on.
     """
@@ -31,7 +31,7 @@ def close_fingers_on(context: PlanningContext, hand: Hand, candidate: GraspCandi
 
 
 def release_and_retreat(context: PlanningContext, hand: Hand, clearance: float) -> Iterator[MotionSegment]:
-    """Yield segments that open each finger by a clearance (m), and move the hand back along its axis or up."""
+    """Open each finger by a clearance (m), and move the hand back along its axis or up."""
     opening = min(hand.opening + clearance, hand.max_opening)
     hand.weld_commanded = False
     yield context.make_segment(
@@ -50,7 +50,7 @@ def release_and_retreat(context: PlanningContext, hand: Hand, clearance: float) 
 
 
 def _retreat_paths(context: PlanningContext, hand: Hand) -> Iterator[Array]:
-    """Yield straight paths (n + 1, dof) away from a released object; paths that end near joint limits come last."""
+    """Yield straight paths away from a released object; paths that end near joint limits come last."""
     T = hand.pinch_pose(hand.joints)
     paths = []
     for distance in (_RETREAT_DISTANCE, _SHORT_RETREAT_DISTANCE):
@@ -67,11 +67,7 @@ def _retreat_paths(context: PlanningContext, hand: Hand) -> Iterator[Array]:
 
 
 def plan_held_object_line(context: PlanningContext, hand: Hand, T_thing: Array, speed: float) -> Array:
-    """Return a motion (n + 1, dof) that moves a held object straight to a pose (4, 4) in `world`, at a speed in m/s.
-
-    Raises:
-        SkillFailedError: the hand no longer holds the object, or the line leaves the arm's reach.
-    """
+    """Return a motion (n + 1, dof) that moves a held object straight to a pose in `world`, at a speed in m/s."""
     held = context.update_held(hand)
     # The arm sags under its load: this transform leads from the measured pose to the commanded pose.
     T_commanded_in_pinch = inverse(context.T_pinch(hand)) @ hand.pinch_pose(hand.joints)
@@ -79,13 +75,13 @@ def plan_held_object_line(context: PlanningContext, hand: Hand, T_thing: Array, 
 
 
 def park(context: PlanningContext, hand: Hand) -> Iterator[MotionSegment]:
-    """Yield the motion of a hand that holds nothing to its ready posture, unless the hand is there already."""
+    """Move a hand to its ready posture, unless it is there already."""
     if not _is_parked(hand):
         yield context.make_segment({hand: context.plan_free_path(hand, hand.ready_joints)}, wait_for_arrival=False)
 
 
 def unparked_hands(context: PlanningContext) -> list[Hand]:
-    """Return the acting hands that hold nothing and whose arms are not in their ready postures."""
+    """Return the acting hands that hold nothing and are not parked."""
     return [hand for hand in context.free_hands("any") if not _is_parked(hand)]
 
 
@@ -94,7 +90,7 @@ def _is_parked(hand: Hand) -> bool:
 
 
 def park_free_hands(context: PlanningContext, except_hand: Hand | None = None) -> Iterator[MotionSegment]:
-    """Yield the motions that park all hands that hold nothing, except `except_hand`."""
+    """Park all other hands that hold nothing."""
     for hand in context.hands:
         if hand is not except_hand and hand.held is None:
             yield from park(context, hand)
@@ -106,11 +102,7 @@ def rest_segment(context: PlanningContext) -> MotionSegment:
 
 
 def open_and_park_hands(context: PlanningContext) -> Iterator[MotionSegment]:
-    """Yield motions that open and park all hands that hold nothing; a blocked hand waits until others are parked.
-
-    Raises:
-        SkillFailedError: none of the remaining hands has a free path.
-    """
+    """Open and park all hands that hold nothing; a blocked hand waits until others are parked."""
     waiting = context.free_hands("any")
     while waiting:
         before, errors = len(waiting), list[SkillFailedError]()

@@ -1,5 +1,3 @@
-"""Grasp candidates of an object: from the grasp points of its config, and from its shape."""
-
 from __future__ import annotations
 
 import itertools
@@ -13,45 +11,44 @@ from ...config.objects.object_config import ObjectConfig
 from ...geometry.se3 import Array, pose, rotation_from_vector, rotation_z
 from ...sim.antipodal import AntipodalPair
 
-# rad, tilts of the hand about the closing axis, in the order tried. Flat pads press on the same two points for each.
-# For an object that lies on its side, a quarter turn is the grasp from above.
+# rad, tilts about the closing axis, in the order tried. Flat pads press on the same two points for each. For an object
+# that lies on its side, a quarter turn is the grasp from above.
 _TILT_ANGLES = tuple(math.radians(angle) for angle in (0, 15, -15, 30, -30, 45, -45, 60, -60, 75, -75, 90, -90))
 
-# rad, tilts of a hand with a weld from straight down, in the order tried, and headings of the tilt (object frame)
+# rad, tilts from straight down, in the order tried, and headings of the tilt (object frame)
 WELD_TILT_ANGLES = tuple(math.radians(angle) for angle in (0, 15, 30, 45))
 WELD_HEADINGS = tuple(math.radians(angle) for angle in range(0, 360, 45))
 
-# Grasps of narrow objects beside a wall: the hand tilts to the side, along the closing axis, which leaves room for the
-# hand. The object turns in the pads until it lies flat in them.
+# Grasps of narrow objects beside a wall: the hand tilts to the side, along the closing axis, which leaves room for it.
+# The object turns in the pads until it lies flat in them.
 _SIDE_TILTS = tuple(math.radians(angle) for angle in (0, 20, -20, 35, -35, 50, -50, 70, -70, 90, -90))
 # m: largest half width of such an object, clearance of each finger, and retreat of the hand along its axis
 _MAX_NARROW_HALF_WIDTH, _SIDE_CLEARANCE, _SIDE_RAISE = 0.010, 0.004, 0.004
 
-# Fingertip grasps, for places where even a tilted hand finds no room.
-# m: offset of the hand from the object's middle before closing; least distance of fingers from other objects
+# Fingertip grasps, for places where even a tilted hand finds no room. m: offset of the hand from the object's middle
+# before closing; least distance of fingers from other objects.
 _FINGERTIP_OFFSET, _FINGERTIP_DISTANCE = 0.0025, 0.0015
 _FINGERTIP_RAISES = (_SIDE_RAISE, 2 * _SIDE_RAISE)  # m, retreats of the hand along its axis, in the order tried
 
 # Directions in which an arm that stands on the table can point its fingers.
-_MAX_UPWARD = 0.3  # largest sine of the fingers' angle above horizontal
-_MAX_BACKWARD = -0.5  # least cosine of the fingers' horizontal angle to the direction away from the base
+_MAX_UPWARD = 0.3  # sine of the fingers' angle above horizontal
+_MAX_BACKWARD = -0.5  # cosine of the fingers' horizontal angle to the direction away from the base
 
-# Defaults for objects whose config has no grasp.
+# For objects whose config has no grasp.
 CLEARANCE = 0.010  # m, additional opening of each finger before closing and after release
 _DEFAULT_FORCE = 15.0  # N, of each finger
 
-# Antipodal grasps, found from the object's shape.
 _MAX_PAIRS = 12  # antipodal pairs that are tried; each adds 16 candidates
 _MIN_PAIR_DISTANCE = 0.015  # m; of pairs with nearer middles and similar directions, only the first is tried
-_APPROACH_ANGLES = tuple(math.radians(angle) for angle in range(0, 360, 45))  # rad, of the hand about the closing line
+_APPROACH_ANGLES = tuple(math.radians(angle) for angle in range(0, 360, 45))  # rad, about the closing line
 
 
 @dataclass(frozen=True, eq=False)
 class GraspCandidate:
-    """A pose of the hand relative to an object, with the opening and the force of the fingers at that pose.
+    """A pose of the hand relative to an object, with the opening and the force of the fingers.
 
     Attributes:
-        T_pinch_in_thing: the pinch frame (4, 4) in the object's: z along the approach, y along the closing axis.
+        T_pinch_in_thing: z points along the approach, y along the closing axis.
         opening: of each finger when it touches the object, m.
         clearance: additional opening of each finger before closing and after release, m.
         force: of each finger, N.
@@ -97,7 +94,7 @@ def weld_candidates(item: ObjectConfig) -> Iterator[GraspCandidate]:
 
 
 def sideways_candidates(item: ObjectConfig) -> Iterator[GraspCandidate]:
-    """Yield grasps of a narrow object with a hand that tilts to the side, for places beside a wall."""
+    """Yield grasps of a narrow object beside a wall, with a hand that tilts to the side."""
     points = [point for point in _grasp_points(item) if point[1] <= _MAX_NARROW_HALF_WIDTH]
     for tilt in _SIDE_TILTS:
         for T, opening, clearance, force in points:
@@ -109,7 +106,7 @@ def sideways_candidates(item: ObjectConfig) -> Iterator[GraspCandidate]:
 
 
 def antipodal_candidates(item: ObjectConfig, spans: Sequence[AntipodalPair]) -> Iterator[GraspCandidate]:
-    """Yield grasps at antipodal pairs of an object, with approach directions all around each closing line."""
+    """Yield grasps at antipodal pairs, with approaches all around each closing line."""
     grasp = item.grasp
     force = grasp.friction.force if grasp is not None and grasp.friction is not None else _DEFAULT_FORCE
     clearance = grasp.clearance if grasp is not None else CLEARANCE
@@ -124,7 +121,7 @@ def antipodal_candidates(item: ObjectConfig, spans: Sequence[AntipodalPair]) -> 
 
 
 def fingertip_candidates(item: ObjectConfig) -> Iterator[GraspCandidate]:
-    """Yield grasps of a narrow object by the fingertips, one of them close to it, for places beside a wall."""
+    """Yield grasps of a narrow object beside a wall by the fingertips, one of them close to it."""
     points = [point for point in _grasp_points(item) if point[1] <= _MAX_NARROW_HALF_WIDTH]
     for raised, tilt in itertools.product(_FINGERTIP_RAISES, _SIDE_TILTS):
         for T, opening, clearance, force in points:
@@ -159,7 +156,7 @@ def _grasp_points(item: ObjectConfig) -> Iterator[tuple[Array, float, float, flo
 
 
 def is_orientation_plausible(T_pinch_in_world: Array, T_base_in_world: Array) -> bool:
-    """Return whether an arm can point its fingers as in a pose (4, 4): a quick test before inverse kinematics."""
+    """Return whether an arm can point its fingers as in a pose: a quick test before inverse kinematics."""
     forward, away = T_pinch_in_world[:3, 2], (T_pinch_in_world - T_base_in_world)[:2, 3]
     if forward[2] > _MAX_UPWARD:
         return False

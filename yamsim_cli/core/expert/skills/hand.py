@@ -1,5 +1,3 @@
-"""`Hand`: an arm with its gripper, with its last command, its held object and its inverse kinematics."""
-
 from __future__ import annotations
 
 import math
@@ -13,11 +11,11 @@ from ...scene.compiled import ArmAddresses
 from ..planning.dynamics import ArmDynamics
 from ..planning.ik import IkSolver, Tolerance
 
-GRASP_TOLERANCE = Tolerance(1.5e-3, math.radians(2.0))  # m and rad, for poses where fingers close or open
-WAYPOINT_TOLERANCE = Tolerance(4e-3, math.radians(6.0), allow_tilt=True)  # m and rad, for waypoints
+GRASP_TOLERANCE = Tolerance(1.5e-3, math.radians(2.0))  # m and rad, where fingers close or open
+WAYPOINT_TOLERANCE = Tolerance(4e-3, math.radians(6.0), allow_tilt=True)  # m and rad
 
-# rad, distance that every joint keeps from its limits if some grasp allows. Tracking errors and a gripper's load move
-# joints by up to 0.05 rad, and a real arm differs from its model.
+# rad from its limits that every joint keeps if some grasp allows. Tracking errors and a gripper's load move joints by
+# up to 0.05 rad, and a real arm differs from its model.
 PREFERRED_JOINT_MARGIN = 0.15
 
 _SIMILAR_DISTANCE, _SIMILAR_ANGLE = 0.01, math.radians(20.0)  # m and rad; grasps that differ by less count as similar
@@ -25,7 +23,7 @@ _SIMILAR_DISTANCE, _SIMILAR_ANGLE = 0.01, math.radians(20.0)  # m and rad; grasp
 
 @dataclass(frozen=True)
 class HeldObject:
-    """An object in a hand, with its last measured pose (4, 4) in the pinch frame."""
+    """An object in a hand, with its last measured pose in the pinch frame."""
 
     thing: str
     T_thing_in_pinch: Array
@@ -37,18 +35,14 @@ class Hand:
     Attributes:
         number: index of the arm in its scene.
         side: "left" or "right".
-        arm: the arm's addresses in MuJoCo's arrays, and its limits.
         ik: inverse kinematics of the pinch frame, which lies where the fingers meet.
-        dynamics: inverse dynamics.
-        ready_joints: joints (dof,) of the posture in which an idle arm waits, rad.
+        ready_joints: posture (dof,) in which an idle arm waits, rad.
         joints: last commanded joints (dof,), rad.
         opening: last commanded opening of each finger, m.
         grip_force: last commanded force of each finger, N.
-        weld_commanded: whether the weld is commanded on; without effect on a hand that has none.
-        held: the object in the hand; None without one.
         failed_grasps: grasps with which an object could not be brought to its goal; they are not tried again.
         joint_margin: least distance from joint limits in `solve_ik`, rad, see `PlanningContext.planning_limits`.
-        allow_tilt: whether `solve_ik` may tilt the hand at waypoints, see `PlanningContext.planning_limits`.
+        allow_tilt: whether `solve_ik` may tilt the hand at waypoints.
     """
 
     def __init__(
@@ -71,7 +65,7 @@ class Hand:
         self.joint_margin, self.allow_tilt = 0.0, False
 
     def has_failed_with(self, thing: str, T_pinch_in_thing: Array) -> bool:
-        """Return whether `failed_grasps` has a grasp similar to `T_pinch_in_thing` (4, 4), the pinch frame's pose."""
+        """Return whether `failed_grasps` has a grasp similar to this."""
         earlier = [inverse(held.T_thing_in_pinch) for held in self.failed_grasps if held.thing == thing]
         return any(
             float(np.linalg.norm(T[:3, 3] - T_pinch_in_thing[:3, 3])) < _SIMILAR_DISTANCE
@@ -81,7 +75,7 @@ class Hand:
 
     @property
     def max_opening(self) -> float:
-        """Largest opening of each finger that can be commanded, m."""
+        """Largest commandable opening of each finger, m."""
         assert self.arm.fingers is not None, "skills are for hands with fingers"
         return float(self.arm.fingers.ctrl_range[1])
 
@@ -91,17 +85,17 @@ class Hand:
         return self.arm.weld is not None
 
     def pinch_pose(self, joints: Array) -> Array:
-        """Return the pose (4, 4) of the pinch frame in `world` at joints (dof,), rad."""
+        """Return the pinch frame's pose in `world` at joints (dof,), rad."""
         return self.ik.pose_of(joints)
 
     def solve_ik(
         self, T_pinch_in_world: Array, seeds: Sequence[Array], tolerance: Tolerance = GRASP_TOLERANCE
     ) -> Array | None:
-        """Return joints (dof,) with the pinch frame at a pose (4, 4), near `seeds` (dof,); None if none are found."""
+        """Return joints (dof,) with the pinch frame at a pose, near `seeds`; None if none are found."""
         return self.ik.solve_from(T_pinch_in_world, seeds, self._with_planning_limits(tolerance))
 
     def maybe_reachable(self, T_pinch_in_world: Array, tolerance: Tolerance = GRASP_TOLERANCE) -> Array:
-        """Return which poses (n, 4, 4) of the pinch frame `solve_ik` may reach, (n,) bool; others are out of reach."""
+        """Return which poses (n, 4, 4) `solve_ik` may reach, as (n,); others are out of reach."""
         return self.ik.maybe_reachable(T_pinch_in_world, self._with_planning_limits(tolerance))
 
     def _with_planning_limits(self, tolerance: Tolerance) -> Tolerance:

@@ -1,5 +1,3 @@
-"""Hand an object over in the air, from one hand to the other."""
-
 from __future__ import annotations
 
 import functools
@@ -26,23 +24,22 @@ from .skill import Skill, preference_levels, require_holding_hand
 
 _APPROACH = 0.08  # m, length of the receiver's straight approach
 
-_HANDOVER_X = (0.32, 0.26, 0.38, 0.44)  # m, distances in front of the midpoint between the bases, in the order tried
+_HANDOVER_X = (0.32, 0.26, 0.38, 0.44)  # m in front of the midpoint between the bases, in the order tried
 
 _MIN_ANGLE = math.radians(50)  # rad, hands whose fingers' directions differ by less collide unless side by side
 # rad, hands whose directions differ by more face each other, and the object may roll about the line between them
 _FACING_ANGLE = math.radians(165)
-_MIN_APART = 0.07  # m, least distance between hands that come from the same side: their fingers just pass each other
-_ROOMY_DISTANCE = 0.13  # m, least distance between hands at which their fingers have room between them
+_MIN_APART = 0.07  # m, between hands that come from the same side: their fingers just pass each other
+_ROOMY_DISTANCE = 0.13  # m, between hands whose fingers have room between them
 # Where handovers are searched, in the order tried: least and largest distance between the hands, m (infinite unless
 # they come from the same side); depth below `height`, m; angle, rad, from the line between bases to that between hands.
-# Fingers with room between them come first, then fingers that just pass each other, then lower places, which hands
-# reach from above.
+# Lower places, which hands reach from above, come last.
 _SEARCH_ORDER = (
     (_ROOMY_DISTANCE, math.inf, 0.0, 0.0),
     (_MIN_APART, _ROOMY_DISTANCE, 0.0, 0.0),
     *((_MIN_APART, math.inf, lower, 0.0) for lower in (0.06, 0.12)),
 )
-_TURNS = tuple(math.radians(angle) for angle in (30, -30, 60, -60))  # rad, angles between the lines, in the order tried
+_TURNS = tuple(math.radians(angle) for angle in (30, -30, 60, -60))  # rad, between the lines, in the order tried
 _TURNED_SEARCH_ORDER = (
     *_SEARCH_ORDER,
     *((_MIN_APART, math.inf, lower, turn) for turn in _TURNS for lower in (0.0, 0.06)),
@@ -60,14 +57,11 @@ _ROLLS = tuple(math.radians(angle) for angle in (0, 90, 180, -90))
 
 @dataclass(frozen=True)
 class _HandoverPose:
-    """The receiver's grasp, and joints of both arms at a handover.
+    """The receiver's grasp, and joints (dof,) of both arms at a handover, rad.
 
     Attributes:
-        candidate: grasp candidate of the receiver.
         opening: of each of the receiver's fingers before they close, m.
-        giver_joints: of the giver's arm (dof,), rad.
-        approach_joints: of the receiver's arm before the straight approach (dof,), rad.
-        receiver_joints: of the receiver's arm at the object (dof,), rad.
+        approach_joints: of the receiver's arm before the straight approach.
     """
 
     candidate: GraspCandidate
@@ -78,12 +72,8 @@ class _HandoverPose:
 
 
 class Handover(Skill):
-    """Move an object to where both hands reach it, grasp it with the other hand, and release it.
-
-    Attributes:
-        thing: a role; its object is in a hand.
-        to: the hand that takes the object.
-        height: of the object's origin over the table, m.
+    """Move an object to `height` m over the table, where both hands reach it, grasp it with hand `to`, and open the
+    other.
     """
 
     ROLES: ClassVar[tuple[str, ...]] = ("thing",)
@@ -97,7 +87,7 @@ class Handover(Skill):
     def run(
         self, context: PlanningContext, roles: RoleAssignment, next_skills: Sequence[Skill]
     ) -> Iterator[MotionSegment]:
-        """Yield the motions that hand the object over, unless the receiver holds it already; see `Skill.run`."""
+        """Do nothing if the receiver holds the object already; see `Skill.run`."""
         thing = roles.object_of(self.thing)
         giver = require_holding_hand(context, thing, "handed over")
         if context.side_of(self.to) == giver.side:
@@ -132,7 +122,7 @@ class Handover(Skill):
         joints: Array,
         next_skills: Sequence[Skill] = (),
     ) -> str | None:
-        """Return why no handover is found for a grasp by `hand`; None if one is found. See `Skill.infeasibility`."""
+        """See `Skill.infeasibility`."""
         if roles.object_of(self.thing) != thing or context.side_of(self.to) == hand.side:
             return None
         receiver = next(other for other in context.hands if other is not hand)
@@ -148,7 +138,7 @@ class Handover(Skill):
         return faults[-1] if faults and all(faults) else f"no place where the {receiver.side} hand can take it"
 
     def without_preferences(self, context: PlanningContext, roles: RoleAssignment) -> Handover:
-        """Return a handover whose line from hand to hand may be turned from the line between the bases."""
+        """Return a handover whose line from hand to hand may be turned from that between the bases."""
         return _TurnedHandover.model_construct(**dict(self))
 
     def _find_handover(
@@ -171,7 +161,6 @@ class Handover(Skill):
         held: HeldObject,
         next_skills: Sequence[Skill],
     ) -> _HandoverPose | None:
-        """Return the first handover without contacts that both hands reach and that leaves `next_skills` possible."""
         grips = _receiver_grasps(context, roles, receiver, held.thing, next_skills)
         # The first search tests a grasp only if hands can reach a handover with it. Later searches test grasps first.
         check_first = bool(grips.faults)
@@ -206,15 +195,13 @@ class _TurnedHandover(Handover):
     PLACES: ClassVar[tuple[tuple[float, float, float, float], ...]] = _TURNED_SEARCH_ORDER
 
     def without_preferences(self, context: PlanningContext, roles: RoleAssignment) -> Handover:
-        """Return the skill itself: it has no preferences."""
         return self
 
 
 class _ReceiverGrasps:
     """Grasp candidates of the receiver, the most reliable first.
 
-    Attributes:
-        faults: index of each tested candidate -> why the next skills would fail with it; None if they would not.
+    `faults` has, for each tested candidate's index, why the next skills would fail with it.
     """
 
     def __init__(
@@ -231,11 +218,9 @@ class _ReceiverGrasps:
         self.faults: dict[int, str | None] = {}
 
     def untested_or_suitable(self) -> Iterator[tuple[int, GraspCandidate]]:
-        """Yield index and candidate of the grasps that are untested, or with which the next skills are possible."""
         return ((number, grip) for number, grip in enumerate(self._candidates) if not self.faults.get(number))
 
     def is_suitable(self, number: int, candidate: GraspCandidate) -> bool:
-        """Return whether the next skills are possible after a grasp; each grasp is tested once."""
         if number not in self.faults:
             fault = None
             if self._next_skills:
@@ -248,7 +233,7 @@ class _ReceiverGrasps:
 def _receiver_grasps(
     context: PlanningContext, roles: RoleAssignment, receiver: Hand, thing: str, next_skills: Sequence[Skill]
 ) -> _ReceiverGrasps:
-    """Return the receiver's candidates with their test results, which all searches share while nothing moves."""
+    """Return the receiver's candidates, whose test results all searches share while nothing moves."""
     key = ("taking grips", receiver.side, thing, tuple(next_skills))
     return context.cached(key, lambda: _ReceiverGrasps(context, roles, receiver, thing, next_skills))
 
@@ -260,7 +245,7 @@ def _reachable_poses(
     grips: Iterator[tuple[int, GraspCandidate]],
     poses: _HandoverPoseSampler,
 ) -> Iterator[tuple[int, GraspCandidate, Array]]:
-    """Yield each candidate with the object's poses (n, 4, 4) in `world` at which both hands may reach the object."""
+    """Yield each candidate with the object's poses (n, 4, 4) at which both hands may reach it."""
     while batch := list(itertools.islice(grips, _BATCH_SIZE)):
         T, k = poses.poses_for([grip for _, grip in batch])
         T_grips = np.array([grip.T_pinch_in_thing for _, grip in batch])
@@ -274,7 +259,6 @@ def _reachable_poses(
 def _solve_handover(
     giver: Hand, receiver: Hand, T_giving: Array, T_receiving: Array, candidate: GraspCandidate
 ) -> _HandoverPose | None:
-    """Return the handover with the pinch frames at poses (4, 4) in `world`; None if an arm does not reach its pose."""
     if not is_orientation_plausible(T_giving, giver.arm.T_base_in_world) or not is_orientation_plausible(
         T_receiving, receiver.arm.T_base_in_world
     ):
@@ -311,8 +295,8 @@ class _HandoverOrientation:
     """Orientation of an object in which two hands grasp it from their own sides.
 
     Attributes:
-        R_thing: rotation (3, 3) from the object's frame to the handover frame. Its first axis leads from the giver to
-            the receiver, and its second axis points along both hands.
+        R_thing: rotation from the object's frame to the handover frame. Its first axis leads from the giver to the
+            receiver, and its second axis points along both hands.
         apart: distance between hands that point in similar directions, m; infinite for other hands.
         facing: whether the hands face each other, so that the object may roll about the line between them.
     """
@@ -330,7 +314,7 @@ class _HandoverPoseSampler:
         across: direction (3,) from the giver to the receiver, in `world`.
         apart: least and largest `apart` of an orientation, m.
         places: of the object's origin (n, 3), in `world`, m.
-        orientation_for: returns the object's orientation for a grasp candidate of the receiver.
+        orientation_for: orientation for a grasp candidate of the receiver.
     """
 
     across: Array
@@ -339,7 +323,7 @@ class _HandoverPoseSampler:
     orientation_for: Callable[[GraspCandidate], _HandoverOrientation | None]
 
     def poses_for(self, grips: Sequence[GraspCandidate]) -> tuple[Array, NDArray[np.intp]]:
-        """Return poses (n, 4, 4) in `world` for candidates, in their order, and the index of each pose's candidate."""
+        """Return poses (n, 4, 4) in `world` for candidates, and the index of each pose's candidate."""
         attitudes, (least, most) = [self.orientation_for(grip) for grip in grips], self.apart
         fitting = [(k, found) for k, found in enumerate(attitudes) if found and least <= found.apart <= most]
         numbers = np.array([k for k, _ in fitting], np.intp)
@@ -357,7 +341,7 @@ class _HandoverPoseSampler:
 
 
 def _handover_orientation(T_giving: Array, T_receiving: Array) -> _HandoverOrientation | None:
-    """Return the orientation for two pinch frames (4, 4) in the object's frame; None if the hands would collide."""
+    """Return the orientation for two pinch frames in the object's frame; None if the hands would collide."""
     giving, receiving = T_giving[:3, 2], T_receiving[:3, 2]
     angle = math.acos(max(-1.0, min(1.0, float(giving @ receiving))))
     first, apart = giving - receiving, math.inf

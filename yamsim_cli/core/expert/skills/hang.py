@@ -1,5 +1,3 @@
-"""Hang a held object on a peg."""
-
 from __future__ import annotations
 
 import math
@@ -19,23 +17,22 @@ from .hand import WAYPOINT_TOLERANCE, Hand
 from .planning_context import MotionSegment, PlanningContext, SkillFailedError
 from .skill import Skill, require_holding_hand
 
-_DEPTHS = (0.045, 0.055, 0.035)  # m, distances of the eye behind the peg's tip, in the order tried
+_DEPTHS = (0.045, 0.055, 0.035)  # m, of the eye behind the peg's tip, in the order tried
 _APPROACH = 0.04  # m, from the eye to the peg's tip when the straight approach starts
 
 # rad, tilts of the object about the peg, in the order tried; the object may turn when released
 _TILTS = tuple(math.radians(angle) for angle in (0, 20, -20, 40, -40))
 
-_HANG_SPEED = 0.10  # m/s, of the motion onto the peg and down
-_RELEASE_GAP = 0.001  # m, of the eye over the peg at the release
+_HANG_SPEED = 0.10  # m/s, onto the peg and down
+_RELEASE_GAP = 0.001  # m, of the eye over the peg
 _SWING_TICKS = 40  # control ticks in which the object swings to rest
 
 
 class Hang(Skill):
-    """Move the eye of an object over a peg, and release the object.
+    """Move the eye of a held object over a peg, and release the object.
 
-    Attributes:
-        thing: a role; its object is in a hand, and has a handle called `eye`, which points through an opening.
-        onto: a role; its object has a handle called `peg`, which points from the peg's tip to its root.
+    The object's handle `eye` points through an opening. The handle `peg` of `onto` points from the peg's tip to its
+    root.
     """
 
     ROLES: ClassVar[tuple[str, ...]] = ("thing", "onto")
@@ -58,7 +55,7 @@ class Hang(Skill):
         joints: Array,
         next_skills: Sequence[Skill] = (),
     ) -> str | None:
-        """Return why a hand cannot hang the object with a grasp; None if nothing is known to prevent it."""
+        """See `Skill.infeasibility`."""
         fault = f"the {hand.side} arm does not reach the peg with it"
         load = AttachedObject(thing, T_thing_in_pinch)
         for before, T_on in self._candidates(
@@ -78,7 +75,7 @@ class Hang(Skill):
     def run(
         self, context: PlanningContext, roles: RoleAssignment, next_skills: Sequence[Skill]
     ) -> Iterator[MotionSegment]:
-        """Yield the motions that bring the eye onto the peg and release the object; see `Skill.run`."""
+        """See `Skill.run`."""
         thing = roles.object_of(self.thing)
         hand = require_holding_hand(context, thing, "hung up")
         held = context.update_held(hand)
@@ -123,7 +120,6 @@ class Hang(Skill):
         T_thing_in_pinch: Array,
         seeds: Sequence[Array],
     ) -> Iterator[tuple[Array, Array]]:
-        """Yield a hand's joints (dof,) with a held object before the peg, and the object's pose (4, 4) on the peg."""
         T_peg = context.world.handle_pose(roles.object_of(self.onto), "peg")
         T_eye_in_thing = inverse(context.world.pose(thing)) @ context.world.handle_pose(thing, "eye")
         for T_eye in _eye_poses(T_peg):
@@ -141,7 +137,7 @@ class Hang(Skill):
 
 
 def _eye_poses(T_peg: Array) -> Iterator[Array]:
-    """Yield candidate poses (4, 4) of an eye on a peg, in `world`, y up; least tilt first."""
+    """Yield poses of an eye on a peg, in `world`, y up; least tilt first."""
     along = T_peg[:3, 2]
     horizontal = np.array((along[0], along[1], 0.0)) / math.hypot(along[0], along[1])
     for lean in _TILTS:

@@ -1,5 +1,3 @@
-"""Put a held object into a container."""
-
 from __future__ import annotations
 
 import itertools
@@ -14,14 +12,12 @@ from ...geometry.se3 import Array, pose, rotation_z, yaw
 from .place import PlaceSkill
 from .planning_context import PlanningContext
 
-# m, grid steps of the places in a container. The finer step is used if no place of the coarse grid is free down to the
-# floor.
+# m, grid of places in a container. The finer step is used if no place of the coarse grid is free down to the floor.
 _GRID_STEPS = (0.03, 0.01)
 _FLOOR_MARGIN = 0.02  # m above a container's lowest point; an object whose lowest point is lower stands on the floor
 _HEIGHT_STEP = 0.01  # m, resolution of resting heights; at equal height the more central place is better
 
-# share of an object's volume. An object that fell over counts as inserted if at least this share is in the container;
-# tall objects stick out.
+# share of a fallen object's volume in the container, from which it counts as inserted; tall objects stick out
 _MIN_SHARE_INSIDE = 0.3
 
 # shares of a container's height; a place must be inside the container at one of them. A container's bounding box also
@@ -30,17 +26,12 @@ _HEIGHT_SHARES = (0.25, 0.5, 0.75)
 
 _MAX_TILT = math.radians(3.0)  # rad, an object that tilts more may also keep its tilt in the container
 
-# rad, headings of the object relative to the container's, in the order tried
+# rad, headings relative to the container, in the order tried
 _TURNS = tuple(math.radians(angle) for angle in (0, 180, 90, -90))
 
 
 class Insert(PlaceSkill):
-    """Put an object where it rests lowest in a container, near the container's middle.
-
-    Attributes:
-        thing: a role; its object is in a hand.
-        into: the role of the container.
-    """
+    """Put a held object where it rests lowest in the container `into`, near the container's middle."""
 
     ROLES: ClassVar[tuple[str, ...]] = ("thing", "into")
     into: str
@@ -50,7 +41,7 @@ class Insert(PlaceSkill):
         return roles.object_of(self.into)
 
     def goals(self, context: PlanningContext, roles: RoleAssignment, thing: str) -> list[Array]:
-        """Return goal poses (4, 4) in the container, upright ones first; a tilted object may also keep its tilt."""
+        """Return goal poses in the container, upright ones first; a tilted object may also keep its tilt."""
         container = roles.object_of(self.into)
         bottom, floor = context.world.local_box(thing)[0][2], context.world.aabb(container)[0][2] + _FLOOR_MARGIN
         upright = list[Array]()
@@ -92,7 +83,7 @@ def _grid(first: float, last: float, step: float) -> Array:
 
 
 def _tilted_goals(context: PlanningContext, thing: str, container: str, upright: Sequence[Array]) -> list[Array]:
-    """Return upright goals (4, 4) changed to an object's present tilt; empty if the object hardly tilts."""
+    """Return upright goals changed to an object's present tilt; empty if it hardly tilts."""
     T_now = context.world.pose(thing)
     if T_now[2, 2] > math.cos(_MAX_TILT):
         return []

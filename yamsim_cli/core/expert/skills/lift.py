@@ -1,5 +1,3 @@
-"""Lift an object with both hands at once."""
-
 from __future__ import annotations
 
 import itertools
@@ -18,20 +16,15 @@ from .hand import WAYPOINT_TOLERANCE, Hand, HeldObject
 from .planning_context import FingerTarget, MotionSegment, PlanningContext, SkillFailedError
 from .skill import Skill
 
-_APPROACH = 0.08  # m, length of the straight approach of each hand
-_MIN_APART = 0.12  # m, least distance between the two grasps
+_APPROACH = 0.08  # m, length of each hand's straight approach
+_MIN_APART = 0.12  # m, between the two grasps
 _MAX_CANDIDATES = 24  # reachable grasps of each hand that are compared
 
-_LIFT_SPEED = 0.10  # m/s, speed of both hands while they lift
+_LIFT_SPEED = 0.10  # m/s
 
 
 class Lift(Skill):
-    """Grasp an object at two places, one with each hand, and lift it level.
-
-    Attributes:
-        thing: a role.
-        by: height of the lift, m.
-    """
+    """Grasp an object at two places, one with each hand, and lift it level, `by` m."""
 
     ROLES: ClassVar[tuple[str, ...]] = ("thing",)
     NEEDS_HELD: ClassVar[bool | None] = False
@@ -42,7 +35,7 @@ class Lift(Skill):
     def run(
         self, context: PlanningContext, roles: RoleAssignment, next_skills: Sequence[Skill]
     ) -> Iterator[MotionSegment]:
-        """Yield the motions that grasp the object with both hands and lift it; see `Skill.run`."""
+        """See `Skill.run`."""
         thing = roles.object_of(self.thing)
         hand_a, hand_b = context.hands[:2]
         found = self._find_grasp_pair(context, hand_a, hand_b, thing)
@@ -76,7 +69,7 @@ class Lift(Skill):
     def _find_grasp_pair(
         self, context: PlanningContext, hand_a: Hand, hand_b: Hand, thing: str
     ) -> list[tuple[Hand, GraspCandidate, Array, Array]]:
-        """Return the most distant free grasps: each hand with its grasp, and joints (dof,) before and at the grasp."""
+        """Return the most distant free grasps: each hand, its grasp, and joints before and at it."""
         reached = {hand: list(self._reachable_grasps(context, hand, thing)) for hand in (hand_a, hand_b)}
         pairs = sorted(
             itertools.product(*reached.values()),

@@ -1,5 +1,3 @@
-"""Open or close a part of an articulated object by its handle."""
-
 from __future__ import annotations
 
 import math
@@ -20,20 +18,16 @@ from .planning_context import FingerTarget, MotionSegment, PlanningContext, Skil
 from .skill import ArmSelector, Skill
 
 _APPROACH = 0.08  # m, length of the straight approach to a handle
-_FORCE = 25.0  # N, force of each finger on a handle
-_HAND_SPEED = 0.12  # m/s, speed of the hand while it moves a part
+_FORCE = 25.0  # N, of each finger on a handle
+_HAND_SPEED = 0.12  # m/s, while it moves a part
 
 _MAX_GOAL_ERROR = 0.1  # share of the joint's range within which the joint is at its goal
 
 
 class Operate(Skill):
-    """Grasp a handle, move it along the path of its joint, and release it.
+    """Grasp a handle, move the part `joint`, such as `drawer`, along its path, and release it.
 
-    Attributes:
-        thing: a role.
-        joint: name of the part that moves, such as `drawer`.
-        to: goal as a share of the joint's range: 1 is open, 0 is closed.
-        arm: the arm that acts: a side, `first`, `second` or `any`.
+    The goal `to` is a share of the joint's range: 1 is open, 0 is closed.
     """
 
     ROLES: ClassVar[tuple[str, ...]] = ("thing",)
@@ -45,7 +39,7 @@ class Operate(Skill):
     def run(
         self, context: PlanningContext, roles: RoleAssignment, next_skills: Sequence[Skill]
     ) -> Iterator[MotionSegment]:
-        """Yield the motions that bring the part to its goal, unless it is there already; see `Skill.run`."""
+        """Do nothing if the part is at its goal; see `Skill.run`."""
         thing = roles.object_of(self.thing)
         link = next((link for link in context.object_configs[thing].links if link.name == self.joint), None)
         if link is None or not link.handles:
@@ -98,7 +92,6 @@ class Operate(Skill):
     def _pinch_path(
         self, context: PlanningContext, thing: str, link: Link, T_part: Array, T_in_part: Array
     ) -> Callable[[float], Array]:
-        """Return a function from a share of the joint's motion to the pose (4, 4) of the pinch frame in `world`."""
         joint = link.joint
         low, high = (joint.to_si(end) for end in joint.range)
         start = low + context.world.joint_opening(thing, link.name) * (high - low)
@@ -118,7 +111,6 @@ class Operate(Skill):
 
 
 def _can_follow_path(hand: Hand, start: Array, pose_at: Callable[[float], Array]) -> bool:
-    """Return whether a hand reaches five poses on a path of its pinch frame."""
     joints: Array | None = start
     for share in (0.0, 0.25, 0.5, 0.75, 1.0):
         joints = None if joints is None else hand.solve_ik(pose_at(share), (joints,), WAYPOINT_TOLERANCE)

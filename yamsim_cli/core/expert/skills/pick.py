@@ -1,5 +1,3 @@
-"""Pick up an object."""
-
 from __future__ import annotations
 
 import itertools
@@ -29,11 +27,10 @@ _LIMITS = ((PREFERRED_JOINT_MARGIN, False), (0.0, False), (0.0, True))
 
 @dataclass(frozen=True)
 class ReachableGrasp:
-    """A grasp candidate `candidate` that a hand can reach now.
+    """A grasp candidate that a hand can reach now.
 
     Attributes:
-        approach_joints: joints (dof,) before the straight approach, rad.
-        grasp_joints: joints (dof,) at the grasp, rad.
+        approach_joints, grasp_joints: joints (dof,) before the straight approach and at the grasp, rad.
         opening: of each finger during the approach, m.
     """
 
@@ -44,13 +41,7 @@ class ReachableGrasp:
 
 
 class Pick(Skill):
-    """Grasp an object and lift it, with an arm and a grasp that leave the next skills possible.
-
-    Attributes:
-        thing: a role.
-        arm: the arm that acts: a side, `first`, `second` or `any`.
-        lift: height of the lift, m.
-    """
+    """Grasp an object and `lift` it (m), with an arm and a grasp that leave the next skills possible."""
 
     ROLES: ClassVar[tuple[str, ...]] = ("thing",)
     NEEDS_HELD: ClassVar[bool | None] = False
@@ -64,7 +55,7 @@ class Pick(Skill):
     def run(
         self, context: PlanningContext, roles: RoleAssignment, next_skills: Sequence[Skill]
     ) -> Iterator[MotionSegment]:
-        """Yield the motions that grasp and lift the object, unless a hand holds it already; see `Skill.run`."""
+        """Do nothing if a hand holds the object already; see `Skill.run`."""
         thing = roles.object_of(self.thing)
         if holding_hand(context, thing) is not None:
             return
@@ -92,7 +83,7 @@ class Pick(Skill):
         raise SkillFailedError(FailureCause.UNREACHABLE, f"no way to take the {thing}: {summary}")
 
     def _hands(self, context: PlanningContext, thing: str, goals: Sequence[Array]) -> list[Hand]:
-        """Return the hands that may pick; the hand with the shortest reach to the object and its goals comes first."""
+        """Return the hands that may pick, that with the shortest reach to the object and its goals first."""
         places = [context.world.pose(thing)[:2, 3], *goals]
         hands = context.free_hands(self.arm)
 
@@ -135,7 +126,6 @@ class Pick(Skill):
         next_skills: Sequence[Skill],
         reasons: dict[str, int],
     ) -> ReachableGrasp | None:
-        """Return the first grasp that a hand can reach now and that leaves the next skills possible; else None."""
         for grip in context.grasp_candidates(thing, hand.max_opening):
             found = self.find_reachable_grasp(context, hand, thing, grip)
             if isinstance(found, ReachableGrasp):
@@ -155,10 +145,9 @@ class Pick(Skill):
     def find_reachable_grasp(
         self, context: PlanningContext, hand: Hand, thing: str, candidate: GraspCandidate
     ) -> ReachableGrasp | str | None:
-        """Return joints with which a hand reaches a grasp of an object now; else the reason why it cannot, as text.
+        """Return joints with which a hand reaches a grasp of an object now; else the reason why it cannot.
 
-        Returns:
-            None if the grasp is not tried: a similar grasp failed before, or the hand cannot point there.
+        The result is None if a similar grasp failed before, or if the hand cannot point there.
         """
         if candidate.opening > hand.max_opening:
             return (
@@ -184,7 +173,6 @@ class Pick(Skill):
     def _find_lift_infeasibility(
         self, context: PlanningContext, hand: Hand, thing: str, candidate: GraspCandidate, T_at: Array, at: Array
     ) -> str | None:
-        """Return what prevents a hand from lifting an object grasped at joints `at` (dof,); None if nothing."""
         T_up = T_at.copy()
         T_up[2, 3] += self.lift
         up = hand.solve_ik(T_up, (at,))
@@ -203,7 +191,7 @@ def _approach_joints(
     opening: float,
     finger_distance: float | None,
 ) -> tuple[Array | None, str]:
-    """Return joints (dof,) before the straight approach to an object; else None and the reason."""
+    """Return joints before the straight approach; else None and the reason."""
     why = context.find_contact(hand, at, opening, grasped=thing, finger_clearance=finger_distance)
     if why is not None:
         return None, why

@@ -1,5 +1,3 @@
-"""Put a held object down: onto or into another object, or at a point on the table."""
-
 from __future__ import annotations
 
 import itertools
@@ -28,19 +26,17 @@ _RELEASE_GAP = 0.002  # m, height of the release over the goal
 
 _MAX_GOAL_ERROR = 0.03  # m, an object farther than this from its goal has not been placed
 
-# largest sine of the hand's angle above horizontal when it puts an object down in another stable pose than upright
+# sine of the hand's angle above horizontal in stable poses of the object other than upright
 _MAX_UPWARD = 0.1
 
-# rad, headings relative to the present heading, the smallest first
+# rad, headings relative to the present one, the smallest first
 _TURNS = tuple(math.radians(angle) for angle in (0, 30, -30, 60, -60, 90, -90, 120, -120, 150, -150, 180))
 
 
 class PlaceSkill(Skill):
-    """Base class of the skills that put down a held object; subclasses define `goals`, where and how it may lie.
+    """Base class of the skills that put down a held object; `goals` says where and how it may lie.
 
-    Attributes:
-        thing: a role; its object is in a hand.
-        drop: height over the goal at which the object is released, m, so that fingers do not touch the support.
+    The object is released `drop` (m) over the goal, so that fingers do not touch the support.
     """
 
     ROLES: ClassVar[tuple[str, ...]] = ("thing",)
@@ -56,7 +52,7 @@ class PlaceSkill(Skill):
 
     @abstractmethod
     def goals(self, context: PlanningContext, roles: RoleAssignment, thing: str) -> Iterable[Array]:
-        """Return candidate poses (4, 4) of the object in `world`, the best first."""
+        """Return candidate poses of the object in `world`, the best first."""
 
     def _cached_goals(self, context: PlanningContext, roles: RoleAssignment, thing: str) -> Iterable[Array]:
         """Return `goals`, computed once while nothing moves: `infeasibility` needs them for every grasp."""
@@ -69,11 +65,10 @@ class PlaceSkill(Skill):
     def _ordered_goals(
         self, context: PlanningContext, roles: RoleAssignment, thing: str, T_thing_in_pinch: Array
     ) -> Iterable[Array]:
-        """Return the goals in the order in which they are tried for a pose (4, 4) of the object in the hand."""
         return self._cached_goals(context, roles, thing)
 
     def approximate_targets(self, context: PlanningContext, roles: RoleAssignment, thing: str) -> Sequence[Array]:
-        """Return the point (2,) of the best goal in `world`, m; empty without a goal."""
+        """See `Skill.approximate_targets`."""
         return [T[:2, 3] for T in itertools.islice(self._cached_goals(context, roles, thing), 1)]
 
     def infeasibility(
@@ -86,7 +81,7 @@ class PlaceSkill(Skill):
         joints: Array,
         next_skills: Sequence[Skill] = (),
     ) -> str | None:
-        """Return why a hand cannot put the object down with a grasp; None if it reaches a goal without contacts."""
+        """See `Skill.infeasibility`."""
         fault = f"there is no room for it on or in the {self.support(roles)}"
         load = AttachedObject(thing, T_thing_in_pinch, (TABLE, *context.world.object_names))
         for T_lying in self._ordered_goals(context, roles, thing, T_thing_in_pinch):
@@ -115,7 +110,7 @@ class PlaceSkill(Skill):
     def run(
         self, context: PlanningContext, roles: RoleAssignment, next_skills: Sequence[Skill]
     ) -> Iterator[MotionSegment]:
-        """Yield the motions that bring the object over the first reachable goal, lower and release it."""
+        """Bring the object over the first reachable goal, lower and release it; see `Skill.run`."""
         thing = roles.object_of(self.thing)
         hand = require_holding_hand(context, thing, "put down")
         held = context.update_held(hand)
@@ -146,7 +141,6 @@ class PlaceSkill(Skill):
         raise SkillFailedError(FailureCause.UNREACHABLE, fault)
 
     def _hover_joints(self, hand: Hand, T_pinch: Array) -> Array | None:
-        """Return joints (dof,) with a hand's pinch frame at `HOVER_HEIGHT` over a pose (4, 4); None without any."""
         return hand.solve_ik(
             pose_raised_by(T_pinch, HOVER_HEIGHT), (hand.joints, hand.ready_joints), WAYPOINT_TOLERANCE
         )
@@ -169,18 +163,16 @@ class PlaceSkill(Skill):
 
 
 class Place(PlaceSkill):
-    """Put an object down, upright and with the heading that suits the arm. If no grasp allows that, an object whose
-    config has `rests` may be put down in another stable pose.
+    """Put an object down, upright and with the heading that suits the arm.
+
+    If no grasp allows that, an object whose config has `rests` may be put down in another stable pose.
 
     Attributes:
-        thing: a role; its object is in a hand.
         on: a role, or `table`; the object is put over the middle of the role's object, on it or in it.
         at: x and y on the support, in its frame, m; for the table, in `world`.
         start_of: a role, instead of `at`: the point where that role's object started.
         step: offset from `at`, m, which is applied `number` times.
-        number: how often `step` is applied.
-        heading_deg: of the object in the support's frame; None for any. With a heading, the object stands upright.
-        upright: whether the object has to stand upright.
+        heading_deg: in the support's frame; None for any. With a heading, the object stands upright.
     """
 
     ROLES: ClassVar[tuple[str, ...]] = ("thing", "on", "start_of")
@@ -200,11 +192,11 @@ class Place(PlaceSkill):
         return self
 
     def support(self, roles: RoleAssignment) -> str:
-        """Return the name of the object on which the held object is put, or `table`."""
+        """See `PlaceSkill.support`."""
         return TABLE if self.on == TABLE else roles.object_of(self.on)
 
     def goals(self, context: PlanningContext, roles: RoleAssignment, thing: str) -> Iterator[Array]:
-        """Yield upright poses (4, 4) over the goal's point: with `heading_deg`, else first with the present heading."""
+        """Yield upright poses over the goal's point: with `heading_deg`, else first with the present heading."""
         onto = self.support(roles)
         place, T_onto = self._goal_point_and_support(context, roles)
         if self.heading_deg is not None:
@@ -215,14 +207,13 @@ class Place(PlaceSkill):
             yield pose((*place, context.rest_height_over(thing, place, onto, heading)), rotation_z(heading))
 
     def without_preferences(self, context: PlanningContext, roles: RoleAssignment) -> Place:
-        """Return a skill that may put the object down in other stable poses than upright, if its config allows that."""
+        """Return a skill that may choose other stable poses than upright, if the object's config allows that."""
         fixed = self.upright or self.heading_deg is not None
         if fixed or not context.object_configs[roles.object_of(self.thing)].rests_in_any_pose:
             return self
         return _PlaceInAnyStablePose.model_construct(**dict(self))
 
     def _goal_point_and_support(self, context: PlanningContext, roles: RoleAssignment) -> tuple[Array, Array]:
-        """Return the goal's point (2,) and the pose (4, 4) of the support, in `world`."""
         onto = self.support(roles)
         T_onto = pose() if onto == TABLE else context.world.pose(onto)
         x, y = np.array(self.at or (0.0, 0.0)) + self.number * np.array(self.step)
@@ -232,16 +223,13 @@ class Place(PlaceSkill):
 
 
 class _PlaceInAnyStablePose(Place):
-    """Put an object down in any stable pose, upright if the hand reaches that."""
-
     def without_preferences(self, context: PlanningContext, roles: RoleAssignment) -> Place:
-        """Return the skill itself: it has no preferences."""
         return self
 
     def _ordered_goals(
         self, context: PlanningContext, roles: RoleAssignment, thing: str, T_thing_in_pinch: Array
     ) -> Iterator[Array]:
-        """Yield upright goals first, then the others, sorted by how steeply the hand would point down."""
+        """Yield upright goals first, then the others by how steeply the hand would point down."""
         yield from self._cached_goals(context, roles, thing)
         lying = context.cached((self, "others", thing), lambda: self._lying_goals(context, roles, thing))
         T_pinch_in_thing = inverse(T_thing_in_pinch)
@@ -254,7 +242,7 @@ class _PlaceInAnyStablePose(Place):
         yield from sorted(reachable, key=lambda T: float(forward(T)[2]))
 
     def _lying_goals(self, context: PlanningContext, roles: RoleAssignment, thing: str) -> list[Array]:
-        """Return the goals (4, 4) in stable poses other than upright, with the centre of mass over the point."""
+        """Return goals in stable poses other than upright, with the centre of mass over the point."""
         place, _ = self._goal_point_and_support(context, roles)
         centre = np.array(context.object_configs[thing].inertia.centre)
         heading = yaw(context.world.pose(thing))
@@ -269,7 +257,7 @@ class _PlaceInAnyStablePose(Place):
 
 
 def pose_raised_by(T: Array, height: float) -> Array:
-    """Return a pose (4, 4) moved up by a height, m."""
+    """Return a pose moved up by a height, m."""
     higher = T.copy()
     higher[2, 3] += height
     return higher

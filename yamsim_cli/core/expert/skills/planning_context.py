@@ -1,5 +1,3 @@
-"""Planning context of skills: the present state of the scene, the hands, and collision-free motions."""
-
 from __future__ import annotations
 
 import math
@@ -42,23 +40,21 @@ from .hand import WAYPOINT_TOLERANCE, Hand, HeldObject
 
 _GRAVITY = 9.81  # m/s^2
 
-# Constants of the search for places on the table where nothing lies.
-_FREE_MARGIN = 0.02  # m, least distance from other objects required around an object that is put down
-_CENTRAL_X = (0.34, 0.42, 0.28)  # m, distances in front of the midpoint between the bases, in the order tried
-_CENTRAL_Y = (0.0, 0.10, -0.10, 0.20, -0.20)  # m, distances to the side of that midpoint, in the order tried
+# The search for free places on the table.
+_FREE_MARGIN = 0.02  # m that an object keeps from others when put down
+_CENTRAL_X = (0.34, 0.42, 0.28)  # m in front of the midpoint between the bases, in the order tried
+_CENTRAL_Y = (0.0, 0.10, -0.10, 0.20, -0.20)  # m to the side of that midpoint, in the order tried
 
-_UPRIGHT_TILT = math.radians(10.0)  # rad, an object that tilts less than this stands upright
+_UPRIGHT_TILT = math.radians(10.0)  # rad, an object that tilts less stands upright
 
 V = TypeVar("V")
 
 
 @dataclass(frozen=True)
 class MotionSegment:
-    """A motion of all arms: one path for each arm, all of the same length.
+    """A motion of all arms: paths of equal length.
 
-    Attributes:
-        paths: the arms' paths, in the scene's order.
-        wait_for_arrival: whether the next segment starts only when the arms have reached the last reference.
+    With `wait_for_arrival`, the next segment starts only when the arms have reached the last reference.
     """
 
     paths: tuple[JointPath, ...]
@@ -66,7 +62,7 @@ class MotionSegment:
 
     @property
     def ticks(self) -> int:
-        """Number of control ticks."""
+        """Control ticks."""
         return len(self.paths[0].gripper)
 
 
@@ -82,11 +78,8 @@ class PlanningContext:
     """The present state of a scene, and the motion planners that skills use.
 
     Args:
-        world: the present state of the objects.
-        acting_arms: indices of the hands that may be used; the other hands keep their joints.
+        acting_arms: indices of the hands that may be used; the others keep their joints.
         first_arm: index of the hand that skills call `first`; the other of two hands is `second`.
-        object_configs: name of an object -> its config.
-        rng: random numbers of the path searches, seeded from the attempt's numbers.
         tick: length of a control tick, s.
     """
 
@@ -110,8 +103,6 @@ class PlanningContext:
         self._stable_rotations: dict[str, list[Array]] = {}
         self._cache: tuple[bytes, dict[Hashable, Any]] = (b"", {})
 
-    # -- state
-
     @property
     def qpos(self) -> Array:
         """MuJoCo's present positions (nq,)."""
@@ -119,29 +110,28 @@ class PlanningContext:
         return positions
 
     def T_pinch(self, hand: Hand) -> Array:
-        """Return the measured pose (4, 4) of a hand's pinch frame in `world`."""
+        """Return the measured pose of a hand's pinch frame in `world`."""
         site = self.world.data.site(f"{hand.arm.prefix}pinch_site")
         return pose(site.xpos, site.xmat.reshape(3, 3))
 
     def opening(self, hand: Hand) -> float:
-        """Return the measured opening of each finger of a hand, m."""
+        """Return the measured opening of each finger, m."""
         fingers = hand.arm.fingers
         assert fingers is not None, "skills are for hands with fingers"
         return float(self.qpos[fingers.qpos[0]] * fingers.sign[0])
 
     def side_of(self, arm: str) -> str:
-        """Return the side of "first" or "second"; any other value, such as "any", is returned unchanged."""
+        """Return the side of "first" or "second"; other values, such as "any", are returned unchanged."""
         return self._side_of_turn.get(arm, arm)
 
     def free_hands(self, arm: str) -> list[Hand]:
-        """Return the acting hands that hold nothing and match an `arm` argument; "any" matches all."""
+        """Return the acting hands that hold nothing and match an `arm` argument."""
         return [hand for hand in self.acting_hands if self.side_of(arm) in ("any", hand.side) and hand.held is None]
 
     def update_held(self, hand: Hand) -> HeldObject:
         """Measure the pose of the object in a hand, store it in `hand.held`, and return it.
 
-        Raises:
-            SkillFailedError: the hand no longer holds the object.
+        If the hand no longer holds the object, SkillFailedError is raised.
         """
         held = hand.held
         assert held is not None, "a hand that holds nothing is not asked what it holds"
@@ -179,11 +169,11 @@ class PlanningContext:
         return found
 
     def clear_cache(self) -> None:
-        """Empty the cache. Cached values refer to this context and would keep it in memory until a cycle collection."""
+        """Empty the cache, whose values would keep this context in memory until a cycle collection."""
         self._cache = (b"", {})
 
     def grasp_candidates(self, thing: str, max_opening: float) -> Iterator[GraspCandidate]:
-        """Yield grasp candidates of an object for fingers that open up to `max_opening` (m), most reliable first."""
+        """Yield an object's grasp candidates for an opening of up to `max_opening` (m), most reliable first."""
         if self.hands[0].grasps_by_weld:
             yield from weld_candidates(self.object_configs[thing])
             return
@@ -198,25 +188,25 @@ class PlanningContext:
         yield from fingertip_candidates(self.object_configs[thing])
 
     def half_footprint(self, thing: str, heading: float) -> Array:
-        """Return half the extents (2,) along x and y of an upright object with a given heading (rad), m."""
+        """Return half the extents (2,) along x and y of an upright object with a heading (rad), m."""
         low, high = self._local_box(thing)
         corners = np.array([[x, y] for x in (low[0], high[0]) for y in (low[1], high[1])])
         half: Array = np.abs(corners @ rotation_z(heading)[:2, :2].T).max(axis=0)
         return half
 
     def rest_height_over(self, thing: str, place: Array, onto: str, heading: float) -> float:
-        """Return the height in `world` at which an upright object's origin comes to rest over a point (2,), m."""
+        """Return the height in `world`, m, at which an upright object comes to rest over a point (2,)."""
         return self.rest_height_of(thing, pose((*place, 0.0), rotation_z(heading)), onto)
 
     def rest_height_of(self, thing: str, T: Array, onto: str) -> float:
-        """Return the height in `world` at which an object with the rotation of a pose (4, 4) comes to rest, m."""
+        """Return the height in `world`, m, at which an object with a pose's rotation comes to rest."""
         top = float(self.cached(("bounds", onto), lambda: self.world.aabb(onto))[1][2])
         low, high = self._local_box(thing)
         T_over = T.copy()
         T_over[2, 3] = top + float(np.abs(T[2, :3]) @ (high - low))
         table_low, table_high = self.world.aabb(TABLE)
         rest = self.collision_checker.rest_height(self.qpos, thing, T_over, float(table_low[2]))
-        # The height of cloth is added: collision checks ignore cloth so that a hand may press on it.
+        # Collision checks ignore cloth, so that a hand may press on it: add its height.
         on_cloth = onto in self.object_configs and self.object_configs[onto].cloth is not None
         return rest + (top - float(table_high[2]) if on_cloth else 0.0)
 
@@ -251,16 +241,16 @@ class PlanningContext:
 
     @property
     def base_midpoint(self) -> Array:
-        """The midpoint (2,) between the bases of the acting arms, in `world`, m."""
+        """The midpoint (2,) between the acting arms' bases in `world`, m."""
         middle: Array = np.mean([hand.arm.T_base_in_world[:2, 3] for hand in self.acting_hands], axis=0)
         return middle
 
     def central_places(self) -> list[Array]:
-        """Return points (2,) on the table at about the same distance from all acting arms, in `world`, m."""
+        """Return points (2,) on the table about equally far from all acting arms, in `world`, m."""
         return [self.base_midpoint + np.array((x, y)) for x in _CENTRAL_X for y in _CENTRAL_Y]
 
     def release_clearance(self, thing: str) -> float:
-        """Return how far each finger opens beyond an object's surface to release the object, m."""
+        """Return how far each finger opens beyond an object's surface to release it, m."""
         grasp = self.object_configs[thing].grasp
         return grasp.clearance if grasp is not None else CLEARANCE
 
@@ -273,34 +263,23 @@ class PlanningContext:
         grasped: str | None = None,
         finger_clearance: float | None = None,
     ) -> str | None:
-        """Return the names of two geoms in contact with a hand at joints (dof,), rad; None without contact.
-
-        The last three arguments are `attached`, `grasped` and `finger_clearance` of `CollisionChecker.find_contact`.
-        """
+        """Return the names of two geoms in contact; arguments as in `CollisionChecker.find_contact`."""
         return self.collision_checker.find_contact(
             self.qpos, hand.number, joints, opening, attached, grasped, finger_clearance
         )
 
     def qpos_with_hand(self, hand: Hand, joints: Array, opening: float, held: HeldObject | None) -> Array:
-        """Return MuJoCo's positions (nq,) with one hand and its held object moved; everything else is unchanged."""
+        """Return `qpos` (nq,) with one hand and its held object moved."""
         load = None if held is None else AttachedObject(held.thing, held.T_thing_in_pinch)
         return self.collision_checker.qpos_with_arm(self.qpos, hand.number, joints, opening, load)
-
-    # -- motions
 
     def plan_free_path(
         self, hand: Hand, goal: Array, opening: float | None = None, attached: AttachedObject | None = None
     ) -> Array:
-        """Return a collision-free motion (n + 1, dof) of a hand to joints `goal`, the simplest one found.
+        """Return the simplest collision-free motion (n + 1, dof) of a hand to joints `goal`, or raise SkillFailedError.
 
-        A hand in contact at the start may first rise straight up.
-
-        Args:
-            opening: of each finger at the end, m. Collisions are checked with the larger opening of start and end.
-            attached: the held object.
-
-        Raises:
-            SkillFailedError: no such motion was found.
+        A hand in contact at the start may first rise straight up. Collisions are checked with the larger opening of
+        each finger (m) of start and end.
         """
         opening_on_way = max(hand.opening, opening if opening is not None else 0.0)
 
@@ -316,22 +295,14 @@ class PlanningContext:
         return path
 
     def plan_line(self, hand: Hand, T_pinch_in_world: Array, speed: float = LINE_SPEED) -> Array:
-        """Return a motion (n + 1, dof) that moves a hand's pinch frame in a straight line to a pose (4, 4).
-
-        Raises:
-            SkillFailedError: the line leaves the arm's reach.
-        """
+        """Return a motion (n + 1, dof) of a hand's pinch frame straight to a pose."""
         path = cartesian_line(hand.ik, hand.joints, T_pinch_in_world, self.tick, speed)
         if path is None:
             raise SkillFailedError(FailureCause.UNREACHABLE, f"a straight line leaves the {hand.side} arm's reach")
         return path
 
     def plan_curve(self, hand: Hand, pose_at: Callable[[float], Array], seconds: float) -> Array:
-        """Return a motion (n + 1, dof) that moves a hand's pinch frame on a curve; arguments as in `cartesian_curve`.
-
-        Raises:
-            SkillFailedError: the curve leaves the arm's reach.
-        """
+        """Return a motion (n + 1, dof) of a hand's pinch frame on a curve; arguments as in `cartesian_curve`."""
         path = cartesian_curve(hand.ik, hand.joints, pose_at, seconds, self.tick)
         if path is None:
             raise SkillFailedError(
@@ -340,7 +311,7 @@ class PlanningContext:
         return path
 
     def still_motion(self, hand: Hand, ticks: int) -> Array:
-        """Return a motion (ticks + 1, dof) of a hand that keeps its joints."""
+        """Return a motion (ticks + 1, dof) that keeps a hand's joints."""
         return np.tile(hand.joints, (ticks + 1, 1))
 
     def make_segment(
@@ -354,9 +325,9 @@ class PlanningContext:
         The other arms keep their joints. Feed-forward torques compensate the weight of the arms and of held objects.
 
         Args:
-            motions: hand -> joints (n + 1, dof). A motion shorter than the longest waits at its end.
-            fingers: hand -> target of its fingers; the fingers of other hands keep their opening and force.
-            wait_for_arrival: whether the next segment starts only when the arms have reached the end.
+            motions: joints (n + 1, dof). A motion shorter than the longest waits at its end.
+            fingers: the fingers of other hands keep their opening and force.
+            wait_for_arrival: as in `MotionSegment`.
         """
         ticks = max(len(motion) for motion in motions.values()) - 1
         paths = []
@@ -385,7 +356,7 @@ class PlanningContext:
         return self.make_segment({self.hands[0]: self.still_motion(self.hands[0], ticks)})
 
     def holding_torques(self, hand: Hand, joints: Array, opening: float) -> Array:
-        """Return the torques (dof,), N m, that hold an arm and its held object still at joints (dof,), rad."""
+        """Return the torques (dof,), N m, that hold an arm and its held object still."""
         still: Array = self._torques(hand, np.tile(joints, (3, 1)), np.full(2, opening))[-1]
         return still
 
@@ -404,11 +375,7 @@ def _padded(joints: Array, ticks: int) -> Array:
 
 
 class SkillFailedError(Exception):
-    """No motion was found, or a skill did not have its effect. The attempt's outcome records the error.
-
-    Attributes:
-        cause: kind of the failure, which the attempt's outcome states.
-    """
+    """No motion was found, or a skill did not have its effect. The attempt's outcome records the error."""
 
     def __init__(self, cause: FailureCause, detail: str) -> None:
         super().__init__(detail)
@@ -419,11 +386,7 @@ T = TypeVar("T")
 
 
 class CachedIterable(Generic[T]):
-    """Iterable that reads its source on demand, and keeps the elements for later iterations.
-
-    Args:
-        source: iterated once.
-    """
+    """Reads its source on demand, and keeps the elements for later iterations."""
 
     def __init__(self, source: Iterable[T]) -> None:
         self._source, self._kept = iter(source), list[T]()
@@ -445,21 +408,17 @@ _RAISE = 0.05  # m, least height by which a hand rises before it crosses the tab
 
 _RETREAT_STEP, _MAX_RETREAT_STEPS = 0.02, 6  # m and count, steps in which a hand rises from a contact
 
-# Returns the contact of an arm at joints (dof,); None without one.
+# Contact of an arm at joints (dof,), as text.
 ContactQuery = Callable[[Array], str | None]
 
 
 def plan_free_path(
     hand: Hand, goal: Array, find_contact: ContactQuery, tick: float, rng: np.random.Generator
 ) -> Array | None:
-    """Return a collision-free motion (n + 1, dof) of a hand to joints `goal` (dof,); None if none was found.
+    """Return a collision-free motion (n + 1, dof) of a hand to joints `goal`; None if none was found.
 
     Simple motions are tried before RRT-Connect. A hand in contact at the start first rises straight up if no direct
     motion exists.
-
-    Args:
-        tick: length of a control tick, s.
-        rng: random numbers of the search.
     """
     path = _plan_from(hand, hand.joints, goal, find_contact, tick, rng)
     if (
@@ -484,7 +443,7 @@ def _plan_from(
 
 
 def _retreat_up(hand: Hand, find_contact: ContactQuery, tick: float) -> Array | None:
-    """Return the shortest motion straight up after which a hand has no contact; None without one."""
+    """Return the shortest motion straight up after which a hand has no contact."""
     T = hand.pinch_pose(hand.joints)
     for _ in range(_MAX_RETREAT_STEPS):
         T[2, 3] += _RETREAT_STEP
@@ -495,7 +454,7 @@ def _retreat_up(hand: Hand, find_contact: ContactQuery, tick: float) -> Array | 
 
 
 def _heuristic_waypoints(hand: Hand, start: Array, goal: Array) -> list[list[Array]]:
-    """Return waypoints of simple motions: direct; up, across and down; or over one intermediate posture."""
+    """Return simple waypoints: direct; up, across and down; or over one intermediate posture."""
     raised = []
     for joints in (start, goal):
         T = hand.pinch_pose(joints)

@@ -1,5 +1,3 @@
-"""Programs: a task's list of skills, parsed from its YAML and executed with retries."""
-
 from __future__ import annotations
 
 import math
@@ -49,7 +47,7 @@ SKILLS: Mapping[str, type[Skill]] = {
     "flatten": Flatten,
 }
 
-# The key of a loop over the objects of a role: `each: {of: cup, do: [...]}`.
+# Key of a loop over the objects of a role: `each: {of: cup, do: [...]}`.
 _EACH = "each"
 
 # attempts at a skill before the program fails; attempts after which a held object is put down and grasped anew
@@ -62,7 +60,6 @@ class SkillRetry:
 
     Attributes:
         step: index of the skill in the unrolled program.
-        skill: name of the skill.
         detail: why the skill failed.
     """
 
@@ -73,16 +70,15 @@ class SkillRetry:
 
 @dataclass
 class RecoveryLog:
-    """Collects the retries of skills while a program runs."""
+    """Collects retries while a program runs."""
 
     recoveries: list[SkillRetry] = field(default_factory=list)
 
 
 def build_program(task: ProgramTask, roles: RoleAssignment) -> list[Skill]:
-    """Return the skills of a task's expert, with loops unrolled for a role assignment.
+    """Return the skills of a task's expert, with loops unrolled.
 
-    Raises:
-        ConfigError: the program is not valid. Only unchecked configs, such as a dataset's, have such programs.
+    Only unchecked configs, such as a dataset's, have invalid programs, which raise ConfigError.
     """
     try:
         return parse_program(task.expert, roles)
@@ -93,14 +89,11 @@ def build_program(task: ProgramTask, roles: RoleAssignment) -> list[Skill]:
 def parse_program(
     steps: Sequence[Mapping[str, Any]], roles: RoleAssignment, path: tuple[str | int, ...] = ()
 ) -> list[Skill]:
-    """Return the skills of a program, with loops unrolled for a role assignment.
+    """Return the skills of a program, with loops unrolled. An invalid step raises ConflictError with its path.
 
     Args:
         steps: as in a task's YAML: each step has one key, a skill's name or `each`.
         path: keys that lead to the steps in the config, for error messages.
-
-    Raises:
-        ConflictError: a step is not valid; the error has the path of the step.
     """
     return [skill for _, skill in parse_steps(steps, roles, path)]
 
@@ -108,7 +101,7 @@ def parse_program(
 def parse_steps(
     steps: Sequence[Mapping[str, Any]], roles: RoleAssignment, path: tuple[str | int, ...] = ()
 ) -> Iterator[tuple[tuple[str | int, ...], Skill]]:
-    """Yield each skill of a program, loops unrolled, with its path in the config. Arguments as in `parse_program`."""
+    """Yield each skill of a program with its path in the config. Arguments as in `parse_program`."""
     for k, step in enumerate(steps):
         yield from _read_step(step, roles, (*path, k), {})
 
@@ -191,11 +184,7 @@ def _read_skill(
 def run_program(
     program: Sequence[Skill], context: PlanningContext, roles: RoleAssignment, log: RecoveryLog
 ) -> Iterator[MotionSegment]:
-    """Yield the segments of skills in order; a skill that fails is retried from the present state.
-
-    Raises:
-        SkillFailedError: a skill failed `_MAX_ATTEMPTS` times.
-    """
+    """Yield the segments of skills in order; a skill that fails is retried from the present state."""
     number = 0
     tries: dict[int, int] = {}
     while number < len(program):
@@ -233,8 +222,7 @@ def _last_picked(program: Sequence[Skill]) -> str | None:
 def _step_to_retry(program: Sequence[Skill], number: int, context: PlanningContext, roles: RoleAssignment) -> int:
     """Return the index of the step from which to continue after step `number` failed.
 
-    If a step needs its object in a hand and no hand holds it, continue from the last step before that picks it up. Any
-    other step is retried by itself.
+    If the step needs its object in a hand and no hand holds it, this is the last step before that picks it up.
     """
     if not program[number].NEEDS_HELD:
         return number
@@ -250,8 +238,8 @@ def _skill_object(skill: Skill, roles: RoleAssignment) -> str:
     return roles.object_of(skill.roles()[0][1])
 
 
-# s, typical simulated duration of each skill. Source: means of successful attempts at the shipped tasks. No shipped
-# task has `push`, `turn` or `regrasp`; their values are estimated from a reach and a motion, `place` and `handover`.
+# s. Source: means of successful attempts at the shipped tasks. No shipped task has `push`, `turn` or `regrasp`; their
+# values are estimated from a reach and a motion, `place` and `handover`.
 SKILL_SECONDS: Mapping[str, float] = {
     "pick": 2.7,
     "place": 3.0,
@@ -268,16 +256,13 @@ SKILL_SECONDS: Mapping[str, float] = {
     "fold": 6.8,
     "flatten": 7.0,
 }
-_THIRDS_FACTOR = 1.6  # factor on "fold", measured: folding in thirds takes two folds in one reach
+_THIRDS_FACTOR = 1.6  # of "fold", measured: folding in thirds takes two folds in one reach
 
 
 def typical_ticks(task: ProgramTask) -> int:
     """Return the typical number of control ticks of a successful attempt at a task.
 
     No hold time is added: most goals have held long enough when the last skill ends.
-
-    Raises:
-        ConfigError: the task's program is not valid.
     """
     seconds = sum(_typical_seconds(skill) for skill in build_program(task, task.typical_roles))
     return min(task.max_ticks, math.ceil(seconds / task.timing.tick))

@@ -29,15 +29,14 @@ from .program import parse_program, parse_steps
 from .push import Push
 from .skill import Skill
 
-# How a cloth's grid has to be divided for each fold that needs more than a grid; part of an error message.
+# How a cloth's grid has to be divided, for folds that need more than a grid; part of an error message.
 _GRIDS = {"diagonal": "as many points along both sides", "thirds": "6, 9, 12 or so on points along a side"}
 
 
 def check_task_config(config: Config) -> None:
-    """Check that the task of a config can be performed; do nothing if the config is neither a task nor a recording.
+    """Check that the task of a task or recording config can be performed.
 
-    Raises:
-        ConflictError: the task cannot be performed; the error's paths lead from the config's root.
+    If not, ConflictError has the paths from the config's root.
     """
     if isinstance(config, ProgramTask):
         check_program(config)
@@ -58,11 +57,7 @@ def check_task_config(config: Config) -> None:
 def check_program(task: ProgramTask, sides: Sequence[str] | None = None) -> None:
     """Check that a task's program names existing skills, roles and parts, and that hands are free when needed.
 
-    Args:
-        sides: "left" and "right", of the acting arms; None if unknown.
-
-    Raises:
-        ConflictError: the program or the goal is impossible; the error's path leads from the task's root.
+    `sides` are "left" and "right" of the acting arms; None if unknown. ConflictError has the path from the task's root.
     """
     roles = task.typical_roles
     arms = len(sides) if sides is not None else 2 if task.arms == "all" else 1
@@ -140,7 +135,6 @@ def _check_part(task: ProgramTask, roles: RoleAssignment, skill: Operate, path: 
 
 
 def _check_support(task: ProgramTask, roles: RoleAssignment, skill: Place, path: tuple[str | int, ...]) -> None:
-    """Check that each object that may play the supporting role has a floor or a flat top."""
     role = next(name for name in task.things if skill.on in (name, *roles.objects_of(name)))
     for k, item in enumerate(task.things[role].of):
         if item.cloth is None and not item.can_support:
@@ -152,7 +146,6 @@ def _check_support(task: ProgramTask, roles: RoleAssignment, skill: Place, path:
 
 
 def _check_hung(task: ProgramTask, roles: RoleAssignment, hung: Hung, path: tuple[str | int, ...]) -> None:
-    """Check that each object that is to hang has an eye, and that each object to hang it on has a peg."""
     for argument, role, handle in (("thing", hung.thing, hung.eye), ("onto", hung.onto, hung.peg)):
         for item in _candidate_objects(task, roles, role):
             if handle not in (names := [known_handle.name for known_handle in item.handles]):
@@ -161,12 +154,10 @@ def _check_hung(task: ProgramTask, roles: RoleAssignment, hung: Hung, path: tupl
 
 
 def _candidate_objects(task: ProgramTask, roles: RoleAssignment, role: str) -> tuple[ObjectConfig, ...]:
-    """Return the objects that may play a role; `role` may also be the name of an object."""
     return next(player.of for name, player in task.things.items() if role in (name, *roles.objects_of(name)))
 
 
 def _check_openings(config: RecordConfig, task: ProgramTask) -> None:
-    """Check that every picked object fits between the fingers of the acting arms."""
     roles = task.typical_roles
     picked = {skill.thing for _, skill in parse_steps(task.expert, roles) if isinstance(skill, Pick)}
     items: dict[tuple[str | int, ...], ObjectConfig] = {
@@ -213,7 +204,6 @@ def _check_places(config: RecordConfig, task: ProgramTask) -> None:
 
 
 def _named_place(skill: Skill) -> tuple[str, Array | None]:
-    """Return the argument by which a skill names a point on the table, and the point (2,); None without a point."""
     if isinstance(skill, Place) and skill.on == TABLE and skill.at is not None and skill.start_of is None:
         return "at", np.array(skill.at) + skill.number * np.array(skill.step)
     return "to", np.array(skill.to) if isinstance(skill, Push) else None
@@ -227,7 +217,7 @@ def _arms(config: RecordConfig) -> list[tuple[Array, float]]:
 
 
 def _arm_length(model: mujoco.MjModel) -> float:
-    """Return an upper bound on the distance from an arm's base to its pinch point, m: the sum of all offsets."""
+    """Return an upper bound on the distance from base to pinch point, m: the sum of all offsets."""
     site = model.site("pinch_site")
     length, body = float(np.linalg.norm(site.pos)), int(np.ravel(site.bodyid)[0])
     while model.body_parentid[body]:

@@ -1,5 +1,3 @@
-"""Push an object over the table with closed fingers."""
-
 from __future__ import annotations
 
 import itertools
@@ -21,27 +19,25 @@ from .planning_context import FingerTarget, MotionSegment, PlanningContext, Skil
 from .skill import ArmSelector, Skill
 
 _START_GAP = 0.03  # m, between the object and the fingers when they come down behind it
-_APPROACH_HEIGHT = 0.10  # m, above the pushing height, from which the fingers come down
-_PUSH_HEIGHT = 0.02  # m, height of the fingertips over the table
+_APPROACH_HEIGHT = 0.10  # m above the pushing height, from which the fingers come down
+_PUSH_HEIGHT = 0.02  # m, of the fingertips over the table
 
-_PUSH_SPEED = 0.10  # m/s, speed of the hand while it pushes
+_PUSH_SPEED = 0.10  # m/s
 
-_MAX_PUSHES = 3  # pushes before the skill fails
+_MAX_PUSHES = 3
 
-# rad, turns of the hand about the vertical axis, in the order tried; at 0, the fingers stand side by side
+# rad about the vertical axis, in the order tried; at 0, the fingers stand side by side
 _TURNS = (0.0, math.pi, math.pi / 2, -math.pi / 2)
-# rad, tilts of the hand from straight down, in the order tried
+# rad from straight down, in the order tried
 _TILTS = tuple(math.radians(angle) for angle in (0, 20, -20, 40))
 
 
 class Push(Skill):
-    """Push a low object in a straight line to a point; the hand needs room behind the object.
+    """Push a low object in a straight line to a point, with closed fingers; the hand needs room behind the object.
 
     Attributes:
-        thing: a role.
         to: x and y of the point in `world`, m.
-        radius: largest distance from the point at which the push succeeds, m.
-        arm: the arm that acts: a side, `first`, `second` or `any`.
+        radius: distance from the point at which the push succeeds, m.
     """
 
     ROLES: ClassVar[tuple[str, ...]] = ("thing",)
@@ -53,7 +49,7 @@ class Push(Skill):
     def run(
         self, context: PlanningContext, roles: RoleAssignment, next_skills: Sequence[Skill]
     ) -> Iterator[MotionSegment]:
-        """Yield up to three pushes, until the object is within `radius` of the point; see `Skill.run`."""
+        """Push until the object is within `radius` of the point; see `Skill.run`."""
         thing = roles.object_of(self.thing)
         for _ in range(_MAX_PUSHES):
             if self._distance(context, thing) <= self.radius:
@@ -99,7 +95,6 @@ class Push(Skill):
     def _solve_start_and_end(
         self, context: PlanningContext, hand: Hand, first: Array, last: Array, heading: float, lean: float
     ) -> tuple[Array, Array, Array] | None:
-        """Return joints (dof,) over a push's start, and the pinch frame (4, 4) at its start and end; else None."""
         height = float(context.world.aabb(TABLE)[1][2]) + _PUSH_HEIGHT
         # The fingers point down; the closing axis lies across the push.
         down = np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]])

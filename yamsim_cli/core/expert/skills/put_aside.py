@@ -1,5 +1,3 @@
-"""Skills that put a held object down on a free place of the table, or grasp it anew."""
-
 from __future__ import annotations
 
 import math
@@ -18,7 +16,7 @@ from .place import PlaceSkill
 from .planning_context import MotionSegment, PlanningContext, SkillFailedError
 from .skill import ArmSelector, Skill, require_holding_hand
 
-# rad, headings relative to the present heading, in the order tried
+# rad, headings relative to the present one, in the order tried
 _TURNS = (0.0, math.pi / 2, -math.pi / 2, math.pi)
 
 # m and count: radii of rings around the object's position, and places on each; tried if no central place is free
@@ -26,15 +24,13 @@ _RING_RADII, _PLACES_PER_RING = (0.0, 0.06, 0.12, 0.18), 8
 
 
 class PutAside(PlaceSkill):
-    """Put an object down on a free place of the table where no object started. The place is about as near to all acting
-    arms; if all such places are occupied, it is near to the present position of the object.
+    """Put a held object down on a free place of the table where no object started.
 
-    Attributes:
-        thing: a role; its object is in a hand.
+    The place is about as near to all acting arms; if all such places are occupied, it is near to the object.
     """
 
     def goals(self, context: PlanningContext, roles: RoleAssignment, thing: str) -> list[Array]:
-        """Return upright poses (4, 4) on free places of the table, in four headings each."""
+        """Return upright poses on free places of the table, in four headings each."""
         places = self._free_places(context, thing, context.central_places())
         if not places:
             places = self._free_places(context, thing, _places_in_rings(context.world.pose(thing)[:2, 3]))
@@ -54,7 +50,6 @@ class PutAside(PlaceSkill):
 
     @staticmethod
     def _blocks_a_start(context: PlanningContext, thing: str, place: Array) -> bool:
-        """Return whether an object at a point (2,) would overlap the start of an object, which may have to return."""
         radius = float(np.hypot(*context.half_footprint(thing, 0.0)))
         return any(
             float(np.linalg.norm(context.world.start_pose(other)[:2, 3] - place))
@@ -73,11 +68,7 @@ def _places_in_rings(place: Array) -> list[Array]:
 
 
 def put_down_failed_object(context: PlanningContext, roles: RoleAssignment, role: str) -> Iterator[MotionSegment]:
-    """Put an object onto a free place, else straight down; add its grasp to the hand's `failed_grasps`.
-
-    Raises:
-        SkillFailedError: no hand holds the object any more, or it cannot be lowered.
-    """
+    """Put an object onto a free place, else straight down; add its grasp to the hand's `failed_grasps`."""
     hand = require_holding_hand(context, roles.object_of(role), "taken another way")
     hand.failed_grasps.append(context.update_held(hand))
     try:
@@ -97,12 +88,7 @@ def _lower_straight(context: PlanningContext, hand: Hand, thing: str) -> Iterato
 
 
 class Regrasp(Skill):
-    """Put an object down and pick it up again, with an arm and a grasp that leave the next skills possible.
-
-    Attributes:
-        thing: a role; its object is in a hand.
-        arm: the arm that picks the object up: a side, `first`, `second` or `any`.
-    """
+    """Put a held object down and pick it up again with `arm` and a grasp that leave the next skills possible."""
 
     ROLES: ClassVar[tuple[str, ...]] = ("thing",)
     NEEDS_HELD: ClassVar[bool | None] = True
@@ -113,6 +99,6 @@ class Regrasp(Skill):
     def run(
         self, context: PlanningContext, roles: RoleAssignment, next_skills: Sequence[Skill]
     ) -> Iterator[MotionSegment]:
-        """Yield the motions that put the object down and pick it up again; see `Skill.run`."""
+        """See `Skill.run`."""
         yield from PutAside(thing=self.thing).run(context, roles, ())
         yield from Pick(thing=self.thing, arm=self.arm).run(context, roles, next_skills)

@@ -1,5 +1,3 @@
-"""Set a lying or inverted object upright."""
-
 from __future__ import annotations
 
 import math
@@ -17,20 +15,18 @@ from .place import PlaceSkill
 from .planning_context import MotionSegment, PlanningContext, SkillFailedError
 from .skill import Skill, holding_hand
 
-_RING_RADII = (0.0, 0.05, 0.10, 0.15, 0.20)  # m, radii of rings of places around the object
+_RING_RADII = (0.0, 0.05, 0.10, 0.15, 0.20)  # m, of rings of places around the object
 _PLACES_PER_RING = 8
 
-_HEADINGS = tuple(math.radians(angle) for angle in range(0, 360, 45))  # rad, headings that are tried at each place
+_HEADINGS = tuple(math.radians(angle) for angle in range(0, 360, 45))  # rad, tried at each place
 
 _MAX_TILT = math.radians(10)  # rad, an object that tilts more has fallen over again
 
 
 class SetUpright(PlaceSkill):
-    """Put an object down upright, near its present place. An object that is in no hand is picked up first. If no grasp
-    allows an upright pose, the object is first put down with another heading, by `Turn`.
+    """Put a lying or inverted object down upright, near its present place.
 
-    Attributes:
-        thing: a role.
+    An object that is in no hand is picked up first. If no grasp allows an upright pose, `Turn` first turns the object.
     """
 
     NEEDS_HELD: ClassVar[bool | None] = None
@@ -38,7 +34,7 @@ class SetUpright(PlaceSkill):
     def run(
         self, context: PlanningContext, roles: RoleAssignment, next_skills: Sequence[Skill]
     ) -> Iterator[MotionSegment]:
-        """Yield the motions that pick the object up, turn it if needed, and put it down upright."""
+        """See `Skill.run`."""
         thing, pick = roles.object_of(self.thing), Pick(thing=self.thing)
         if holding_hand(context, thing) is None:
             try:
@@ -53,7 +49,7 @@ class SetUpright(PlaceSkill):
         yield from super().run(context, roles, next_skills)
 
     def goals(self, context: PlanningContext, roles: RoleAssignment, thing: str) -> list[Array]:
-        """Return upright poses (4, 4) on free places in rings around the object, in eight headings each."""
+        """Return upright poses on free places in rings around the object, in eight headings each."""
         low, high = context.world.aabb(thing)
         middle = (low[:2] + high[:2]) / 2
         found = []
@@ -72,22 +68,18 @@ class SetUpright(PlaceSkill):
             raise SkillFailedError(FailureCause.OFF_TARGET, f"the {thing} leans by {math.degrees(leans):.0f} degrees")
 
 
-# rad, deviations of the upper end from the direction towards the arms, in the order tried
+# rad, from the direction towards the arms to the upper end, in the order tried
 _DEVIATIONS = tuple(math.radians(angle) for angle in (0, 30, -30, 60, -60))
-_SHIFTS = (0.0, 0.06, 0.12)  # m, shifts towards the arms, which reach nearer places best
+_SHIFTS = (0.0, 0.06, 0.12)  # m, towards the arms, which reach nearer places best
 
-_DROP_FROM = 0.2  # m over the table, height at which the search for the resting height starts
+_DROP_FROM = 0.2  # m over the table, where the search for the resting height starts
 
 
 class Turn(PlaceSkill):
-    """Put a lying object down in the same stable pose, with its z axis towards the arms.
-
-    Attributes:
-        thing: a role; its object is in a hand.
-    """
+    """Put a held, lying object down in the same stable pose, with its z axis towards the arms."""
 
     def goals(self, context: PlanningContext, roles: RoleAssignment, thing: str) -> list[Array]:
-        """Return poses (4, 4) in which the object is turned so that its z axis points towards the arms."""
+        """Return poses in which the object's z axis points towards the arms."""
         T, table = context.world.pose(thing), float(context.world.aabb(TABLE)[1][2])
         low, high = context.world.aabb(thing)
         middle = (low + high) / 2

@@ -1,5 +1,3 @@
-"""Base class of skills: a skill's fields are its arguments, and its motions are planned while the skill runs."""
-
 from __future__ import annotations
 
 from abc import abstractmethod
@@ -20,8 +18,8 @@ ArmSelector = Literal["left", "right", "first", "second", "any"]
 class Skill(Config):
     """Base class of the skills. A subclass's fields are its arguments; `ROLES` lists the fields that name a role.
 
-    A skill plans from the present state. Between two yielded segments, the caller executes the motion and updates
-    the planning context's world.
+    A skill plans from the present state. Between two yielded segments, the caller executes the motion and updates the
+    planning context's world.
     """
 
     ROLES: ClassVar[tuple[str, ...]]
@@ -29,7 +27,7 @@ class Skill(Config):
     # allowed before, and the skill does not change it.
     NEEDS_HELD: ClassVar[bool | None] = None
     LEAVES_HELD: ClassVar[bool | None] = None
-    # Whether the skill manipulates cloth. Other skills manipulate rigid objects; roles in `ANY_MATERIAL` may be either.
+    # Whether the skill manipulates cloth, else rigid objects; roles in `ANY_MATERIAL` may be either.
     OF_CLOTH: ClassVar[bool] = False
     ANY_MATERIAL: ClassVar[tuple[str, ...]] = ()
 
@@ -37,13 +35,9 @@ class Skill(Config):
     def run(
         self, context: PlanningContext, roles: RoleAssignment, next_skills: Sequence[Skill]
     ) -> Iterator[MotionSegment]:
-        """Yield the segments of motion that perform the skill.
+        """Yield the segments of motion that perform the skill, or raise SkillFailedError.
 
-        Args:
-            next_skills: the skills that follow, the next one first. Choices such as a grasp have to suit them.
-
-        Raises:
-            SkillFailedError: no motion was found, or the skill did not have its effect.
+        Choices such as a grasp have to suit the next skills.
         """
 
     def infeasibility(
@@ -59,14 +53,13 @@ class Skill(Config):
         """Return why this skill would fail with an object held in a given pose; None if nothing is known to prevent it.
 
         Args:
-            T_thing_in_pinch: the object's pose (4, 4) in the hand's pinch frame.
             joints: joints (dof,) at which the arm would grasp the object, rad.
             next_skills: the skills after this one. A skill that hands the object over has to leave them possible.
         """
         return None
 
     def without_preferences(self, context: PlanningContext, roles: RoleAssignment) -> Skill:
-        """Return a copy of this skill without its preferences, for hands that cannot satisfy them; else the skill."""
+        """Return this skill without its preferences, for hands that cannot satisfy them."""
         return self
 
     def approximate_targets(self, context: PlanningContext, roles: RoleAssignment, thing: str) -> Sequence[Array]:
@@ -74,14 +67,14 @@ class Skill(Config):
         return ()
 
     def roles(self) -> tuple[tuple[str, str], ...]:
-        """Return the pairs (argument, role) of all arguments that name a role and are given."""
+        """Return (argument, role) of all given arguments that name a role."""
         return tuple((field, role) for field in self.ROLES if (role := getattr(self, field)) is not None)
 
 
 def preference_levels(
     next_skills: Sequence[Skill], context: PlanningContext, roles: RoleAssignment
 ) -> Iterator[Sequence[Skill]]:
-    """Yield the next skills with their preferences, then without preferences if that changes any of them."""
+    """Yield the next skills with their preferences, then without if that changes any of them."""
     yield next_skills
     relaxed = [skill.without_preferences(context, roles) for skill in next_skills]
     if any(one is not other for one, other in zip(relaxed, next_skills, strict=True)):
@@ -89,14 +82,7 @@ def preference_levels(
 
 
 def require_holding_hand(context: PlanningContext, thing: str, action: str) -> Hand:
-    """Return the hand that holds an object.
-
-    Args:
-        action: participle for the error message, such as "put down".
-
-    Raises:
-        SkillFailedError: no hand holds the object.
-    """
+    """Return the hand that holds an object; `action` is a participle for the error message, such as "put down"."""
     hand = holding_hand(context, thing)
     if hand is None:
         raise SkillFailedError(FailureCause.DROPPED, f"no hand holds the {thing} that is to be {action}")
@@ -104,5 +90,5 @@ def require_holding_hand(context: PlanningContext, thing: str, action: str) -> H
 
 
 def holding_hand(context: PlanningContext, thing: str) -> Hand | None:
-    """Return the hand that holds an object, as of the last `PlanningContext.update_held`; None if no hand does."""
+    """Return the hand that holds an object, as of the last `PlanningContext.update_held`."""
     return next((hand for hand in context.hands if hand.held is not None and hand.held.thing == thing), None)

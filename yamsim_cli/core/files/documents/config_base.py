@@ -1,5 +1,3 @@
-"""The base class and the common types of config models."""
-
 from __future__ import annotations
 
 import math
@@ -25,17 +23,17 @@ class Config(BaseModel):
 
     @classmethod
     def paths_in_file(cls, path: Path) -> tuple[Path, ...]:
-        """Return the paths to pass to `read`, one for each config in a file; by default only the path of the file."""
+        """Return the paths to pass to `read`, one for each config in a file."""
         return (path,)
 
 
-# Marks of fields that dataset format 0.2 does not write if None or empty: a new key then changes no written config.
+# Fields that dataset format 0.2 does not write if None or empty: a new key then changes no written config.
 OMIT_NONE: FieldInfo = Field(exclude_if=lambda value: value is None)
 OMIT_EMPTY: FieldInfo = Field(exclude_if=lambda value: not value)
 
 
 def omit_if_default(default: Any) -> FieldInfo:
-    """Return the mark of a field that is not written if it has the value `default`, as with `OMIT_NONE`."""
+    """Return the mark of a field that is not written if it has the value `default`."""
     field: FieldInfo = Field(exclude_if=lambda value: value == default)
     return field
 
@@ -50,8 +48,7 @@ class ConfigReference:
 class ConflictError(ValueError):
     """A contradiction between several values. The message points to the value that a flag set, else to the first value.
 
-    Attributes:
-        paths: key paths of the values, relative to the model that raises; the most likely mistake first.
+    `paths` are relative to the model that raises; the most likely mistake comes first.
     """
 
     def __init__(self, message: str, *paths: tuple[str | int, ...]) -> None:
@@ -60,7 +57,7 @@ class ConflictError(ValueError):
 
 
 def require_ordered(value: tuple[float, float]) -> tuple[float, float]:
-    """Return the range, unchanged. Raises ValueError if its ends are not in order."""
+    """Return the range. Raises ValueError if its ends are not in order."""
     if value[0] > value[1]:
         raise ValueError(f"a range is [low, high], so {value[0]} must not be above {value[1]}")
     return value

@@ -1,5 +1,3 @@
-"""Converts results with NumPy values and paths to JSON text."""
-
 from __future__ import annotations
 
 import json
@@ -14,9 +12,7 @@ import numpy as np
 def json_text(data: Mapping[str, Any]) -> str:
     """Return indented JSON with a newline at the end.
 
-    NumPy's scalars and arrays become numbers, booleans and lists; paths become text; infinities and NaN become null.
-
-    Raises TypeError for values without a JSON representation.
+    NumPy's values become plain ones; paths become text; infinities and NaN become null.
     """
     return json.dumps(_plain(data), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
 

@@ -1,7 +1,4 @@
-"""Quantities with a unit and plausible bounds: a value far out of bounds was probably given in another unit.
-
-The configs of recorded datasets may have values beyond the bounds, see `AS_RECORDED`.
-"""
+"""Quantities with a unit and plausible bounds: a value far out of bounds was probably given in another unit."""
 
 from __future__ import annotations
 
@@ -15,7 +12,7 @@ from pydantic_core import CoreSchema, core_schema
 
 from .config_base import require_ordered
 
-# Pydantic context in which bounds are not checked: a recorded dataset's config stays valid after a change of bounds.
+# Context without checks of bounds: a recorded dataset's config stays valid after a change of bounds.
 AS_RECORDED: Mapping[str, bool] = {"as_recorded": True}
 
 # Correct unit -> mistaken unit -> size of the mistaken unit in the correct unit.
@@ -42,11 +39,7 @@ class QuantityBounds:
     or_zero: bool = False
 
     def check(self, value: float, info: ValidationInfo | None = None) -> float:
-        """Return the value, unchanged.
-
-        Raises:
-            ValueError: the value is out of bounds; the message suggests the unit of the value.
-        """
+        """Return the value; raise ValueError if it is out of bounds, with a guess of its unit."""
         if self._holds(value) or is_recorded_config(info):
             return value
         raise ValueError(f"must lie in {self.low:.6g}..{self.high:.6g} {self.unit}{self._meant(value)}")
@@ -84,7 +77,7 @@ def _refuse_radians(value: tuple[float, float], info: ValidationInfo) -> tuple[f
     )
 
 
-Place = Annotated[FiniteFloat, QuantityBounds("m", -10, 10)]  # coordinate in `world`
+Place = Annotated[FiniteFloat, QuantityBounds("m", -10, 10)]  # in `world`
 Size = Annotated[FiniteFloat, QuantityBounds("m", 1e-3, 10)]  # half-size of a table
 Offset = Annotated[FiniteFloat, QuantityBounds("m", -1, 1)]  # coordinate in the frame of an object
 Distance = Annotated[FiniteFloat, QuantityBounds("m", 0, 1)]  # gap or relative height

@@ -1,5 +1,3 @@
-"""Error messages for invalid configs: one line with file and line or flag, the value, and the valid values."""
-
 from __future__ import annotations
 
 import re
@@ -24,8 +22,7 @@ def explain_validation_error(
 ) -> tuple[str, str]:
     """Return the place ("file:line" or flag) of the first error, and one line about it with the number of others.
 
-    Args:
-        flags: key path -> the flag that set its value.
+    `flags` has the flag that set the value at each key path.
     """
     found = error.errors(include_url=False)
     # Pydantic also reports a list with an invalid item as too short.
@@ -37,7 +34,6 @@ def explain_validation_error(
     first = details[0]
     path: KeyPath = tuple(key for key in first["loc"] if not _is_tag(document.data, first["loc"], key))
     if first["type"] == "missing" and isinstance(path[-1], int):
-        # The error of a too short list belongs to the list.
         path = path[:-1]
     more = f" (and {len(details) - 1} more)" if len(details) > 1 else ""
     fault = first.get("ctx", {}).get("error")
@@ -50,17 +46,13 @@ def explain_validation_error(
 
 
 def explain_conflict(document: Document, error: ConflictError, flags: Mapping[KeyPath, str]) -> tuple[str, str]:
-    """Return the place ("file:line" or flag) and a message of a conflict raised outside of pydantic's validation."""
+    """Return the place and a message of a conflict raised outside of pydantic's validation."""
     path, place = _offending_value(document, list(error.paths), flags)
     return place, str(error) if is_setting(place) else f"{format_key_path(path) or 'config'}: {error}"
 
 
 def detect_other_kind(kinds: Mapping[str, type[Config]], wanted: str, data: Mapping[str, Any]) -> str | None:
-    """Return the other kind of config whose keys a file has; None if the keys fit the wanted kind, or no kind.
-
-    Args:
-        kinds: kind -> its config class.
-    """
+    """Return the other kind of config whose keys a file has; None if the keys fit the wanted kind, or no kind."""
     keys = set(data) - {"name"}
     # Kinds share some keys. The keys fit if at least half of them, and one required key, belong to the wanted kind.
     fields = kinds[wanted].model_fields
@@ -95,9 +87,8 @@ def format_key_path(path: KeyPath) -> str:
 
 
 def _offending_value(document: Document, paths: list[KeyPath], flags: Mapping[KeyPath, str]) -> tuple[KeyPath, str]:
-    """Return key path and place of the first of the values at `paths` that a flag set, or else of the first value."""
+    """Return key path and place of the first value that a flag set, else of the first value."""
     for path in paths:
-        # A flag for a whole list also counts for its items.
         for whole in (path, path[:-1]) if path and isinstance(path[-1], int) else (path,):
             if whole in flags:
                 return whole, flags[whole]
@@ -126,14 +117,12 @@ def _reason(model: type[Config], path: KeyPath, detail: ErrorDetails) -> str:
 
 
 def _decimal_comma_hint(values: list[Any], detail: ErrorDetails) -> str:
-    """Return a hint for a list whose numbers decimal commas split in two; empty for any other list."""
     wanted = detail.get("ctx", {}).get("max_length")
     whole = all(isinstance(value, int) for value in values[1::2])
     return "; a number has a decimal point, not a comma" if wanted and len(values) == 2 * wanted and whole else ""
 
 
 def _shape(model: type[Config], path: KeyPath) -> str:
-    """Return the form of the list at a path, such as "[low, high]"; "a list" if the length is not fixed."""
     for annotation, metadata in _annotations_at(model, path):
         parts = get_args(annotation) if get_origin(annotation) is tuple else ()
         if not parts or Ellipsis in parts:
@@ -170,7 +159,7 @@ def _plain(annotation: Any) -> Any:
 
 
 def _is_tag(data: Any, loc: tuple[int | str, ...], key: int | str) -> bool:
-    """Return whether a part of pydantic's location is the name of a union's branch, and no key of the document."""
+    """Return whether a part of pydantic's location names a union's branch, and is no key of the document."""
     if isinstance(key, str) and key.startswith(BRANCH):
         return True
     here = data
@@ -189,7 +178,6 @@ def _is_tag(data: Any, loc: tuple[int | str, ...], key: int | str) -> bool:
 
 
 def _keys_at(model: type[BaseModel], path: KeyPath) -> list[str]:
-    """Return the valid keys at a path, also inside nested models, tuples and unions."""
     return sorted({name for candidate in _models_at(model, path) for name in candidate.model_fields})
 
 

@@ -1,4 +1,4 @@
-"""Strict YAML by the core schema of YAML 1.2, without duplicate keys, with the line of each value.
+"""Strict YAML 1.2 with the line of each value.
 
 PyYAML's own loader keeps the last of two equal keys, reads `1e-3` as text, and reads `on` and `yes` as true.
 """
@@ -17,7 +17,7 @@ from ...errors import ConfigError
 
 KeyPath = tuple[str | int, ...]
 
-_MAX_BYTES = 1_000_000  # bytes of a config; a larger file is a mistake or an attack
+_MAX_BYTES = 1_000_000  # bytes; a larger config is a mistake or an attack
 
 _INT = re.compile(r"^[-+]?[0-9]+$")
 _FLOAT = re.compile(
@@ -31,8 +31,6 @@ def is_setting(place: str) -> bool:
 
 
 class _Loader(yaml.SafeLoader):
-    """A safe loader that reads unquoted values as YAML 1.2 does."""
-
     yaml_implicit_resolvers: dict[str, list[tuple[str, re.Pattern[str]]]] = {}  # noqa: RUF012  (PyYAML's own name)
 
     def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
@@ -70,7 +68,7 @@ def _float(text: str) -> float:
 
 
 def number_or_text(text: str) -> int | float | str:
-    """Return an unquoted word of YAML as a number if possible, else as text."""
+    """Return an unquoted word of YAML as a number if possible."""
     if _INT.fullmatch(text):
         return int(text)
     return _float(text) if _FLOAT.fullmatch(text) else text
@@ -88,7 +86,7 @@ _Loader.add_constructor("tag:yaml.org,2002:float", _plain_float)
 
 
 class _Dumper(yaml.SafeDumper):
-    """A safe dumper that quotes text which YAML 1.1 or 1.2 would read as another type."""
+    """Quotes text which YAML 1.1 or 1.2 would read as another type."""
 
     yaml_implicit_resolvers = {  # noqa: RUF012  (PyYAML's own name)
         first: [*theirs, *_Loader.yaml_implicit_resolvers.get(first, [])]
@@ -106,13 +104,7 @@ _Dumper.add_representer(str, _represent_text)
 
 @dataclass
 class Document:
-    """The content of a config file, and the place (line or flag) from which each value comes.
-
-    Attributes:
-        data: nested dicts, lists and scalars.
-        source: the file, or a name for messages.
-        places: key path -> "file:line" or "--flag".
-    """
+    """The content of a config file, and the place ("file:line" or "--flag") of each value."""
 
     data: dict[str, Any]
     source: str
@@ -137,23 +129,21 @@ class Document:
         self.places[path] = place
 
     def insert_document(self, path: KeyPath, other: Document) -> None:
-        """Insert another document at `path`, with the places of its values."""
+        """Insert another document with the places of its values."""
         self.override(path, other.data, other.source)
         self.places.update({path + inner: where for inner, where in other.places.items()})
 
 
 def load_yaml(path: Path) -> Document:
-    """Return the content of a YAML file whose top level is a mapping.
+    """Return the content of a YAML file, with a mapping at the top level, or raise ConfigError.
 
-    Raises:
-        ConfigError: the file is unreadable, larger than 1 MB or no YAML. Or the file has a duplicate key, no mapping
-            at the top level, or several documents.
+    Files over 1 MB, duplicate keys and several documents are errors.
     """
     return parse_yaml(read_config(path), str(path))
 
 
 def read_config(path: Path) -> bytes:
-    """Return a config file's bytes. Raises ConfigError if the file is unreadable, or larger than 1 MB."""
+    """Return a config file's bytes. Raises ConfigError if it is unreadable, or larger than 1 MB."""
     try:
         raw = path.read_bytes()
     except OSError as error:
@@ -164,11 +154,7 @@ def read_config(path: Path) -> bytes:
 
 
 def parse_yaml(text: str | bytes, source: str, language: str = "YAML") -> Document:
-    """Return the content of YAML or JSON text. Raises as `load_yaml`.
-
-    Args:
-        source, language: names of the file and of its format in messages.
-    """
+    """Return the content of YAML or JSON text; `source` and `language` name it in messages. Raises as `load_yaml`."""
     document = Document({}, source)
     try:
         loader = _Loader(_without_opencv_header(text))
@@ -191,7 +177,7 @@ def parse_yaml(text: str | bytes, source: str, language: str = "YAML") -> Docume
 
 
 def _refuse_further_documents(loader: _Loader, source: str, language: str) -> None:
-    """Refuse a second document. A final line `---`, as from `ros2 topic echo`, does not begin one."""
+    """A final line `---`, as from `ros2 topic echo`, does not begin a second document."""
     while loader.check_node():
         node = loader.get_node()
         if node is not None and not (isinstance(node, yaml.ScalarNode) and node.value == ""):
@@ -200,14 +186,13 @@ def _refuse_further_documents(loader: _Loader, source: str, language: str) -> No
 
 
 def _without_opencv_header(text: str | bytes) -> str | bytes:
-    """Return the text with OpenCV's first line `%YAML:1.0`, which is no valid YAML, as a comment."""
+    """OpenCV's first line `%YAML:1.0` is no valid YAML: make it a comment."""
     if isinstance(text, bytes):
         return b"#" + text if text.startswith(b"%YAML:") else text
     return "#" + text if text.startswith("%YAML:") else text
 
 
 def _index(node: yaml.Node, path: KeyPath, document: Document) -> None:
-    """Record the line of each value, and refuse duplicate keys and keys other than text."""
     document.places[path] = f"{document.source}:{node.start_mark.line + 1}"
     if isinstance(node, yaml.MappingNode):
         seen: dict[str, int] = {}
@@ -228,7 +213,7 @@ def _index(node: yaml.Node, path: KeyPath, document: Document) -> None:
 
 
 def dump_yaml(data: Mapping[str, Any]) -> str:
-    """Return YAML text of nested mappings and lists, with keys in their order; `parse_yaml` restores the data."""
+    """Return YAML text with keys in their order; `parse_yaml` restores the data."""
     text: str = yaml.dump(
         _plain(data), Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=120, default_flow_style=None
     )
@@ -236,7 +221,7 @@ def dump_yaml(data: Mapping[str, Any]) -> str:
 
 
 def _plain(value: Any) -> Any:
-    """Return the data with tuples as lists, since YAML's safe dumper refuses tuples."""
+    """YAML's safe dumper refuses tuples: make them lists."""
     if isinstance(value, Mapping):
         return {key: _plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):

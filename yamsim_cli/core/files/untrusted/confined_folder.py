@@ -1,5 +1,3 @@
-"""Reading of untrusted files, confined to one folder."""
-
 from __future__ import annotations
 
 import stat
@@ -8,20 +6,16 @@ from pathlib import Path
 
 from .refusals import RefusedError
 
-MAX_BYTES = 256_000_000  # bytes, largest total size of the files that one `ConfinedFolder` reads
-MAX_FILES = 256  # largest number of files that one `ConfinedFolder` reads
+MAX_BYTES = 256_000_000  # bytes, of all files that a folder reads
+MAX_FILES = 256
 
 _MODEL_SCHEMES = ("model", "package", "fuel")  # URI schemes that identify a model by its name
 
 
 class ConfinedFolder:
-    """Reads files below one folder, with limits on their number and size.
+    """Reads untrusted files below one folder, not even through links to others, with limits on their number and size.
 
-    Attributes:
-        refused: the last error of `read`, or None. Callers check it after libraries that swallow exceptions.
-
-    Args:
-        root: the folder; files outside are not read, not even through links.
+    Callers check `refused`, the last error of `read`, after libraries that swallow exceptions.
     """
 
     def __init__(self, root: Path) -> None:
@@ -33,8 +27,7 @@ class ConfinedFolder:
     def read(self, name: str, base: Path | None = None) -> bytes:
         """Return the content of a file by its name relative to `base` (default: the root), or its `model://` URI.
 
-        Raises:
-            RefusedError: the file is outside, missing or not regular, or a limit is exceeded.
+        A file that is outside, missing or not regular, or exceeds a limit, raises RefusedError.
         """
         try:
             path = self.find(name, base)
@@ -53,14 +46,7 @@ class ConfinedFolder:
             raise self.refused from error
 
     def find(self, name: str, base: Path | None = None) -> Path:
-        """Return the path of a regular file by its name.
-
-        Args:
-            base: the folder of relative names; the root by default.
-
-        Raises:
-            RefusedError: the file is outside, missing or not regular.
-        """
+        """Return the path of a regular file by its name; arguments and errors as in `read`."""
         tried = self._candidates(name, base or self._root)
         inside = [path for path in tried if path.is_relative_to(self._root)]
         if not inside:

@@ -1,5 +1,3 @@
-"""Expands the includes of untrusted MJCF files."""
-
 from __future__ import annotations
 
 import contextlib
@@ -16,15 +14,11 @@ _MAX_DEPTH = 8  # levels of includes; more are a mistake or an attack
 
 
 def with_includes(data: bytes, folder: ConfinedFolder, base: Path, parse: Callable[[bytes], Element]) -> Element:
-    """Return the root of an MJCF document with each `<include>` replaced by the content of its file, as in MuJoCo.
+    """Return the root of an untrusted MJCF document with each `<include>` replaced as in MuJoCo.
 
     Args:
-        data: content of the main file.
         base: folder of the main file. Names are relative to `base`, or else to the folder of the including file.
         parse: returns the root of a document, or raises `RefusedError`.
-
-    Raises:
-        RefusedError: an included file cannot be read or parsed, or includes itself.
     """
     return _expanded(data, folder, (base,), (), parse)
 
@@ -54,7 +48,6 @@ def _expanded(
 
 
 def _find(name: str, folder: ConfinedFolder, bases: tuple[Path, ...]) -> Path:
-    """Return the named file in the first folder that has it."""
     for base in bases[:-1]:
         with contextlib.suppress(RefusedError):
             return folder.find(name, base)

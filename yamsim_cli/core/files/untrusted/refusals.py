@@ -1,10 +1,8 @@
-"""The error for untrusted files that are not read, with a stable code and a message."""
-
 from __future__ import annotations
 
 from collections.abc import Mapping
 
-#: Code of a refusal -> its meaning.
+# Code of a refusal -> its meaning.
 CODES: Mapping[str, str] = {
     "too-large": "the file, or one that it names, has more bytes than a thing needs",
     "too-many-files": "it names more files than a thing needs",
@@ -33,11 +31,7 @@ CODES: Mapping[str, str] = {
 
 
 class RefusedError(Exception):
-    """Refusal of an untrusted file.
-
-    Attributes:
-        code: one of `CODES`.
-    """
+    """Refusal of an untrusted file, with one of `CODES`."""
 
     def __init__(self, code: str, text: str) -> None:
         assert code in CODES, code

@@ -1,5 +1,3 @@
-"""Generated objects with flat sides: containers, trays, lids, cartons, blocks, folded cloth, dish racks."""
-
 from __future__ import annotations
 
 import math
@@ -11,9 +9,9 @@ from ..loft import Surface, loft, loft_closed, rounded_rectangle, transform_surf
 from ..se3 import Array
 from .generated_shape import GeneratedShape, PrimitiveData, ShapeGrasp, ShapePiece, box_data, capsules_along
 
-_RIM_DEPTH = 0.008  # m, depth of the finger pads' middle below a grasped rim
-_MAX_DEPTH = 0.040  # m, largest depth of a grasp below the top; deeper, the palm would touch the top
-_WIDEST = 0.091  # m, largest object width between the pads
+_RIM_DEPTH = 0.008  # m, of the finger pads' middle below a grasped rim
+_MAX_DEPTH = 0.040  # m below the top; deeper, the palm would touch the top
+_WIDEST = 0.091  # m, object width between the pads
 
 
 @dataclass(frozen=True)
@@ -25,7 +23,7 @@ class Container:
         wall: thickness of walls and floor.
         corner: outer radius of the vertical edges.
         taper: reduction of the half-width from the rim to the foot.
-        cells: number of compartments along x.
+        cells: compartments along x.
         lip: overhang of the rim.
     """
 
@@ -38,7 +36,7 @@ class Container:
 
 
 def make_container(size: Container) -> GeneratedShape:
-    """Generate an open box or a tray with compartments."""
+    """Return an open box or a tray with compartments."""
     x, y, height = size.size[0] / 2 - size.lip, size.size[1] / 2 - size.lip, size.size[2]
     wall, corner = size.wall, size.corner
     pieces = [ShapePiece("body", _open_box(size, x, y))]
@@ -134,10 +132,10 @@ def _lip(size: Container, x: float, y: float) -> list[PrimitiveData]:
 def make_lid(
     size: tuple[float, float, float], corner: float, plate: float, plug: float, knob: tuple[float, float]
 ) -> GeneratedShape:
-    """Generate a lid: a plate, a rim below the plate that fits into a container, and a bar on top as a handle.
+    """Return a lid: a plate, a rim below the plate that fits into a container, and a bar on top as a handle.
 
     Args:
-        size: size of the plate along x and y, and total height, m.
+        size: of the plate along x and y, and total height, m.
         corner: radius of the plate's corners, m.
         plate: thickness of the plate, m.
         plug: distance of the rim from the plate's edge, m.
@@ -195,12 +193,12 @@ def _inset(x: float, y: float, corner: float, by: float, z: float) -> Array:
 def make_block(
     size: tuple[float, float, float], corner: float, edge: float, band: tuple[float, float] | None
 ) -> GeneratedShape:
-    """Generate a closed block, such as a carton, a tin or a piece of wood.
+    """Return a closed block, such as a carton, a tin or a piece of wood.
 
     Args:
-        size: size (x, y, z), m.
+        size: (x, y, z), m.
         corner, edge: radius of the vertical and of the horizontal edges, m.
-        band: lower and upper end of a printed band, as fractions of the height; None for no band.
+        band: lower and upper end of a printed band, as shares of the height.
     """
     pieces = [ShapePiece("body", block_surface(size, corner, edge))]
     if band:
@@ -216,12 +214,7 @@ def make_block(
 
 
 def make_textile(size: tuple[float, float, float], folds: int) -> GeneratedShape:
-    """Generate a rigid folded cloth that lies flat, with visible layers.
-
-    Args:
-        size: size (x, y, z) of the folded cloth, m.
-        folds: number of layers.
-    """
+    """Return a rigid folded cloth of `size` (x, y, z), m, with visible layers."""
     layer = size[2] / folds
     pieces = []
     rng = np.random.default_rng(0)
@@ -257,13 +250,13 @@ class Rack:
 
 
 _RACK_FLOOR, _RACK_CORNER = 0.012, 0.03  # m, height of the floor's wires; radius of the corners
-_RAIL = 0.7  # height of the rail as a fraction of the tines' height
-_ROWS, _BETWEEN = 0.37, 0.12  # fractions of the half depth, y of the tines and of the floor's inner wires
+_RAIL = 0.7  # height of the rail as a share of the tines' height
+_ROWS, _BETWEEN = 0.37, 0.12  # shares of the half depth, y of the tines and of the floor's inner wires
 _BOW = 0.03  # m, radius of the bows' corners
 
 
 def make_rack(size: Rack) -> GeneratedShape:
-    """Generate a low wire rack: a floor with a rail, two rows of tines, and a bow at each end as a handle."""
+    """Return a low wire rack: a floor with a rail, two rows of tines, and a bow at each end as a handle."""
     r = size.wire / 2
     x, y, height = size.size[0] / 2 - r, size.size[1] / 2 - r, size.size[2]
     pieces, collision = [], list[PrimitiveData]()
@@ -295,7 +288,6 @@ def make_rack(size: Rack) -> GeneratedShape:
 
 
 def _end_handle_path(x: float, half: float, foot: float, top: float) -> Array:
-    """Return the path (n, 3) of an upright bow: a leg at each side and a bar on top."""
     turn = np.linspace(0, np.pi / 2, 4)
     across, up = half - _BOW + _BOW * np.cos(turn), top - _BOW + _BOW * np.sin(turn)
     side = np.concatenate([[[half, foot]], np.column_stack([across, up])])

@@ -1,5 +1,3 @@
-"""Generated cutlery that lies flat with its handle along y: spoons, forks, knives and turners."""
-
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
@@ -22,8 +20,8 @@ from .generated_shape import (
 
 Kind = Literal["spoon", "fork", "knife", "turner"]
 
-_CLEAR_HEIGHT = 0.018  # m, height of the finger pads' middle at which the pads of a tilted hand clear the table
-_MAX_RAISE = 0.004  # m, largest height of the pads' middle over that of the handle
+_CLEAR_HEIGHT = 0.018  # m, of the finger pads' middle, at which the pads of a tilted hand clear the table
+_MAX_RAISE = 0.004  # m, of the pads' middle over that of the handle
 
 
 @dataclass(frozen=True)
@@ -31,10 +29,9 @@ class Cutlery:
     """Sizes of a piece of cutlery, m.
 
     Attributes:
-        kind: kind of cutlery, which determines the shape of the head.
         size: total width, length and height.
         grip: largest width of the handle.
-        thickness: thickness of the head.
+        thickness: of the head.
         handle: thickness of the handle.
     """
 
@@ -46,7 +43,7 @@ class Cutlery:
 
 
 def make_cutlery(size: Cutlery) -> GeneratedShape:
-    """Generate a piece of cutlery on its back with its head towards +y."""
+    """Return a piece of cutlery on its back with its head towards +y."""
     head, collision = _HEADS[size.kind](size)
     start = size.size[1] / 2 - _head_length(size)
     path, widths = _handle_line(size, start)
@@ -76,7 +73,7 @@ def _handle_line(size: Cutlery, start: float) -> tuple[Array, Array]:
     end = -size.size[1] / 2 + size.handle / 2
     y = end + (start + 0.006 - end) * t
     low, high = size.handle / 2, size.size[2] - size.handle / 2
-    # The handle rises from its end on the table and falls towards the head. This shape leaves room for the pads.
+    # The handle rises from its end on the table and falls towards the head, which leaves room for the pads.
     neck = _neck_height(size)
     z = np.interp(t, [0.0, 0.74, 1.0], [low, high, neck])
     z = np.convolve(np.pad(z, 3, mode="edge"), np.ones(7) / 7, mode="valid")

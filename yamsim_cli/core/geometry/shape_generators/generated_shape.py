@@ -1,5 +1,3 @@
-"""The data of a generated object (visual surfaces, collision primitives and grasps), and helpers to build it."""
-
 from __future__ import annotations
 
 import itertools
@@ -13,10 +11,10 @@ from numpy.typing import ArrayLike
 from ..loft import Surface
 from ..se3 import Array
 
-# A collision primitive as a mapping of YAML values, in the format of object configs.
+# A collision primitive in the format of object configs.
 PrimitiveData = Mapping[str, Any]
 
-_MIN_WALL = 0.002  # m, least thickness of a collision wall; objects can pass through thinner walls
+_MIN_WALL = 0.002  # m, of a collision wall; objects can pass through thinner walls
 
 
 @dataclass(frozen=True)
@@ -32,14 +30,14 @@ class ShapeGrasp:
     """A grasp from above with two fingers.
 
     Attributes:
-        grasped_part: grasped part: "body", "rim", "edge" or "handle".
+        grasped_part: "body", "rim", "edge" or "handle".
         position: midpoint (3,) between the pads, m.
-        axis_deg: closing direction of the fingers, degrees from +x.
-        width: thickness of the object between the pads, m.
+        axis_deg: closing direction of the fingers from +x.
+        width: of the object between the pads, m.
         has_flat_contact: whether both pads touch with their faces. On a line contact, the object pivots.
-        tilt_deg: tilt of the hand from vertical towards `axis_deg`, degrees. With this tilt, the pads are parallel to
-            the grasped wall. None for grasps that do not need it.
-        depth: length of the object between the fingers, along the fingers, m. A longer lever resists rotation better.
+        tilt_deg: of the hand from vertical towards `axis_deg`, with which the pads are parallel to the grasped wall.
+            None for grasps that do not need it.
+        depth: of the object between the fingers, along them, m. A longer lever resists rotation better.
     """
 
     grasped_part: str
@@ -56,13 +54,11 @@ class GeneratedShape:
     """An upright object, z up, with the origin on the ground below its middle.
 
     Attributes:
-        pieces: visual surfaces.
-        collision: collision primitives.
-        grasps: grasps, the best first; empty if no grasp from above is possible.
-        preposition: "in" or "on", the preposition for placing other objects in or on this one.
-        support_height: height of the surface in the middle for placing objects, m; None if no object would stay there.
+        grasps: the best first; empty if no grasp from above is possible.
+        preposition: "in" or "on", for placing other objects in or on this one.
+        support_height: of the surface in the middle for placing objects, m; None if no object would stay there.
         rolling_radius: least radius of the round surface on which the object can roll, m; 0 for a flat foot.
-        is_axisymmetric: whether the object is rotationally symmetric, so that all grasps of one `where` are equal.
+        is_axisymmetric: whether all grasps of one `grasped_part` are equal.
     """
 
     pieces: tuple[ShapePiece, ...]
@@ -75,13 +71,13 @@ class GeneratedShape:
 
 
 def box_data(centre: Sequence[float], size: Sequence[float], yaw_deg: float = 0.0) -> PrimitiveData:
-    """Return the data of a box from its centre (3,) and full size (3,), m, turned about z."""
+    """Return a box with a centre (3,) and full size (3,), m, turned about z."""
     plain = {"type": "box", "centre": _plain(centre), "half_size": _plain(np.divide(size, 2))}
     return plain | ({"yaw_deg": yaw_deg} if yaw_deg else {})
 
 
 def cylinder_data(low: float, high: float, radius: float) -> PrimitiveData:
-    """Return the data of an upright cylinder about the z axis between two heights, m."""
+    """Return an upright cylinder about the z axis between two heights, m."""
     return {
         "type": "cylinder",
         "centre": [0.0, 0.0, _short((low + high) / 2)],
@@ -91,23 +87,23 @@ def cylinder_data(low: float, high: float, radius: float) -> PrimitiveData:
 
 
 def sphere_data(centre: Sequence[float], radius: float) -> PrimitiveData:
-    """Return the data of a sphere from its centre (3,) and radius, m."""
+    """Return a sphere with a centre (3,) and radius, m."""
     return {"type": "sphere", "centre": _plain(centre), "radius": _short(radius)}
 
 
 def capsule_data(start: ArrayLike, end: ArrayLike, radius: float) -> PrimitiveData:
-    """Return the data of a capsule from the ends (3,) of its axis and its radius, m."""
+    """Return a capsule with the ends (3,) of its axis and its radius, m."""
     return {"type": "capsule", "start": _plain(start), "end": _plain(end), "radius": _short(radius)}
 
 
 def capsules_along(path: ArrayLike, radius: float, *, closed: bool = False) -> list[PrimitiveData]:
-    """Return the data of capsules along a path (n, 3), m, and back to its start if `closed`."""
+    """Return capsules along a path (n, 3), m, and back to its start if `closed`."""
     points = list(np.asarray(path, float))
     return [capsule_data(a, b, radius) for a, b in itertools.pairwise([*points, points[0]] if closed else points)]
 
 
 def ring_boxes(corners: Array, wall: float, segments: int) -> list[PrimitiveData]:
-    """Return the data of a ring of boxes for each piece of an inner surface's profile (n, 2: radius, height), m."""
+    """Return a ring of boxes for each piece of an inner surface's profile (n, 2: radius, height), m."""
     return [
         {
             "type": "ring",

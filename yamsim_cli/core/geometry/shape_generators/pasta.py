@@ -1,5 +1,3 @@
-"""Generated dry pasta along y: tubes with straight or slanted ends, with or without ridges, and rods."""
-
 from __future__ import annotations
 
 import numpy as np
@@ -12,12 +10,12 @@ _SEGMENTS = 48  # visual faces around the axis
 
 
 def make_pasta(diameter: float, length: float, wall: float, slant_deg: float, ridges: int) -> GeneratedShape:
-    """Generate a piece of pasta.
+    """Return a piece of dry pasta along y.
 
     Args:
         diameter, length: outer dimensions, m.
-        wall: wall thickness of a tube, m; 0 for a rod.
-        slant_deg: angle of the ends from a straight cut, degrees.
+        wall: of a tube, m; 0 for a rod.
+        slant_deg: angle of the ends from a straight cut.
         ridges: number of lengthwise ridges.
     """
     radius = diameter / 2

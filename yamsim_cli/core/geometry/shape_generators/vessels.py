@@ -1,5 +1,3 @@
-"""Generated round objects: plates, bowls, cups, pots, jars, bottles, caps and fruit."""
-
 from __future__ import annotations
 
 import math
@@ -24,15 +22,15 @@ from .generated_shape import (
 
 Handles = Literal["none", "loop", "ears"]
 
-_VISUAL_FACES = 48  # visual faces around the axis
-_BOXES, _FEW_BOXES = 24, 16  # collision boxes around the axis of a wide and of a narrow vessel
+_VISUAL_FACES = 48  # around the axis
+_BOXES, _FEW_BOXES = 24, 16  # around the axis of a wide and of a narrow vessel
 _NARROW = 0.05  # m, largest radius of a narrow vessel
-_TOLERANCE = 0.0010  # m, largest distance of collision segments from the profile
-_MAX_WIDTH = 0.091  # m, largest width for a grasp across the body: linear_4310 opens 95 mm
-_RIM_DEPTH = 0.014  # m, depth of the finger pads' middle below a grasped rim, so that the rim is above the pads
+_TOLERANCE = 0.0010  # m, of collision segments from the profile
+_MAX_WIDTH = 0.091  # m, for a grasp across the body: linear_4310 opens 95 mm
+_RIM_DEPTH = 0.014  # m, of the finger pads' middle below a grasped rim, so that the rim is above the pads
 _PAD = 0.008  # m, half the height of a finger pad
-_MAX_DEPTH = 0.040  # m, largest depth of a grasp below the top; deeper, the palm would touch the top
-_NECK_DEPTH = 0.014  # m, depth below the rim of a grasp on a neck
+_MAX_DEPTH = 0.040  # m below the top; deeper, the palm would touch the top
+_NECK_DEPTH = 0.014  # m below the rim, of a grasp on a neck
 
 
 @dataclass(frozen=True)
@@ -41,7 +39,6 @@ class VesselSizes:
 
     Attributes:
         diameter: largest outer diameter.
-        height: total height.
         foot: outer diameter of the bottom.
         wall: thickness of wall and floor.
         flare: exponent of the widening from foot to rim over the height: below 1 a bowl, 1 a cone, above 1 a trumpet.
@@ -86,7 +83,7 @@ class VesselSizes:
 
 
 def make_vessel(size: VesselSizes) -> GeneratedShape:
-    """Generate an open vessel that stands on its foot."""
+    """Return an open vessel that stands on its foot."""
     inside = size.inner_profile()
     pieces = [ShapePiece("body", revolve(shell_profile(inside, size.wall), _VISUAL_FACES))]
     segments = _segments(size)
@@ -113,14 +110,13 @@ def _outer_radius(size: VesselSizes, inside: Array, height: float) -> float:
 
 
 def _handles(size: VesselSizes) -> list[tuple[Surface, Array, float]]:
-    """Return the surface, centre line (n, 3), m, and radius, m, of each handle."""
+    """Return each handle's surface, centre line (n, 3) and radius, m."""
     inside, top = size.inner_profile(), size.height
     if size.handles == "loop":
         low, high = 0.22 * top, 0.85 * top
         thick = min(0.0065, size.reach / 4)
         start, end = (_outer_radius(size, inside, height) + 0.75 * thick - size.wall for height in (high, low))
         turn = np.linspace(0, np.pi, 15)
-        # The loop is D-shaped.
         x = np.interp(turn, [0, np.pi], [start, end]) + (size.reach - 1.75 * thick) * np.sin(turn) ** 0.6
         rise = (high + low) / 2 + (high - low) / 2 * np.cos(turn)
         path = np.column_stack([x, np.zeros_like(x), rise])
@@ -143,7 +139,7 @@ def _handles(size: VesselSizes) -> list[tuple[Surface, Array, float]]:
 
 
 def _vessel_grasps(size: VesselSizes, inside: Array) -> list[ShapeGrasp]:
-    """Return grasps across the body if it fits between the fingers, then grasps at the rim."""
+    """Return grasps across the body if it fits between the fingers, then at the rim."""
     found: list[ShapeGrasp] = []
     neck = size.neck is not None
     height = max(0.55 * size.height, size.height - _MAX_DEPTH)
@@ -181,7 +177,7 @@ def _rim_wall(size: VesselSizes, inside: Array) -> tuple[float, float, float, fl
 
 
 def make_cap(diameter: float, height: float, wall: float, grips: int) -> GeneratedShape:
-    """Generate a screw cap or lid with its hollow side down and `grips` ridges around it; lengths in m."""
+    """Return a screw cap or lid with its hollow side down and `grips` ridges around it; lengths in m."""
     radius = diameter / 2
     top = np.concatenate([[[0.0, height]], arc((radius - 0.0015, height - 0.0015), 0.0015, 90, 0, 4), [[radius, 0.0]]])
     under = np.array([[radius - wall, 0.0], [radius - wall, height - wall], [0.0, height - wall]])
@@ -199,7 +195,7 @@ def make_cap(diameter: float, height: float, wall: float, grips: int) -> Generat
 
 
 def make_fruit(diameter: float, height: float, lobes: int, depth: float, stalk: float) -> GeneratedShape:
-    """Generate a round fruit with `lobes` bulges of a fraction `depth` of the radius, and a stalk in a dent on top."""
+    """Return a round fruit with `lobes` bulges of a share `depth` of the radius, and a stalk in a dent on top."""
     turn = np.linspace(-np.pi / 2, np.pi / 2, 33)
     radius = diameter / 2 / (1 + depth) * np.cos(turn) ** 0.85
     z = height / 2 * (1 + np.sin(turn))

@@ -1,1 +1,1 @@
-"""Fin-ray fingers, generated from a few lengths and a modulus: two soft walls that meet at the tip, with ribs."""
+"""Fin-ray fingers: two soft walls that meet at the tip, with ribs; generated from a few lengths and a modulus."""

@@ -21,8 +21,8 @@ _Length = Annotated[FiniteFloat, QuantityBounds("mm", 20, 300)]
 _Across = Annotated[FiniteFloat, QuantityBounds("mm", 2, 100)]
 _Thickness = Annotated[FiniteFloat, QuantityBounds("mm", 0.2, 10)]
 
-_MAX_THICKNESS = 0.5  # largest thickness of walls and ribs, as a share of the distance between two ribs
-_TIP_STIFFNESS = 1e3  # stiffness of the solid tip, as a multiple of the walls' stretching stiffness: nearly rigid
+_MAX_THICKNESS = 0.5  # of walls and ribs, as a share of the distance between two ribs
+_TIP_STIFFNESS = 1e3  # as a multiple of the walls' stretching stiffness: nearly rigid
 
 
 class FinRay(Config):
@@ -107,7 +107,7 @@ class FinRay(Config):
 
     @property
     def segments(self) -> int:
-        """Number of rigid segments: one begins at the base, and one at each rib."""
+        """Rigid segments: one begins at the base, and one at each rib."""
         return self.ribs + 1
 
     @property
@@ -117,7 +117,7 @@ class FinRay(Config):
 
     @property
     def stations(self) -> Array:
-        """Heights (segments,) of the base and of the ribs above the base, m."""
+        """Heights (segments,) of the base and of the ribs, m."""
         return np.asarray(np.arange(self.segments, dtype=np.float64) * self.bay)
 
     def spacing(self, height: Array | float) -> Array:
@@ -128,7 +128,7 @@ class FinRay(Config):
 
 
 def hinge_stiffness(finger: FinRay) -> Array:
-    """Return the stiffness (n,) in N m/rad of the hinges at the base and at each rib.
+    """Return the stiffness (n,), N m/rad, of the hinges at the base and at each rib.
 
     A hinge represents the bending of both walls over one distance between ribs; at the base, over half of it.
     """
@@ -163,7 +163,7 @@ def slip_stiffness(finger: FinRay) -> Array:
 
 
 def couplings(finger: FinRay) -> Array:
-    """Return coefficients (n, n) in m. Each row is a spring of 1 N/m; its elongation is the row times the hinge angles.
+    """Return coefficients (n, n), m. Each row is a spring of 1 N/m; its elongation is the row times the hinge angles.
 
     The energy of all springs together is that of `slip_stiffness`.
     """

@@ -1,4 +1,4 @@
-"""Meshes of a fin-ray finger, generated from its dimensions with the same bytes on every machine."""
+"""Meshes of a fin-ray finger, with the same bytes on every machine."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from .finger import FinRay
 Point = tuple[float, float]
 T = TypeVar("T")
 
-_OVERLAP = 0.0025  # m, overlap of neighbouring pieces of the back wall, which slide along each other in a bend
-_TIP_FACES = 12  # number of faces around the end of the tip
-_GRID = 1e-7  # m, grid of all coordinates, so that rounding does not depend on the machine
+_OVERLAP = 0.0025  # m, of neighbouring pieces of the back wall, which slide along each other in a bend
+_TIP_FACES = 12  # around the end of the tip
+_GRID = 1e-7  # m, of all coordinates, so that rounding does not depend on the machine
 
 
 def segment_file(k: int) -> str:
@@ -42,7 +42,6 @@ class _Section:
     cells: list[list[int]] = field(default_factory=list)
 
     def add(self, *corners: Point) -> None:
-        """Add a convex cell, its corners counter-clockwise."""
         self.cells.append([self._index(corner) for corner in corners])
 
     def _index(self, corner: Point) -> int:
@@ -52,7 +51,6 @@ class _Section:
         return self.points.index(point)
 
     def stl(self, width: float) -> bytes:
-        """Return binary STL of the section extruded by half of `width` (m) to both sides."""
         n = len(self.points)
         vertices = [(*point, side * width / 2) for side in (-1, 1) for point in self.points]
         edges = [(a, b) for cell in self.cells for a, b in _around(cell)]
@@ -71,7 +69,7 @@ def _around(cell: Sequence[T]) -> list[tuple[T, T]]:
 
 
 def _segment(finger: FinRay, k: int) -> _Section:
-    """Return the segment at hinge `k`: a piece of each wall, and the rib at the hinge or the end of the tip."""
+    """Return a piece of each wall, and the rib at hinge `k` or the end of the tip."""
     half, bay, low = finger.wall / 2, finger.bay, k * finger.bay
     section = _Section()
 
@@ -103,7 +101,6 @@ def _segment(finger: FinRay, k: int) -> _Section:
 
 
 def _tip(section: _Section, start: float, end: float, half: float, depth: float) -> None:
-    """Add the solid tip of the finger: triangles from its middle to its rounded outline; lengths in m."""
     outline: list[Point] = [(start, -depth - half)]
     middle, across = -depth / 2, depth / 2 + half
     for turn in np.linspace(-math.pi / 2, math.pi / 2, _TIP_FACES + 1)[1:-1]:

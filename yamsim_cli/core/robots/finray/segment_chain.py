@@ -16,16 +16,12 @@ _OSCILLATION_TIME = 3e-3
 
 
 def add_fingers(root: Element, name: str, finger: FinRay) -> None:
-    """Add both fingers to a gripper's MJCF.
+    """Add both fingers to a gripper's MJCF; `name` is that of the gripper and of its asset set.
 
     The MJCF must have default classes: `pad` and `wall` for boxes of front and back walls, `rib` for boxes of ribs
-    without collisions, and `soft` for meshes. Each foot must be a body without a joint. Its origin lies on the outer
-    face of the front wall at the base. Its x axis points to the tip, its y axis to the other finger.
-
-    Args:
-        name: name of the gripper and of its asset set.
-
-    Raises KeyError if the MJCF has no body for a foot.
+    without collisions, and `soft` for meshes. Each foot must be a body without a joint, else KeyError is raised. Its
+    origin lies on the outer face of the front wall at the base. Its x axis points to the tip, its y axis to the other
+    finger.
     """
     bodies = {body.get("name"): body for body in root.iter("body")}
     assets, tendons, contacts = (get_or_add_child(root, tag) for tag in ("asset", "tendon", "contact"))
@@ -36,14 +32,13 @@ def add_fingers(root: Element, name: str, finger: FinRay) -> None:
         segments += _chain(bodies[foot], foot, name, finger)
         for spring, lengths in enumerate(couplings(finger), start=1):
             tendons.append(_spring(f"{foot}_slip_{spring}", foot, lengths, finger))
-    # Collisions within a gripper are disabled: springs model those within a finger, and the two fingers do not cross.
+    # Springs model collisions within a finger, and the two fingers do not cross.
     hand = [body.get("name", "") for body in _feet_and_ancestors(root, finger.feet)]
     for one, other in [*combinations(segments, 2), *((body, segment) for body in hand for segment in segments)]:
         SubElement(contacts, "exclude", body1=one, body2=other)
 
 
 def _chain(foot: Element, prefix: str, gripper: str, finger: FinRay) -> Iterator[str]:
-    """Add a finger's segments as nested bodies to `foot`, and yield the names of these bodies."""
     body, at = foot, (0.0, -finger.wall / 2, 0.0)
     for k, stiffness in enumerate(hinge_stiffness(finger)):
         body = SubElement(body, "body", name=f"{prefix}_segment_{k + 1}", pos=_text(at), gravcomp="1")
@@ -110,7 +105,7 @@ def _feet_and_ancestors(root: Element, feet: Iterable[str]) -> Iterator[Element]
 
 
 def get_or_add_child(root: Element, tag: str) -> Element:
-    """Return the child of `root` with a tag, such as `asset`; add the child if missing."""
+    """Return the child of `root` with a tag; add the child if missing."""
     found = root.find(tag)
     return SubElement(root, tag) if found is None else found
 

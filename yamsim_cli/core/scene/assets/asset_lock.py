@@ -41,7 +41,7 @@ def _check_member(path: str) -> str:
 
 
 Sha256 = Annotated[str, StringConstraints(pattern=r"^[0-9a-f]{64}$")]
-# A name without folders, leading dots, or characters that a shell or pip would interpret.
+# No folders, leading dots, or characters that a shell or pip would interpret.
 Name = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.+-]*$")]
 Member = Annotated[str, AfterValidator(_check_member)]
 
@@ -51,17 +51,16 @@ class _Frozen(BaseModel):
 
 
 class Reduction(_Frozen):
-    """How a mesh is reduced: target number of faces, and largest displacement by the removal of slivers, mm."""
+    """Target number of faces, and largest displacement by the removal of slivers, mm."""
 
     faces: PositiveInt
     slivers_mm: float = Field(default=0.1, ge=0, le=0.5)
 
 
 class LockedFile(_Frozen):
-    """A locked mesh file: its SHA-256, its size in bytes, and its path inside the set's archive.
+    """A locked mesh file of `size` bytes; `member` is its path inside the set's archive.
 
-    Attributes:
-        reduction: best reduction found by `tools/bench/reduction.py`, if any.
+    `tools/bench/reduction.py` finds the best `reduction`.
     """
 
     sha256: Sha256
@@ -89,14 +88,12 @@ class AssetSet(_Frozen):
     """Mesh files that are fetched, verified and published together.
 
     Attributes:
-        name: name of the set in models and commands.
         license: SPDX identifier.
         attribution: one line that credits the authors.
         notice: file name of the license text that is published with the meshes.
-        archive: name of the pinned archive with the files; None for generated meshes.
-        menagerie: name of the MuJoCo Menagerie model with the same files, if any.
+        archive: the pinned archive with the files; None for generated meshes.
+        menagerie: MuJoCo Menagerie model with the same files.
         on_demand: whether `assets fetch` without names skips the set, because no shipped rig or task uses it.
-        files: file name -> locked file.
     """
 
     name: Name
@@ -116,16 +113,14 @@ class AssetSet(_Frozen):
 
     @property
     def size(self) -> int:
-        """Total size of all files, bytes."""
+        """Total size, bytes."""
         return sum(file.size for file in self.files.values())
 
 
 class AssetLock(_Frozen):
-    """All asset sets, with the archives that contain them and their license texts.
+    """All asset sets, the archives that contain them, and file name -> license text.
 
-    Attributes:
-        notices: file name of a license text -> text.
-        made: set -> file -> content, for the meshes that `load_lock` generates.
+    `made` is set -> file -> content, for the meshes that `load_lock` generates.
     """
 
     version: Literal[1]
@@ -152,11 +147,7 @@ class AssetLock(_Frozen):
         return self
 
     def select(self, names: Iterable[str]) -> tuple[AssetSet, ...]:
-        """Return the named sets in the lock's order; without names, all sets that are not `on_demand`.
-
-        Raises:
-            UsageError: a name is not in the lock.
-        """
+        """Return the named sets in the lock's order; without names, all sets that are not `on_demand`."""
         wanted = set(names)
         for name in sorted(wanted):
             if name not in self.sets:
@@ -189,7 +180,7 @@ def _read_lock(locations: Locations) -> AssetLock:
         raise ConfigError(f"{path}: {where}: {first['msg']}, found {first['input']!r:.80}") from error
 
 
-_MADE_NOTICE = "made.txt"  # file name of the license text of generated meshes
+_MADE_NOTICE = "made.txt"  # license text of generated meshes
 
 
 def load_lock(locations: Locations) -> AssetLock:

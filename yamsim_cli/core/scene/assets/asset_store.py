@@ -1,8 +1,7 @@
-"""The asset store: a folder of meshes that are verified at each use.
+"""A folder of meshes that are verified at each use.
 
 Besides the sets of the lock, the store has user sets with the files of imported objects. The folder of a user set is
-named by a hash of its content, and an object's config names its set. A later import under the same name therefore does
-not change the meshes of a dataset.
+named by a hash of its content, so that a later import under the same name does not change the meshes of a dataset.
 """
 
 from __future__ import annotations
@@ -22,10 +21,10 @@ from ...errors import ResourceError
 from ...files.writing import exclusive_lock, publish_directory, sha256_bytes, sha256_file
 from .asset_lock import AssetSet, LockedFile
 
-USER_SET_INFO_FILE = "thing.json"  # file beside the meshes of a user set, with their hashes and origin
+USER_SET_INFO_FILE = "thing.json"  # beside the meshes of a user set, with their hashes and origin
 
-_NAME = re.compile(r"own-[A-Za-z][A-Za-z0-9_]*-[0-9a-f]{12}")  # name of a user set
-_FILE = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]*")  # file name without folders, in a user set
+_NAME = re.compile(r"own-[A-Za-z][A-Za-z0-9_]*-[0-9a-f]{12}")  # of a user set
+_FILE = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]*")  # file name in a user set
 
 
 class MismatchError(ResourceError):
@@ -42,7 +41,7 @@ class FileStatus(StrEnum):
 
 @dataclass(frozen=True)
 class FileState:
-    """The state of one locked file on the disk. For a missing file, `path` is its expected path."""
+    """The state of a locked file on the disk. For a missing file, `path` is its expected path."""
 
     name: str
     path: Path
@@ -57,7 +56,7 @@ def check_file(path: Path, locked: LockedFile) -> FileStatus:
         same = path.stat().st_size == locked.size and sha256_file(path) == locked.sha256
     except FileNotFoundError:  # deleted concurrently
         return FileStatus.MISSING
-    except OSError:  # a file that cannot be read cannot be verified
+    except OSError:  # an unreadable file cannot be verified
         return FileStatus.CHANGED
     return FileStatus.OK if same else FileStatus.CHANGED
 
@@ -77,7 +76,7 @@ class AssetStore:
 
     @property
     def failure_mark(self) -> Path:
-        """File whose modification time is that of the last failed `fetch_missing`."""
+        """Its modification time is that of the last failed `fetch_missing`."""
         return self.root / ".fetch-failed"
 
     def resolve(self, assets: AssetSet) -> Path | None:
@@ -101,8 +100,7 @@ class AssetStore:
     def write_lock(self) -> Iterator[Path]:
         """Lock the store for writing, and yield a scratch folder in it. Other processes wait for the lock.
 
-        Raises:
-            ResourceError: the store cannot be written, at the start or within the block.
+        If the store cannot be written, at the start or within the block, ResourceError is raised.
         """
         try:
             self.root.mkdir(parents=True, exist_ok=True)
@@ -123,9 +121,7 @@ class AssetStore:
     def publish(self, assets: AssetSet, files: Mapping[str, bytes], notice: str) -> Path:
         """Write a set's files and license text into the store in one step, and return the folder.
 
-        Raises:
-            MismatchError: a file is missing or differs from the locked file; nothing was published.
-            OSError: the disk failed; nothing was published.
+        After MismatchError (a missing or changed file) or OSError, nothing is published.
         """
         wrong = [name for name, file in assets.files.items() if sha256_bytes(files.get(name, b"")) != file.sha256]
         if wrong:
@@ -136,10 +132,7 @@ class AssetStore:
     def publish_folder(self, name: str, files: Mapping[str, bytes]) -> Path:
         """Write a folder of the store in one step, and return its path. Call within `write_lock`.
 
-        An existing folder of that name has failed verification and is removed.
-
-        Raises:
-            OSError: the disk failed; nothing was published.
+        An existing folder of that name has failed verification and is removed. After an OSError, nothing is published.
         """
         final = self.root / name
         if final.exists():
@@ -170,15 +163,9 @@ def _set_name(thing: str, hashes: Mapping[str, str]) -> str:
 
 
 def publish_user_set(store: AssetStore, thing: str, files: Mapping[str, bytes], about: Mapping[str, Any]) -> str:
-    """Write the files of an imported object into the store as a user set in one step, and return the set's name.
+    """Write an imported object's files into the store as a user set in one step, and return the set's name.
 
-    Args:
-        thing: name of the object.
-        files: file name -> content.
-        about: origin of the object, for humans: the source's name and hash, its unit, and the conversion.
-
-    Raises:
-        ResourceError: the store cannot be written.
+    `about` is the object's origin, for humans: the source's name and hash, its unit, and the conversion.
     """
     if wrong := [name for name in files if not _FILE.fullmatch(name) or name == USER_SET_INFO_FILE]:
         raise ValueError(f"no names for a set's files: {wrong}")

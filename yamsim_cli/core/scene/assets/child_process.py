@@ -1,5 +1,3 @@
-"""Running of another program with time limits and captured output; no process is left behind."""
-
 from __future__ import annotations
 
 import ctypes
@@ -15,14 +13,14 @@ from pathlib import Path
 
 from .sources import SourceError
 
-_POLL_S = 0.1  # s between two polls of the child process
+_POLL_S = 0.1  # between two polls of the child process
 _PR_SET_PDEATHSIG = 1  # option of prctl(2)
 _LIBC = ctypes.CDLL(None) if sys.platform == "linux" else None  # loaded early: a forked child must not take locks
 
 
 @dataclass(frozen=True)
 class ChildResult:
-    """The exit code of a program and its output."""
+    """The result of a program that has ended."""
 
     returncode: int
     stdout: str
@@ -43,17 +41,13 @@ def python_call(function: Callable[..., object], *arguments: str | int) -> list[
 def run_child(
     command: Sequence[str], scratch: Path, *, limit_s: float, idle_s: float, watch: Callable[[], int] | None = None
 ) -> ChildResult:
-    """Run a program to its end. At a time limit, kill the program and its children.
+    """Run a program to its end. At a time limit, kill it and its children, and raise SourceError.
 
     Args:
-        command: the program and its arguments. The program inherits the environment.
         scratch: folder for files with the program's output, so that no full pipe can block the program.
-        limit_s: longest total time, s.
-        idle_s: longest time without a change of `watch`, s. This limit ends dead downloads but not slow ones.
-        watch: returns a number that changes as the program progresses, such as bytes; called ten times a second.
-
-    Raises:
-        SourceError: the program cannot be started, or a time limit is reached.
+        limit_s: longest total time.
+        idle_s: longest time without a change of `watch`. This limit ends dead downloads but not slow ones.
+        watch: a number that changes as the program progresses, such as bytes; called ten times a second.
     """
     out, err = scratch / "stdout.txt", scratch / "stderr.txt"
     with out.open("wb") as stdout, err.open("wb") as stderr:
@@ -79,7 +73,7 @@ def run_child(
 
 
 def _end_with_parent(parent: int) -> None:
-    """In a new child process: let the kernel kill this process when its parent ends for any reason."""
+    """Let the kernel kill this new child process when its parent ends for any reason."""
     if _LIBC is not None:
         _LIBC.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
         if os.getppid() != parent:

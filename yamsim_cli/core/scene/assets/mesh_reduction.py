@@ -1,7 +1,7 @@
 """Reduced meshes with fewer faces for rendering, stored beside their source sets.
 
-Quadric collapse stalls on the slivers of CAD meshes, so the slivers are removed first. The remaining mesh is collapsed
-to the number of faces in the asset lock. A result that deviates too much from its source is not used.
+Quadric collapse stalls on the slivers of CAD meshes, so the slivers are removed first. A result that deviates too much
+from its source is not used.
 """
 
 from __future__ import annotations
@@ -23,33 +23,25 @@ from ...geometry.surface_distance import hausdorff_distance
 from .asset_lock import AssetSet, Reduction
 from .asset_store import AssetStore
 
-MAX_DEVIATION_MM = 0.5  # mm, largest Hausdorff distance between a reduced mesh and its source
-_SLIVERS_MM = 0.2  # mm, largest displacement by sliver removal for a mesh without a `Reduction` in the lock
+MAX_DEVIATION_MM = 0.5  # Hausdorff distance between a reduced mesh and its source
+_SLIVERS_MM = 0.2  # of sliver removal for a mesh without a `Reduction` in the lock
 _AGGRESSIVENESS = 6.0  # of the collapse, 0 to 10; below 5 the collapse stalls on CAD meshes, above 7 it tears them
-_SAMPLES = 1000  # sample points on each surface for the distance; the tests use twenty times as many
+_SAMPLES = 1000  # on each surface for the distance; the tests use twenty times as many
 _MM = 1000.0  # mm per metre; the STL files are in metres
 
-REPORT_FILE = "reduction.json"  # file beside reduced meshes with their hashes and numbers of faces
+REPORT_FILE = "reduction.json"  # beside reduced meshes, with their hashes and numbers of faces
 
 Surface = tuple[Array, Faces]
 
 
 def reduction_fingerprint() -> str:
-    """Return a text of all constants and library versions on which the result of a reduction depends.
-
-    Raises:
-        ImportError: a library for reduction is not installed.
-    """
+    """Return all constants and library versions on which a reduction depends, as text."""
     libraries = " ".join(f"{name} {version(name)}" for name in ("manifold3d", "fast-simplification"))
     return f"1 {_SLIVERS_MM} {_AGGRESSIVENESS} {MAX_DEVIATION_MM} {_SAMPLES} {libraries}"
 
 
 def reduce_stl(data: bytes, reduction: Reduction | None) -> bytes:
-    """Return a binary STL (m) with fewer faces that deviates from `data` by at most `MAX_DEVIATION_MM`, else `data`.
-
-    Raises:
-        ResourceError: `data` is not a binary STL.
-    """
+    """Return a binary STL (m) with fewer faces that deviates from `data` by at most `MAX_DEVIATION_MM`, else `data`."""
     vertices, triangles = read_stl(data)
     source = vertices * _MM, triangles
     attempts = [collapse_edges(source, reduction)] if reduction else []
@@ -76,7 +68,7 @@ def collapse_edges(source: Surface, reduction: Reduction) -> Surface:
 
 
 def _without_slits(vertices: Array, triangles: Faces) -> Faces:
-    """Return the triangles without those whose area is zero at the precision of an STL file (float32)."""
+    """Omit triangles whose area is zero at the precision of an STL file (float32)."""
     a, b, c = np.moveaxis(vertices.astype(np.float32).astype(np.float64)[triangles], 1, 0)
     return triangles[np.cross(b - a, c - a).any(axis=1)]
 
@@ -95,13 +87,13 @@ def remove_slivers(source: Surface, tolerance: float) -> Surface:
     return np.array(simple.vert_properties[:, :3], np.float64), np.array(simple.tri_verts, np.int32)
 
 
-# Arguments: number of finished files, number of all files.
+# Is called with the numbers of finished files and of all files.
 FilesDone = Callable[[int, int], None]
 
 
 @dataclass(frozen=True)
 class ReducedSet:
-    """The reduced meshes of a set: their folder, and their numbers of faces before and after the reduction."""
+    """The reduced meshes of a set, with their numbers of faces before and after."""
 
     directory: Path
     source_faces: int
@@ -109,11 +101,7 @@ class ReducedSet:
 
 
 def find_reduced(store: AssetStore, assets: AssetSet) -> ReducedSet | None:
-    """Find a set's reduced meshes and verify their SHA-256; None if missing, changed or made with other parameters.
-
-    Raises:
-        ResourceError: a library for reduction is not installed.
-    """
+    """Return a set's reduced meshes, verified by SHA-256; None if missing, changed or made with other parameters."""
     folder = store.root / _folder_name(assets)
     try:
         files = json.loads((folder / REPORT_FILE).read_bytes())["files"]
@@ -128,16 +116,10 @@ def find_reduced(store: AssetStore, assets: AssetSet) -> ReducedSet | None:
 def make_reduced(
     store: AssetStore, assets: AssetSet, source: Path, notice: str, progress: FilesDone = lambda done, total: None
 ) -> ReducedSet:
-    """Return a set's reduced meshes. If they are missing, create and publish them in one step.
+    """Return a set's reduced meshes. If they are missing, create and publish them with a license `notice`.
 
-    If two processes call this function at once, one creates the meshes and the other waits.
-
-    Args:
-        source: folder of the set's unreduced files, from `AssetStore.resolve`.
-        notice: licence text that is published with the meshes.
-
-    Raises:
-        ResourceError: a library is not installed, a mesh cannot be read, or the store cannot be written.
+    If two processes call this function at once, one creates the meshes and the other waits. `source` is the folder of
+    the unreduced files, from `AssetStore.resolve`.
     """
     if (there := find_reduced(store, assets)) is not None:
         return there
@@ -161,7 +143,6 @@ def make_reduced(
 def _reduce_all(
     assets: AssetSet, source: Path, progress: FilesDone
 ) -> tuple[dict[str, bytes], dict[str, dict[str, Any]]]:
-    """Return file name -> reduced mesh, and file name -> entry in the report."""
     files, report = {}, {}
     for number, (name, locked) in enumerate(assets.files.items(), start=1):
         data = (source / name).read_bytes()
@@ -188,7 +169,7 @@ def _reduced_set(folder: Path, files: dict[str, dict[str, Any]]) -> ReducedSet:
 
 
 def _folder_name(assets: AssetSet) -> str:
-    """Return the name of a set's folder of reduced meshes, with a hash of all parameters of the reduction."""
+    """The name has a hash of all parameters of the reduction."""
     try:
         how = [reduction_fingerprint()] + [
             f"{name} {locked.reduction}" for name, locked in sorted(assets.files.items())

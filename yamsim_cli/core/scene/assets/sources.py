@@ -1,5 +1,3 @@
-"""The interface of asset sources, which download or generate the mesh files of asset sets."""
-
 from __future__ import annotations
 
 from pathlib import Path
@@ -13,18 +11,18 @@ class SourceError(Exception):
 
 
 class FetchProgress(Protocol):
-    """A callback for the progress of a download in bytes; called in the thread that fetches."""
+    """Progress of a download, bytes; called in the thread that fetches."""
 
     def __call__(self, label: str, done_bytes: int, total_bytes: int, /) -> None:
-        """Show the progress. The callback must return quickly."""
+        """Must return quickly."""
 
 
 def no_progress(label: str, done_bytes: int, total_bytes: int) -> None:
-    """Do nothing: the callback for fetching without a progress display."""
+    """Show no progress."""
 
 
 class AssetSource(Protocol):
-    """A source of meshes. Sources are untrusted: the store verifies every byte."""
+    """A source that downloads or generates meshes. Sources are untrusted: the store verifies every byte."""
 
     @property
     def name(self) -> str:
@@ -34,11 +32,7 @@ class AssetSource(Protocol):
         """Return whether to try this source for the set, decided without I/O."""
 
     def read(self, assets: AssetSet, scratch: Path, progress: FetchProgress) -> dict[str, bytes]:
-        """Return file name -> content for the set's files.
+        """Return file name -> content for the set's files, or raise SourceError.
 
-        Args:
-            scratch: an empty folder, which is deleted afterwards. Its parent exists until all sets are read.
-
-        Raises:
-            SourceError: the source cannot provide the set.
+        `scratch` is empty, and deleted afterwards. Its parent exists until all sets are read.
         """

@@ -1,5 +1,3 @@
-"""Geoms of objects: visual meshes with materials, primitives, rings of boxes, convex hulls and distance fields."""
-
 from __future__ import annotations
 
 import math
@@ -32,14 +30,14 @@ from ..assets.asset_store import is_user_set
 # Asset set -> folder of its files, or the files themselves (name -> content); None if the set is not available.
 MeshFiles = Mapping[str, Path | Mapping[str, bytes] | None]
 
-SEEN_GROUP = 2  # geom group of visible geoms
-HIDDEN_GROUP = 3  # geom group of collision geoms with a visual mesh
+SEEN_GROUP = 2  # of visible geoms
+HIDDEN_GROUP = 3  # of collision geoms with a visual mesh
 _SDF_LEVELS = 6  # octree depth of a signed distance field
-_SOLMIX = 20.0  # `solmix`, weight of a geom with its own solref in contacts; other geoms have 1
+_SOLMIX = 20.0  # weight of a geom with its own solref in contacts; other geoms have 1
 
 
 def set_file(folder: Path | Mapping[str, bytes], name: str) -> bytes:
-    """Return the content of a file of an asset set; raise `ResourceError` if it cannot be read from the disk."""
+    """Return the content of a file of an asset set, or raise `ResourceError`."""
     return mesh_bytes(folder / name) if isinstance(folder, Path) else folder[name]
 
 
@@ -95,12 +93,11 @@ def add_collision(
 ) -> None:
     """Add one collision part of an object to a body: a primitive, a convex hull or a signed distance field.
 
+    A missing collision mesh raises ResourceError: no other shape would have the same physics.
+
     Args:
         files: name of the asset set with the mesh file, and the folders of all sets.
-        hidden: whether the geom is invisible, because a visual mesh is shown instead.
-
-    Raises:
-        ResourceError: the collision mesh is not available. No other shape would have the same physics.
+        hidden: whether a visual mesh is shown instead.
     """
     if not isinstance(part, HullPart | SdfPart):
         add_primitive(body, name, part, contact, material, hidden=hidden)
@@ -185,7 +182,6 @@ def add_visual_ring(spec: mujoco.MjSpec, body: Any, name: str, ring: Ring, mater
 
 
 def _ring_surface(ring: Ring) -> tuple[Array, NDArray[np.int32]]:
-    """Return the closed surface of a ring: vertices (4 n, 3), m, and triangles (8 n, 3)."""
     inner, outer = np.array(ring.inner), np.array(ring.outer)
     along = (outer - inner) / np.linalg.norm(outer - inner)
     down = ring.thickness * np.array([along[1], -along[0]])

@@ -1,5 +1,3 @@
-"""Joints of articulated objects (hinges, slides, screws, detents), and sites of handles."""
-
 from __future__ import annotations
 
 import math
@@ -13,15 +11,15 @@ from ...config.objects.articulation import Detent, Handle, Link, LinkJoint
 from ...geometry.se3 import Array, pose, quat_from_rotation, rotation_from_vector
 from .object_geoms import HIDDEN_GROUP
 
-_DETENT_RADIUS = 0.05  # m, radius of a hinge's detent; any radius gives the same torque
+_DETENT_RADIUS = 0.05  # m, of a hinge's detent; any radius gives the same torque
 _MAX_LENGTH = 10.0  # m, upper spring length; longer than any detent's spring becomes, so that the spring never pulls
 _DETENT_STEPS = 400  # joint positions at which a detent's force is computed
-_THREAD_SOLREF = (0.004, 1.0)  # solref of a thread: the stiffest one that a time step of 2 ms allows
-_FRICTION_SOLIMP = (0.99, 0.999, 0.001, 0.5, 2.0)  # of dry friction; with the default, joints creep by mm a second
+_THREAD_SOLREF = (0.004, 1.0)  # the stiffest one that a time step of 2 ms allows
+_FRICTION_SOLIMP = (0.99, 0.999, 0.001, 0.5, 2.0)  # with the default, joints creep by mm a second
 
 
 def joint_transform(joint: LinkJoint, value: float) -> Array:
-    """Return the pose (4, 4) of a part at joint position `value`, m or rad, in the part's frame at position 0."""
+    """Return a part's pose at joint position `value`, m or rad, in its frame at position 0."""
     axis = np.array(joint.axis) / np.linalg.norm(joint.axis)
     if not joint.is_revolute:
         return pose(value * axis)
@@ -32,7 +30,7 @@ def joint_transform(joint: LinkJoint, value: float) -> Array:
 
 
 def start_pose(link: Link) -> Array:
-    """Return the pose (4, 4) of a part in its parent at the joint's start position."""
+    """Return a part's pose in its parent at the joint's start position."""
     T: Array = link.T_in_parent @ joint_transform(link.joint, link.joint.to_si(link.joint.start))
     return T
 

@@ -1,5 +1,3 @@
-"""Objects in a scene: bodies with collision geoms, visual meshes, links and handles."""
-
 from __future__ import annotations
 
 from collections.abc import Sequence
@@ -25,12 +23,8 @@ _FIXED_ARMATURE, _FIXED_DAMPING = 1e4, 1e7
 def add_object(spec: mujoco.MjSpec, item: ObjectConfig, meshes: MeshFiles, *, fixed: bool = False) -> None:
     """Add an object as a free body of the same name with its links, or add a cloth.
 
-    Args:
-        meshes: asset set -> folder. Where visual meshes are not available, the collision primitives are visible.
-        fixed: whether to add a mocap body, which physics never moves, instead of a free body.
-
-    Raises:
-        ResourceError: a collision mesh is not available.
+    Where visual `meshes` (asset set -> folder) are missing, the collision primitives are visible. If `fixed`, the
+    object is a mocap body, which physics never moves.
     """
     if item.cloth is not None:
         assert not fixed, "distractors are stiff"

@@ -1,1 +1,1 @@
-"""Skills for cloth: grasps of single points of a cloth, and folding, flattening and sliding with them."""
+"""Skills for cloth: grasps of single points, and folding, flattening and sliding with them."""

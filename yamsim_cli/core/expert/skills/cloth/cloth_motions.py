@@ -1,5 +1,3 @@
-"""Motions of hands that grasp points of cloth, carry them to their targets on an arch, and release them."""
-
 from __future__ import annotations
 
 import itertools
@@ -18,22 +16,22 @@ from ..hand import Hand
 from ..planning_context import FingerTarget, MotionSegment, PlanningContext, SkillFailedError
 from .point_grasps import APPROACH, APPROACH_OPENING, TIP_CLEARANCE, PointGrasp, hands_clear
 
-SPEED = 0.12  # m/s, speed of a hand that carries cloth
-ARCH = 0.45  # height of the path of a fold, as a share of its length
+SPEED = 0.12  # m/s, of a hand that carries cloth
+ARCH = 0.45  # height of a fold's path, as a share of its length
 
-_FORCE = 20.0  # N, force of closed fingers on cloth
+_FORCE = 20.0  # N, of closed fingers on cloth
 
-# m, how much lower a hand grasps on each retry after a miss, in steps of `_DEPTH_STEP`
+# m, a hand grasps lower by a step on each retry after a miss
 _DEPTH_STEP = 0.002
 _DEPTHS = (_DEPTH_STEP, 2 * _DEPTH_STEP, 3 * _DEPTH_STEP, 4 * _DEPTH_STEP)
-_OPEN_TICKS = 4  # control ticks in which fingers open before a retry
+_OPEN_TICKS = 4  # control ticks
 
-_MAX_OPEN_OPENING = 2 * APPROACH_OPENING  # m, a finger commanded to `APPROACH_OPENING` is stuck if it is more open
-_MAX_CLOSED_OPENING = 0.006  # m, largest opening of a finger that counts as closed: more than cloth is thick
+_MAX_OPEN_OPENING = 2 * APPROACH_OPENING  # m, fingers that stay more open are stuck
+_MAX_CLOSED_OPENING = 0.006  # m, more than cloth is thick
 
-_RETREAT_DISTANCE = 0.04  # m, motion of a hand out from under the cloth that it placed
-_DROP_HEIGHT = 0.002  # m, height over the target at which a folded point is released
-_PULL_HEIGHT = 0.006  # m, height of a pull over the table: tips that rub on the table hold arms back by 2 to 4 cm
+_RETREAT_DISTANCE = 0.04  # m, of a hand out from under the cloth that it placed
+_DROP_HEIGHT = 0.002  # m over the target at which a folded point is released
+_PULL_HEIGHT = 0.006  # m over the table: tips that rub on the table hold arms back by 2 to 4 cm
 
 
 def predicted_points(
@@ -41,7 +39,7 @@ def predicted_points(
 ) -> Array:
     """Return a cloth's points (along y, along x, 3) in `world` after `carry_points` with the same arguments, m.
 
-    The points come from a simulation of the cloth without hands, in which the grasped points move on prescribed paths.
+    The simulation has no hands: the grasped points move on prescribed paths.
     """
     cloth, points = context.world.cloth_addresses(thing), context.world.cloth_points(thing)
     patches = []
@@ -57,14 +55,9 @@ def predicted_points(
 def carry_points(
     context: PlanningContext, thing: str, grasps: Sequence[PointGrasp], arch: float = ARCH, speed: float = SPEED
 ) -> Iterator[MotionSegment]:
-    """Grasp points of a cloth, carry them to their targets, and release them.
+    """Grasp points of a cloth, carry them to their targets at a speed (m/s), and release them.
 
-    Args:
-        arch: height of the path, as a share of its length.
-        speed: of the hands while they carry, m/s.
-
-    Raises:
-        SkillFailedError: a hand missed its point, or its fingers do not close.
+    `arch` is the height of the path, as a share of its length.
     """
     opened = {grasp.hand: FingerTarget(APPROACH_OPENING) for grasp in grasps}
     yield from _approach(context, grasps)
@@ -115,7 +108,7 @@ def _approach(context: PlanningContext, grasps: Sequence[PointGrasp]) -> Iterato
 
 
 def _check_fingers(context: PlanningContext, grasps: Sequence[PointGrasp]) -> None:
-    """Raise `SkillFailedError` if fingers are stuck open: they would also grasp cloth that stands up beside a point."""
+    """Fingers that are stuck open would also grasp cloth that stands up beside a point."""
     for grasp in grasps:
         if context.opening(grasp.hand) > _MAX_OPEN_OPENING:
             raise SkillFailedError(FailureCause.SLIPPED, f"the {grasp.hand.side} hand's fingers do not close")
@@ -161,7 +154,7 @@ def _close_with_retries(context: PlanningContext, thing: str, grasps: Sequence[P
 
 
 def _max_depth(points: Array, grasp: PointGrasp) -> float:
-    """Return the depth of a retry, m, at which the tips reach what is under the cloth (along y, along x, 3)."""
+    """Return the depth of a retry, m, at which the tips reach what is under the cloth."""
     hollow = float(points[grasp.placement.point][2] - points[..., 2].min()) if grasp.placement.single_layer else 0.0
     return hollow + TIP_CLEARANCE
 
@@ -177,7 +170,6 @@ def _fingers_closed(context: PlanningContext, hand: Hand) -> bool:
 
 
 def _retreat_path(context: PlanningContext, grasp: PointGrasp) -> Array:
-    """Return a motion (n + 1, dof) out from under the cloth, lateral or else forward; without motion if unreachable."""
     for direction in (grasp.lateral, grasp.forward):
         T = grasp.hand.pinch_pose(grasp.hand.joints)
         T[:2, 3] += _RETREAT_DISTANCE * direction
@@ -212,7 +204,6 @@ def _arches(
 
 
 def _arch(T_start: Array, T_end: Array, height: float, share: float) -> Array:
-    """Return the pose (4, 4) at a share, 0..1, of a path from one pose to another over an arch of a height in m."""
     path, across = T_end[:3, 3] - T_start[:3, 3], (1 - math.cos(math.pi * share)) / 2
     up = path[2] * share + height * math.sin(math.pi * share)
     R = interpolate_rotation(T_start[:3, :3], T_end[:3, :3], across)

@@ -1,5 +1,3 @@
-"""A skill that flattens crumpled cloth by pulls at the border."""
-
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
@@ -28,17 +26,17 @@ from .cloth_motions import carry_points, predicted_points
 from .point_grasps import PointGrasp, PointPlacement, reachable_grasps, target_at_place
 
 FLAT_LAYERS = 3.5  # layer thicknesses, largest height of flat cloth
-FLAT_DISPLACEMENT = 0.06  # share of the cloth's side, largest distance of a point from its place in flat cloth
+FLAT_DISPLACEMENT = 0.06  # share of the cloth's side, of a point from its flat place
 
-_MAX_PULLS = 6  # pulls in one flattening
-_PULL_SPEED = 0.15  # m/s, speed of a hand that pulls cloth
+_MAX_PULLS = 6
+_PULL_SPEED = 0.15  # m/s
 _MIN_IMPROVEMENT = 0.04  # share by which a pull must reduce the unevenness
 
 _RETRY_SCALE = 3.0  # factor of pull lengths, height limits and the least improvement, once no ordinary pull helps
 
-_PATH_SHARES = (1.0, 0.7, 0.45)  # shares of a pull's path, in the order tried, if hands do not reach all of it
+_PATH_SHARES = (1.0, 0.7, 0.45)  # of a pull, in the order tried, if hands do not reach all of it
 
-# Layer thicknesses: largest horizontal distances of points at a pulled point's target, and of points that follow it.
+# layer thicknesses: horizontal distances of points at a pulled point's target, and of points that follow it
 _TARGET_LAYERS, _FOLLOWING_LAYERS = 4, 6
 
 _MISSED_RADIUS = 0.02  # m, around a missed point, within which no further grasp is tried
@@ -46,19 +44,13 @@ _MISSED_RADIUS = 0.02  # m, around a missed point, within which no further grasp
 
 @dataclass(frozen=True, eq=False)
 class _PlannedPull:
-    """A reachable pull, with its grasps and the predicted unevenness after it."""
-
     grasps: list[PointGrasp]
     pull: ClothPull
     predicted_unevenness: float
 
 
 class Flatten(Skill):
-    """Flatten cloth by pulls at its border; each pull is the one with the flattest simulated result.
-
-    Attributes:
-        thing: a role that cloth plays.
-    """
+    """Flatten cloth by pulls at its border, each with the flattest simulated result."""
 
     ROLES: ClassVar[tuple[str, ...]] = ("thing",)
     NEEDS_HELD: ClassVar[bool | None] = False
@@ -68,7 +60,7 @@ class Flatten(Skill):
     def run(
         self, context: PlanningContext, roles: RoleAssignment, next_skills: Sequence[Skill]
     ) -> Iterator[MotionSegment]:
-        """Yield pulls until the cloth lies flat; see `Skill.run`."""
+        """See `Skill.run`."""
         thing = roles.object_of(self.thing)
         yield from flatten_cloth(context, thing)
         if not _is_flat(context, thing, FLAT_LAYERS, FLAT_DISPLACEMENT):
@@ -85,14 +77,10 @@ def flatten_cloth(
     displacement: float = FLAT_DISPLACEMENT,
     max_pulls: int = _MAX_PULLS,
 ) -> Iterator[MotionSegment]:
-    """Pull a cloth until it lies flat, no pull makes it flatter, or `max_pulls` pulls have been made.
+    """Pull a cloth until it lies flat or no pull makes it flatter.
 
-    Args:
-        layers: the largest height of flat cloth, in layer thicknesses.
-        displacement: the largest distance of a point from its place in flat cloth, as a share of the side.
-
-    Raises:
-        SkillFailedError: hands missed the points of the last pull.
+    Flat cloth has at most a height of `layers` thicknesses, and points within `displacement`, a share of the side, of
+    their places.
     """
     cloth, missed = context.world.cloth_addresses(thing), list[Array]()
     miss: SkillFailedError | None = None
@@ -141,9 +129,7 @@ def _best_pull(
 ) -> _PlannedPull | None:
     """Return the pull with the flattest simulated result; None if no pull makes the cloth flatter.
 
-    Args:
-        missed: positions (3,) of missed points, near which no pull is tried.
-        scale: factor on pull lengths, height limits and the least improvement.
+    No pull is tried near `missed` points. `scale` is a factor on pull lengths, height limits and the least improvement.
     """
     cloth, points = context.world.cloth_addresses(thing), context.world.cloth_points(thing)
     thickness = cloth.thickness
@@ -172,7 +158,6 @@ def _best_pull(
 
 
 def _point_placements(points: Array, pull: ClothPull, share: float, thickness: float) -> list[PointPlacement]:
-    """Return the points of a pull, each with the target at a share of its path."""
     placements = []
     for point, to in zip(pull.points, pull.targets, strict=True):
         place = _on_cloth(points, point, points[point][:2] + share * (to - points[point][:2]), thickness)
@@ -181,7 +166,7 @@ def _point_placements(points: Array, pull: ClothPull, share: float, thickness: f
 
 
 def _on_cloth(points: Array, point: Point, to: Array, thickness: float) -> Array:
-    """Return the position (3,) of a point moved to `to` (2,): on the cloth that lies at `to`, or on the table."""
+    """Return the position of a point moved to `to` (2,): on the cloth that lies there, or on the table."""
     flat, place = points.reshape(-1, 3), points[point]
     there = np.linalg.norm(flat[:, :2] - to, axis=1) < _TARGET_LAYERS * thickness
     follows = np.linalg.norm(flat[:, :2] - place[:2], axis=1) < _FOLLOWING_LAYERS * thickness

@@ -1,5 +1,3 @@
-"""A skill that folds cloth by moving corners onto other points."""
-
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
@@ -18,7 +16,7 @@ from ..skill import Skill
 from .cloth_motions import SPEED, carry_points
 from .point_grasps import PointGrasp, PointPlacement, reachable_grasps, target_on_point
 
-_LAYERED_SPEED = 0.08  # m/s, speed of hands in folds after the first: several layers come apart at a higher speed
+_LAYERED_SPEED = 0.08  # m/s, in folds after the first: several layers come apart at a higher speed
 _MAX_CORNER_ERROR = 0.02  # m, horizontal distance from its target below which a corner is already placed
 
 
@@ -26,10 +24,6 @@ class Fold(Skill):
     """Fold flat cloth: in half or in thirds with two hands, or along a diagonal with one hand.
 
     A partly folded cloth is folded further.
-
-    Attributes:
-        thing: a role that cloth plays.
-        how: `half`, `thirds` or `diagonal`.
     """
 
     ROLES: ClassVar[tuple[str, ...]] = ("thing",)
@@ -40,7 +34,7 @@ class Fold(Skill):
 
     @property
     def hand_count(self) -> int:
-        """The number of hands that the fold needs."""
+        """Hands that the fold needs."""
         return 1 if self.how == "diagonal" else 2
 
     @property
@@ -51,7 +45,7 @@ class Fold(Skill):
     def run(
         self, context: PlanningContext, roles: RoleAssignment, next_skills: Sequence[Skill]
     ) -> Iterator[MotionSegment]:
-        """Yield the motions of the folds that are not yet made; see `Skill.run`."""
+        """Make the folds that are not yet made; see `Skill.run`."""
         thing = roles.object_of(self.thing)
         rows, columns = context.world.cloth_points(thing).shape[:2]
         plans = [plan.moves for plan in fold_plans(self.how, rows, columns)]

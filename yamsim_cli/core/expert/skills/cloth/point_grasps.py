@@ -1,5 +1,3 @@
-"""Grasps of single points of cloth: which hands reach a point and its target, and at which poses."""
-
 from __future__ import annotations
 
 import itertools
@@ -14,36 +12,30 @@ from yamsim_cli.core.geometry.se3 import Array, pose, rotation_from_vector, rota
 from ..hand import WAYPOINT_TOLERANCE, Hand
 from ..planning_context import PlanningContext
 
-APPROACH_OPENING = 0.012  # m, of each finger, before fingers close on cloth
+APPROACH_OPENING = 0.012  # m, of each finger, before it closes on cloth
 TIP_CLEARANCE = 0.001  # m, of tips over a grasped point: tips press on the cloth, and do not touch what is under it
-APPROACH = 0.08  # m, length of a hand's straight approach to the grasp
+APPROACH = 0.08  # m, length of a hand's straight approach
 
-_HALF_PAD, _HALF_WIDTH = 0.0082, 0.0072  # m, half the length of a pad, which ends at the tip, and half its width
-_INSET = 0.007  # m, offset of a grasp from its point towards the middle of the cloth, so that both pads meet cloth
+_HALF_PAD, _HALF_WIDTH = 0.0082, 0.0072  # m, half the length and half the width of a pad, which ends at the tip
+_INSET = 0.007  # m, of a grasp from its point towards the middle of the cloth, so that both pads meet cloth
 
 # Cloth that stands up between the two squares below ends up on a finger.
 _HALF_HAND_SIZE = 0.024  # m, half the side of the square that an open hand needs around its middle
 _HALF_GAP_SIZE = (0.009, 0.011)  # m, half the sides of the gap between open fingers, which cloth may fill
-_MAX_STANDING_HEIGHT = 0.03  # m, largest height of cloth beside the fingers over their tips
+_MAX_STANDING_HEIGHT = 0.03  # m, over the tips, of cloth beside the fingers
 
 _NEIGHBOURS = 2  # cells; neighbours this near to a point of an upper layer give the direction to the layer's middle
 _OVERLAP_DISTANCE = 0.012  # m, horizontal distance below which points lie on each other
-_NEAR_HEIGHT = 0.03  # m, height over the grasp at which contacts of the hand are checked
-_TILTS = tuple(math.radians(angle) for angle in (0, 15, 30, 45))  # rad, tilts of a hand to its arm, in the order tried
+_NEAR_HEIGHT = 0.03  # m over the grasp at which contacts of the hand are checked
+_TILTS = tuple(math.radians(angle) for angle in (0, 15, 30, 45))  # rad, of a hand to its arm, in the order tried
 
-#: Returns the target (3,) of a point in `world`, m, given the cloth's points (along y, along x, 3) at the grasp.
+# Target (3,) of a point in `world`, m, given the cloth's points (along y, along x, 3) at the grasp.
 Target = Callable[[Array], Array]
 
 
 @dataclass(frozen=True, eq=False)
 class PointPlacement:
-    """A point of cloth to grasp, and its target.
-
-    Attributes:
-        point: row and column of the point.
-        target: returns the position (3,) in `world` to which the point is carried.
-        single_layer: whether the point is grasped without the layers below it.
-    """
+    """A point of cloth to grasp, by row and column, and its target; if `single_layer`, without the layers below it."""
 
     point: tuple[int, int]
     target: Target
@@ -55,11 +47,9 @@ class PointGrasp:
     """A hand's grasp of a point of cloth.
 
     Attributes:
-        placement: the point and its target.
-        T_grasp: pose (4, 4) of the pinch frame at the point.
-        R_end: rotation (3, 3) of the pinch frame at the target.
-        approach_joints: joints (dof,) before the approach, rad.
-        end_joints: joints (dof,) over the target, rad.
+        T_grasp: pose of the pinch frame at the point.
+        R_end: rotation of the pinch frame at the target.
+        approach_joints, end_joints: joints (dof,) before the approach, and over the target, rad.
         forward: horizontal direction (2,) of the motion.
         lateral: direction (2,) out from under the cloth, across the motion, or outwards for a point grasped alone.
     """
@@ -89,8 +79,7 @@ def reachable_grasps(
 ) -> list[PointGrasp] | None:
     """Return grasps of a cloth's points by free hands, one for each point; None if a point or target is out of reach.
 
-    Args:
-        points: the cloth's points (along y, along x, 3) in `world`, m; the present ones by default.
+    `points` (along y, along x, 3) are in `world`, m; the present ones by default.
     """
     points = context.world.cloth_points(thing) if points is None else points
     free = context.free_hands("any")
@@ -111,7 +100,7 @@ def reachable_grasps(
 
 
 def _point_grasp(context: PlanningContext, hand: Hand, points: Array, placement: PointPlacement) -> PointGrasp | None:
-    """Return a hand's grasp with the least tilt that reaches both the point and its target; None without one."""
+    """Return a hand's grasp with the least tilt that reaches the point and its target."""
     place = points[placement.point]
     path = placement.target(points) - place
     middle = place[:2] + path[:2] / 2
@@ -173,7 +162,6 @@ def _direction_to_middle(place: Array, others: Array) -> Array:
 
 
 def _neighbours(points: Array, point: tuple[int, int]) -> Array:
-    """Return the points (n, 3) of a cloth up to `_NEIGHBOURS` cells from a point in the grid."""
     row, column = point
     near = points[
         max(0, row - _NEIGHBOURS) : row + _NEIGHBOURS + 1, max(0, column - _NEIGHBOURS) : column + _NEIGHBOURS + 1
@@ -182,7 +170,6 @@ def _neighbours(points: Array, point: tuple[int, int]) -> Array:
 
 
 def _hands_stay_clear(context: PlanningContext, grasps: Sequence[PointGrasp]) -> bool:
-    """Return whether two hands do not touch each other, both before the approach and over their targets."""
     if len(grasps) < 2:
         return True
     ends = [
@@ -193,7 +180,7 @@ def _hands_stay_clear(context: PlanningContext, grasps: Sequence[PointGrasp]) ->
 
 
 def hands_clear(context: PlanningContext, one: tuple[Hand, Array], other: tuple[Hand, Array]) -> bool:
-    """Return whether hands at joints (dof,) do not touch each other, with fingers open for an approach or wider."""
+    """Return whether hands at joints (dof,) do not touch each other, with fingers at least open for an approach."""
     (hand, joints), (other_hand, other_joints) = one, other
     there = context.qpos_with_hand(hand, joints, max(APPROACH_OPENING, hand.opening), None)
     return (

@@ -1,5 +1,3 @@
-"""Grasps with which two hands slide a flat cloth to another place."""
-
 from __future__ import annotations
 
 import itertools
@@ -12,13 +10,13 @@ from ..planning_context import PlanningContext
 from .cloth_motions import predicted_points
 from .point_grasps import PointGrasp, PointPlacement, reachable_grasps, target_at_place
 
-SLIDE_SPEED = 0.2  # m/s, speed of hands that slide cloth
+SLIDE_SPEED = 0.2  # m/s
 
-# m, slides towards the arms, in the order tried: a cloth that is pulled by its nearer side follows straight.
+# m, slides towards the arms, in the order tried: a cloth that is pulled by its nearer side follows straight
 _SLIDE_LENGTHS = (0.1, 0.15, 0.05, 0.0, -0.05)
 
-_MAX_HEIGHT_RANGE = 0.02  # m, largest height of the highest point over the lowest after a slide
-_MAX_TRIALS = 8  # slides that are simulated; each simulation takes long
+_MAX_HEIGHT_RANGE = 0.02  # m, after a slide
+_MAX_TRIALS = 8  # slides that are simulated; each takes long
 
 
 def slide_grasps(
@@ -26,9 +24,7 @@ def slide_grasps(
 ) -> list[PointGrasp] | None:
     """Return grasps with which two hands slide a flat cloth to where `wanted` is true; None if no slide achieves that.
 
-    Args:
-        turns: angles by which the cloth may be turned, rad.
-        wanted: whether the cloth is in place, given its points (along y, along x, 3) in `world`, m.
+    The cloth may be turned by `turns`, rad. `wanted` gets its points (along y, along x, 3) in `world`, m.
     """
     points, trials = context.world.cloth_points(thing), 0
     rows, columns = points.shape[:2]
@@ -51,7 +47,6 @@ def slide_grasps(
 
 
 def _candidate_slides(points: Array, turns: Sequence[float]) -> list[Array]:
-    """Return the cloth's points (along y, along x, 3) after each slide, in the order tried, m."""
     middle = points.reshape(-1, 3).mean(axis=0)
     slides = []
     for nearer, turn in itertools.product(_SLIDE_LENGTHS, turns):
