@@ -241,11 +241,7 @@ def _disk(out: Path) -> Iterator[HealthCheck]:
 
 
 def _write_episodes(place: Path) -> float:
-    """Write a few dummy episodes as `record` does, and return the duration of the slowest, s. Delete the episodes.
-
-    Raises:
-        OSError: the disk refused a file.
-    """
+    """Write a few dummy episodes as `record` does, delete them, and return the duration of the slowest, s."""
     files = {f"rgb/scene_camera/{k:06d}.jpg": bytes(_IMAGE_BYTES) for k in range(_FRAMES)}
     files |= {f"lowdim/{k:06d}.pkl": bytes(_LOWDIM_BYTES) for k in range(_FRAMES)}
     worst = 0.0

@@ -62,9 +62,6 @@ def find_backend(environ: Mapping[str, str], platform: str = sys.platform) -> Gl
 
     Args:
         environ: environment variables of the process. If the user has set `MUJOCO_GL`, no other backend is tried.
-
-    Raises:
-        ResourceError: no backend works. The message has the reason for each backend, and the packages to install.
     """
     wanted = environ.get("MUJOCO_GL")
     if platform != "linux" and not wanted:

@@ -117,7 +117,7 @@ class PickPlaceEnv(gymnasium.Env[dict[str, NDArray[Any]], NDArray[np.float32]]):
         return {f"{role}_pose_world": item for role, item in self._roles().items()}
 
     def _parts(self) -> dict[str, tuple[str, int]]:
-        """Return observation key -> name of the object whose joints it has, and the maximum number of joints."""
+        """Return observation key -> object whose joints it has, and the maximum number of joints."""
         task = self._config.task
         roles = task.typical_roles
         most = {role: max(len(item.links) for item in one.of) for role, one in task.things.items()}

@@ -10,12 +10,7 @@ _PREFIX = "kitchenbench/"
 
 
 def resolve_scene_task(name: str) -> str | dict[str, Any]:
-    """Return the config of a task that is a KitchenBench scene. Return any other name unchanged.
-
-    Raises:
-        UsageError: KitchenBench has no such scene, or the scene cannot be recorded.
-        ResourceError: KitchenBench is not installed.
-    """
+    """Return the config of a task that is a KitchenBench scene. Return any other name unchanged."""
     if not name.startswith(_PREFIX):
         return name
     try:

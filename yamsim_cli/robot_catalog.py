@@ -150,12 +150,7 @@ def robot_entries(locations: Locations) -> tuple[dict[str, Any], ...]:
 
 
 def robot_entry(name: str, locations: Locations) -> dict[str, Any]:
-    """Return the dictionary of an arm, gripper or station. The name of a family of arms gives its newest version.
-
-    Raises:
-        UsageError: no entry has that name.
-        ConfigError: the file of the entry is not valid.
-    """
+    """Return the dictionary of an arm, gripper or station. The name of a family of arms gives its newest version."""
     items = robot_entries(locations)
     for item in items:
         if name == item["name"] or (item.get("newest") and name == item["family"]):
@@ -169,7 +164,7 @@ def robot_entry(name: str, locations: Locations) -> dict[str, Any]:
 def _loaded_arms(
     locations: Locations, faults: Mapping[str, ConfigError]
 ) -> tuple[dict[str, ArmModel], dict[str, ConfigError]]:
-    """Load all arms. Return name -> arm, and name -> error of each invalid arm, including the given `faults`."""
+    """Return name -> arm, and name -> error of each invalid arm, including the given `faults`."""
     loaded, broken = dict[str, ArmModel](), dict(faults)
     for name in locations.config_names(ARMS):
         try:
@@ -254,10 +249,6 @@ def check_robot(name: str, locations: Locations) -> list[dict[str, Any]]:
     Returns:
         For each gripper: `gripper`, `ok` (None if the pair makes no rig, for example without a wrist camera), `sag_rad`
         (largest deviation of a joint from home), `detail`.
-
-    Raises:
-        ConfigError: a file is not valid, or no gripper fits.
-        UsageError: no arm has that name.
     """
     arm = load_config(ArmModel, ARMS, name, locations)
     grippers = robot_entry(arm.name, locations)["goes_with"]

@@ -93,10 +93,6 @@ class SessionOpener:
             parallel: whether several processes render.
             resumes: the dataset that the session resumes. Mesh sets that it shows as primitives stay primitives.
             given: values of settings by name, such as `seed=1`.
-
-        Raises:
-            ConfigError, UsageError: a value is not valid.
-            ResourceError: no OpenGL backend works.
         """
         from .core.episode.sampling import require_start
 
@@ -134,9 +130,6 @@ class SessionOpener:
             check: called last with the config; raises a `ConflictError` if settings contradict each other.
             given: values of settings by name; None for settings that are not given. `randomize` keeps the ranges of the
                 config or of `randomization`.
-
-        Raises:
-            ConfigError, UsageError: a value is not valid.
         """
         from .core.config.loader import load_config
         from .core.config.recording import RecordConfig
@@ -184,7 +177,7 @@ class SessionOpener:
         return load_config(RecordConfig, "record", name, locations, overrides, check_all)
 
     def _within(self, task: ProgramTask, setting: str) -> KeyPath:
-        """Return the key path of a setting within the task. Raise UsageError if the task has no such key."""
+        """Return the key path of a setting within the task, which must have this key."""
         from .core.files.documents.config_base import ConflictError
 
         if setting == "threshold":
@@ -334,7 +327,7 @@ class SessionOpener:
         return found
 
     def _wants_primitives(self, locations: Locations) -> bool:
-        """Return whether missing meshes are not fetched: offline, or YAMSIM_ASSETS is an empty folder or a file."""
+        """Whether missing meshes are not fetched: offline, or YAMSIM_ASSETS is an empty folder or a file."""
         if self.environ.get(_OFFLINE, "0") not in ("", "0"):
             return True
         if not self.environ.get("YAMSIM_ASSETS") or not locations.assets.exists():
@@ -342,7 +335,7 @@ class SessionOpener:
         return not locations.assets.is_dir() or not any(locations.assets.iterdir())
 
     def _reduced(self, lock: AssetLock, store: AssetStore, name: str, folder: Path) -> Path:
-        """Return the folder of the simplified meshes of a set. Make them if missing; on failure, return `folder`."""
+        """Return the folder of a set's simplified meshes. Make them if missing; on failure, return `folder`."""
         from .core.scene.assets import find_reduced, make_reduced
 
         assets = lock.sets[name]

@@ -83,11 +83,7 @@ class StationForm:
 
     @classmethod
     def from_settings(cls, settings: StationSettings) -> StationForm:
-        """Return the form of a station with these settings. Only configs are read, and no scene is built.
-
-        Raises:
-            ConfigError, UsageError: a setting is not valid.
-        """
+        """Return the form of a station with these settings. Only configs are read, and no scene is built."""
         opener = settings.opener
         return cls.of_config(opener.config(settings.config, opener.locations(), **settings.given))
 

@@ -168,11 +168,7 @@ def evaluate(
 
 
 def _read_reports(names: list[str], session: Session) -> dict[str, dict[str, Any]]:
-    """Read the names that end in .json as reports of earlier evaluations. Return file name -> report.
-
-    Raises:
-        UsageError: a file is not a report, or its trials had other settings than those of this session.
-    """
+    """Read the names that end in .json as reports of earlier evaluations, which must have this session's trials."""
     from yamsim_cli.core.episode.trials import describe_run
     from yamsim_cli.policies.evaluate.compare import read_report, require_same_trials
 
@@ -183,7 +179,6 @@ def _read_reports(names: list[str], session: Session) -> dict[str, dict[str, Any
 
 
 def _evaluate(session: Session, choice: PolicyChoice, trial_timeout: float) -> tuple[Evaluation, dict[str, Any]]:
-    """Run a policy's trials with a progress bar; return the evaluation, and its report as JSON data."""
     from yamsim_cli.core.statistics import THRESHOLDS
     from yamsim_cli.policies.evaluate import evaluation
 

@@ -103,7 +103,6 @@ def raiden(
 def _simulated_raiden(
     dataset: Path, out: Path, options: RaidenOptions, workers: int, episodes: str | None, overwrite: bool
 ) -> ExportResult:
-    """Export simulated episodes in raiden's layout. `options` decide whether images are rendered again."""
     where = opener.locations()
     if options.renders:
         where = _with_renderer(where)
@@ -229,7 +228,7 @@ def rerun(dataset: Dataset, out: Out, episodes: Episodes = None, overwrite: Rena
 
 
 def _rate(text: str) -> float | None:
-    """Return the value of --fps in frames a second; None for `source`, which keeps the recorded frames."""
+    """Return --fps in frames a second; None for `source`, which keeps the recorded frames."""
     if text == "source":
         return None
     try:

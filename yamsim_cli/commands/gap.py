@@ -119,7 +119,7 @@ def gap(
 def _read(
     recordings: Sequence[Path], rig: RigConfig, locations: Locations, mapping: str | None
 ) -> tuple[list[RecordedMotion], list[dict[str, Any]]]:
-    """Read the recorded motions; return them, and their faults as JSON data. The faults are also printed to stderr."""
+    """Return the recorded motions, and their faults as JSON data. The faults are also printed to stderr."""
     from yamsim_cli.real.recordings.motion_faults import find_faults, require_units
     from yamsim_cli.real.recordings.motion_reading import read_motions
 
@@ -143,7 +143,7 @@ def _rig(
     recording: Path,
     locations: Locations,
 ) -> RigConfig:
-    """Return the rig with a name. Without a name, return the rig of the recording's dataset, else the rig `single`."""
+    """Return the named rig. Without a name, return the rig of the recording's dataset, else the rig `single`."""
     from yamsim_cli.core.dataset.dataset_paths import CONFIG
     from yamsim_cli.core.dataset.imported_records import is_real, real_config
     from yamsim_cli.core.dataset.reader import dataset_config
@@ -179,7 +179,7 @@ def _gaps(
 def _photos(
     gaps: Sequence[MotionGap], rig: RigConfig, request: PhotoRequest, surroundings: SceneConfig, locations: Locations
 ) -> tuple[dict[str, Any], list[CaptionedJpeg]]:
-    """Compare photos of the recordings; return the figures as JSON data, and pictures for the page."""
+    """Return figures as JSON data, and pictures for the page."""
     from yamsim_cli.core.config.loader import load_config
     from yamsim_cli.core.config.rendering import RenderConfig
     from yamsim_cli.core.scene.compose import rig_mesh_sets

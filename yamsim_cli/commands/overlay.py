@@ -139,7 +139,7 @@ def overlay(
 def _rig(
     name: str | None, revision: str | None, recordings: Sequence[Path], margin: float | None, locations: Locations
 ) -> RigConfig:
-    """Return the rig with a name. Without a name, return the rig of the recordings' dataset, else the rig `single`."""
+    """Return the named rig. Without a name, return the rig of the recordings' dataset, else the rig `single`."""
     from yamsim_cli.core.dataset.dataset_paths import CONFIG
     from yamsim_cli.core.dataset.reader import recorded_rig
 

@@ -164,9 +164,8 @@ def _session(stored: StoredEpisode, locations: Locations) -> Session:
 
 
 def _physics(stored: StoredEpisode, locations: Locations) -> dict[str, Any]:
-    """Simulate the recorded actions again; return the largest error of the states and the first difference.
-
-    Both are None if the actions cannot be simulated again; the first difference is also None if nothing differs.
+    """Return the largest error and first difference of states after the recorded actions. None: no simulation, or no
+    difference.
     """
     from yamsim_cli.datasets.verify import reproduce_episode
 

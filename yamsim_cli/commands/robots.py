@@ -112,7 +112,6 @@ def _check_table(found: Sequence[Mapping[str, Any]]) -> ItemTable:
 
 
 def _locations(data: Path | None) -> Locations:
-    """Return the folders of configs and models; the folder of --data, if given, is searched first."""
     where = opener.locations()
     return where if data is None else replace(where, data=(data, *where.data))
 

@@ -220,5 +220,4 @@ def can_run(
 
 
 def _bus_folder(given: Path | None) -> Path:
-    """Return the folder of the CAN buses' Unix sockets: the given folder, or the user's default."""
     return default_folder(os.environ) if given is None else given

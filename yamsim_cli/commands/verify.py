@@ -130,7 +130,7 @@ def _verdict(report: dict[str, Any]) -> str:
 
 
 def _hint(report: dict[str, Any]) -> str:
-    """Return advice to set a tolerance if rounding alone can explain the differences, else an empty string."""
+    """Advise a tolerance if rounding alone can explain the differences."""
     unequal = any(divergence["difference"] is None for divergence in report["divergences"])
     if unequal or report["problems"] or not report["tolerance"] < report["max_error"] <= _MAX_ROUNDING:
         return ""

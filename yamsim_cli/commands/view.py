@@ -84,7 +84,6 @@ def view(
 
 
 def _can_render(locations: Locations) -> bool:
-    """Choose an OpenGL backend, and return whether one is available."""
     try:
         opener.use_gl(locations)
     except ResourceError:

@@ -1,4 +1,4 @@
-"""Combine the check results of a dataset, and compute its summary figures without simulation."""
+"""Combine the check results of a dataset, and compute its summary figures."""
 
 from __future__ import annotations
 
@@ -22,13 +22,11 @@ CELL_M = 0.05  # m, largest cell width for workspace coverage: about the width o
 
 @dataclass(frozen=True)
 class CheckResults:
-    """The result of checking a dataset.
+    """Result of checking a dataset.
 
     Attributes:
-        path: the dataset directory.
-        episodes: facts about the episodes, in order.
-        attempts: the readable attempts of the ledger.
-        problems: faults of the dataset, followed by the faults of its episodes in order.
+        attempts: readable attempts of the ledger.
+        problems: faults of the dataset, then those of its episodes in order.
     """
 
     path: Path
@@ -44,7 +42,6 @@ def combine_checks(
     """Check a dataset as a whole, and combine the results with those of its episodes.
 
     Args:
-        episodes: check result of each episode, in order.
         problems: faults that were found before the episode checks.
     """
     attempts = read_ledger(dataset, problems) if context.recorded else []
@@ -55,7 +52,7 @@ def combine_checks(
 
 
 def summarize(results: CheckResults, thresholds: Sequence[float]) -> dict[str, Any]:
-    """Return counts, success rates and distributions of a dataset, JSON-ready; see docs/checking.md.
+    """Return counts, success rates and distributions of a dataset as JSON data; see docs/checking.md.
 
     Args:
         thresholds: success distances from the target, m; ignored for real recordings and for tasks with a goal.
@@ -97,9 +94,8 @@ def summarize(results: CheckResults, thresholds: Sequence[float]) -> dict[str, A
 
 
 def is_within_threshold(episode: EpisodeFacts, threshold: float, results: CheckResults) -> bool:
-    """Return whether an episode's object ended on its target, within `threshold` m of the target's centre.
-
-    If a goal decides success, return whether the goal was reached.
+    """Whether the goal was reached; without a goal, whether the object ended on its target within `threshold` m of its
+    centre.
     """
     if episode.outcome is None or results.context.judged_by_goal:
         return episode.outcome is not None and episode.outcome.success

@@ -32,12 +32,12 @@ class Difference:
 
 @dataclass
 class EpisodeComparison:
-    """The result of comparing two episodes.
+    """Result of comparing two episodes.
 
     Attributes:
-        largest: quantity -> largest difference. The difference is divided by the stored magnitude if that exceeds 1.
-            It is absolute for small values (rad, m) and relative for large values, such as a focal length in px.
-        first_difference: the first difference beyond the tolerance. If a frame has several, the largest one.
+        largest: quantity -> largest difference: absolute up to a stored value of 1 (rad, m), relative above, such as
+            for a focal length in px.
+        first_difference: first difference beyond the tolerance. If a frame has several, the largest one.
     """
 
     largest: dict[str, float] = field(default_factory=dict)
@@ -55,7 +55,6 @@ def compare_frames(
     """Compare the low-dimensional data of two episodes, frame by frame and value by value.
 
     Args:
-        stored, made: frames of the stored and of the reproduced episode.
         tolerance: largest accepted difference of numbers, see `EpisodeComparison.largest`. Other values must be equal.
     """
     result = EpisodeComparison()

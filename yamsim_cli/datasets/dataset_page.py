@@ -1,4 +1,4 @@
-"""Report on a dataset as one self-contained HTML page, for a browser, a wiki or a printer."""
+"""Report on a dataset as one self-contained HTML page."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ _SPREAD_LABELS = {"median": "median", "p95": "95 %", "max": "largest"}
 
 @dataclass(frozen=True)
 class FrameStrip:
-    """Contents of the JPEG files of the first, middle and last frame of an episode, without unreadable ones."""
+    """JPEG files of the first, middle and last frame of an episode, without unreadable ones."""
 
     episode: str
     caption: str
@@ -49,7 +49,7 @@ def dataset_page(results: CheckResults, summary: Mapping[str, Any], strips: Sequ
     """Return the report page on a checked dataset as HTML.
 
     Args:
-        summary: the figures from `check_summary.summarize`.
+        summary: result of `check_summary.summarize`.
         made: text at the foot of the page.
     """
     path = results.path.absolute()

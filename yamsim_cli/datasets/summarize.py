@@ -1,4 +1,4 @@
-"""Check a dataset with worker processes, and write report pages on the results."""
+"""Check a dataset with worker processes, and write report pages."""
 
 from __future__ import annotations
 
@@ -49,13 +49,7 @@ class EpisodeChecker(Closable):
 
 
 def check_dataset(dataset: Path, locations: Locations, workers: int, progress: Progress) -> CheckResults:
-    """Check a dataset with `workers` processes. Every file is read, and none is changed.
-
-    Raises:
-        DatasetError: `dataset` is not a readable dataset.
-        InterruptedJobError: the user stopped the job.
-        PartialJobError: no worker can be kept alive.
-    """
+    """Check a dataset with `workers` processes. Every file is read, and none is changed."""
     directories, recorded = find_episodes(dataset)
     problems = ProblemCollector()
     context = read_context(dataset, recorded, locations, problems)
@@ -83,17 +77,17 @@ def _facts_of_crash(error: LostJobError) -> EpisodeFacts:
 
 
 def write_report(results: CheckResults, summary: Mapping[str, Any], path: Path) -> None:
-    """Write the report page of a dataset atomically. Raise ResourceError if the file cannot be written."""
+    """Write the report page of a dataset atomically."""
     write_page(dataset_page(results, summary, contact_sheet(results), page_footer()), path)
 
 
 def write_trials_page(report: Mapping[str, Any], config: RecordConfig, path: Path) -> None:
-    """Write the report page of a batch of trials of `config`. Raise ResourceError if the file cannot be written."""
+    """Write the report page of a batch of trials of `config`."""
     write_page(trials_page(report, start_boxes(config), page_footer()), path)
 
 
 def write_leaderboard(reports: Sequence[Mapping[str, Any]], pairs: Sequence[Mapping[str, Any]], path: Path) -> None:
-    """Write the page that ranks policies. Raise ResourceError if the file cannot be written."""
+    """Write the page that ranks policies."""
     write_page(leaderboard_page(reports, pairs, page_footer()), path)
 
 
@@ -121,7 +115,7 @@ def _strip(dataset: Path, episode: EpisodeFacts) -> FrameStrip:
 
 
 def _picture(path: Path) -> bytes | None:
-    """Return a JPEG thumbnail of an image file; None if the file has changed since the checks and is no image now."""
+    """Return a JPEG thumbnail; None if the file has changed since the checks and is no image now."""
     try:
         return thumbnail(path.read_bytes(), _THUMBNAIL_PX) if stat.S_ISREG(path.stat().st_mode) else None
     except OSError:

@@ -56,9 +56,8 @@ class Tolerances:
     """Largest accepted differences.
 
     Attributes:
-        values: largest difference of a number: absolute in rad and m, relative for values above 1.
-        images: mean pixel difference of an image, 0 to 255. At 0, image files must be equal byte for byte. None skips
-            images.
+        values: of a number: absolute in rad and m, relative for values above 1.
+        images: mean pixel difference, 0 to 255. At 0, image files must be equal byte for byte. None skips images.
     """
 
     values: float
@@ -67,10 +66,9 @@ class Tolerances:
 
 @dataclass(frozen=True)
 class EpisodeVerdict:
-    """The result of verifying one episode.
+    """Result of verifying one episode.
 
     Attributes:
-        episode: episode number.
         checks: check -> comparison of the stored and the reproduced episode.
         skipped: check -> reason why the check was not possible.
         problems: file -> fault other than a difference of values; "" for the whole episode.
@@ -93,7 +91,7 @@ class EpisodeVerifier(Closable):
     """Verifies episodes of one dataset. A context manager, because a verifier may own a renderer.
 
     Args:
-        session: session of the config that the dataset was recorded with. Its meshes affect only images.
+        session: session of the dataset's config. Its meshes affect only images.
     """
 
     def __init__(self, session: Session, tolerances: Tolerances) -> None:
@@ -198,14 +196,10 @@ def reproduce_frames(
     """Replay an episode's actions in physics from its recorded start, and compare with the stored frames.
 
     Args:
-        simulator: simulator of the config that the episode was recorded with.
         tolerance: largest accepted difference of numbers: absolute up to a stored value of 1, relative above.
 
     Returns:
         The comparison; None if the episode has no actions that physics can replay.
-
-    Raises:
-        DatasetError: the episode was recorded in another scene.
     """
     model = simulator.scene.model
     recorded = recorded_actions(frames, model.nq, model.nu)
@@ -227,14 +221,7 @@ def reproduce_frames(
 
 
 def reproduce_episode(episode: StoredEpisode, session: Session) -> EpisodeComparison | None:
-    """Replay an episode's actions in physics, and compare exactly with its frames; None without replayable actions.
-
-    Args:
-        session: session of the config that the dataset was recorded with.
-
-    Raises:
-        DatasetError: a file is damaged, or the episode was recorded in another scene.
-    """
+    """Replay an episode's actions in physics, and compare exactly with its frames; None without replayable actions."""
     job = AttemptJob(episode.record.seed, episode.record.attempt)
     with simulator_for(session.without_meshes(), job) as simulator:
         return reproduce_frames(simulator, episode, episode.frames(), tolerance=0.0)
@@ -245,7 +232,6 @@ def _engine(record: EpisodeRecord) -> str:
 
 
 def _read_frames(episode: StoredEpisode, problems: dict[str, str]) -> list[dict[str, Any]]:
-    """Read all frames of an episode. Altered files are reported in `problems`, and read too."""
     frames = []
     for k in range(episode.record.frames):
         data = episode.read(name := lowdim_path(k))
@@ -256,7 +242,7 @@ def _read_frames(episode: StoredEpisode, problems: dict[str, str]) -> list[dict[
 
 
 def _outcome_numbers(outcome: OutcomeRecord, keys: set[str] | None = None) -> dict[str, Any]:
-    """Return the numbers and verdict of an outcome, restricted to `keys` if given. The redundant text is omitted."""
+    """Return the numbers and verdict of an outcome, restricted to `keys` if given."""
     return outcome.model_dump(include=keys, exclude={"detail"})
 
 
@@ -309,19 +295,12 @@ def _pixels_apart(stored: bytes, made: bytes) -> float | None:
 def verify(
     episodes: Sequence[tuple[int, Path]], session: Session, tolerances: Tolerances, workers: int, progress: Progress
 ) -> dict[str, Any]:
-    """Verify episodes of one dataset.
+    """Verify episodes of one dataset, and return a report as JSON data.
 
     Args:
         episodes: number and directory of each episode.
-        session: session of the config that the dataset was recorded with. Its meshes affect only images.
+        session: session of the dataset's config. Its meshes affect only images.
         progress: called with the number of verified episodes and of all episodes.
-
-    Returns:
-        JSON-ready report with episodes, agree, max_error, first_divergence, divergences, problems, checks,
-        versions_changed, tolerance, image_tolerance, seconds.
-
-    Raises:
-        InterruptedJobError: the user stopped the job.
     """
     began = time.monotonic()
     factory = functools.partial(EpisodeVerifier, session, tolerances)
@@ -369,7 +348,6 @@ def _report(verdicts: Sequence[EpisodeVerdict], tolerances: Tolerances) -> dict[
 
 
 def _check_report(verdicts: Sequence[EpisodeVerdict], check: str) -> dict[str, Any] | None:
-    """Summarize one check over all episodes; None if no episode was checked or skipped."""
     found = [verdict.checks[check] for verdict in verdicts if check in verdict.checks]
     reasons = sorted({verdict.skipped[check] for verdict in verdicts if check in verdict.skipped})
     if not found and not reasons:

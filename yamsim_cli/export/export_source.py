@@ -44,14 +44,7 @@ ROUNDING_S = 1e-9  # s, tolerance for comparing times; without it, rounding coul
 
 @dataclass(frozen=True)
 class ExportSource(ABC):
-    """Selected episodes of one dataset, all with the same cameras.
-
-    Attributes:
-        path: the dataset directory.
-        directories: directories of the selected episodes, in order.
-        first: the first selected episode.
-        config: the dataset's config.
-    """
+    """Selected episodes of one dataset, all with the same cameras."""
 
     path: Path
     directories: tuple[Path, ...]
@@ -63,11 +56,7 @@ class ExportSource(ABC):
 
     @abstractmethod
     def episodes(self) -> Iterator[RecordedEpisode]:
-        """Open and yield the episodes one by one.
-
-        Raises:
-            DatasetError: an episode is damaged, or differs from the first in its cameras, arms or rate.
-        """
+        """Open and yield the episodes one by one."""
 
     @property
     def rig(self) -> RigConfig:
@@ -97,7 +86,7 @@ class ExportSource(ABC):
 
 @dataclass(frozen=True)
 class SimulatedSource(ExportSource):
-    """Selected simulated episodes of a dataset, all with the same cameras, frame period, objects and number of arms."""
+    """Selected simulated episodes, all with the same cameras, frame period, objects and number of arms."""
 
     first: StoredEpisode
     config: RecordConfig
@@ -117,22 +106,22 @@ class SimulatedSource(ExportSource):
 
 @dataclass(frozen=True)
 class RealEpisode(RecordedEpisode):
-    """A recording of real arms, with the selection of frames to export. A frame may be selected several times.
+    """A recording of real arms, with the selection of frames to export.
 
     Attributes:
-        chosen: for each exported frame, the number of the recorded frame.
+        chosen: for each exported frame, the number of the recorded frame, which may repeat.
     """
 
     record: RealEpisodeRecord
     chosen: tuple[int, ...]
 
     def frames(self) -> list[dict[str, Any]]:
-        """Read the low-dimensional data of the selected frames. Raise DatasetError if a file is missing or damaged."""
+        """Read the low-dimensional data of the selected frames."""
         recorded = {k: self.frame(k, self.read_verified(lowdim_path(k))) for k in dict.fromkeys(self.chosen)}
         return [recorded[k] for k in self.chosen]
 
     def image(self, camera: str, number: int) -> bytes:
-        """Return the JPEG bytes of exported frame `number`. Raise DatasetError if the file is missing or altered."""
+        """Return the JPEG bytes of exported frame `number`."""
         return self.read_verified(image_path(camera, self.chosen[number]))
 
 
@@ -187,8 +176,7 @@ class RealSource(ExportSource):
     def with_gripper_shares(self, values: ArrayLike) -> Array:
         """Reshape rows (n, arms * drives) of joints or commands to (n, arms, drives), with grippers as shares.
 
-        Joints are in rad. Grippers are recorded as openings of one finger in m. The function converts these to shares,
-        0 closed to 1 open, without clipping.
+        Joints are in rad. Recorded openings of one finger, m, become shares, 0 closed to 1 open, without clipping.
         """
         record = self.first.record
         rows = np.array(values, dtype=np.float64).reshape(-1, record.arms, record.drives)
@@ -204,9 +192,6 @@ class RealSource(ExportSource):
         Args:
             source: "recorded" for commands, or "measured" for joints one frame later. The last frame then uses its own
                 joints.
-
-        Raises:
-            DatasetError: commands are requested and were not recorded.
         """
         if source == "measured":
             return self.with_gripper_shares([frame["joints"] for frame in (*frames[1:], frames[-1])])
@@ -218,7 +203,7 @@ class RealSource(ExportSource):
         return self.with_gripper_shares([frame["ctrl"] for frame in frames])
 
     def describe_uneven_times(self, episode: RecordedEpisode, frames: Frames) -> str | None:
-        """Return a warning if an episode was recorded at uneven times and is exported at even times, else None."""
+        """Return a warning if an episode was recorded at uneven times and is exported at even times."""
         pauses = np.diff([frame["timestamp"] for frame in frames])
         if self.is_resampled or len(pauses) == 0 or np.abs(pauses / self.period - 1).max() <= _MAX_UNEVENNESS:
             return None
@@ -257,10 +242,6 @@ def open_source(dataset: Path, episodes: str | None, locations: Locations) -> Si
 
     Args:
         episodes: numbers and ranges, such as `0,3,5-9`; None for all.
-
-    Raises:
-        DatasetError: `dataset` is no dataset, is damaged, or holds real recordings.
-        UsageError: a named episode does not exist.
     """
     directories = tuple(directory for _, directory in select_episodes(dataset, episodes, None))
     return SimulatedSource(dataset, directories, open_episode(directories[0]), dataset_config(dataset, locations))
@@ -272,10 +253,6 @@ def open_real_source(dataset: Path, episodes: str | None, locations: Locations, 
     Args:
         episodes: numbers and ranges, such as `0,3,5-9`; None for all.
         fps: frames per second of the export, at even times; None for all recorded frames, at the median recorded rate.
-
-    Raises:
-        DatasetError: `dataset` is no dataset, is damaged, or was simulated.
-        UsageError: a named episode does not exist.
     """
     directories = tuple(directory for _, directory in select_episodes(dataset, episodes, None))
     config = real_config(dataset, locations)
@@ -288,7 +265,7 @@ def open_real_source(dataset: Path, episodes: str | None, locations: Locations, 
 
 
 def _common_fps(periods: Sequence[float]) -> float:
-    """Return the median frame rate of episodes with these frame periods (s), rounded if close to an integer."""
+    """Return the median frame rate of these frame periods (s), rounded if close to an integer."""
     rate = 1 / float(np.median(periods))
     whole = round(rate)
     return float(whole) if abs(rate - whole) <= _FPS_TOLERANCE * rate else round(rate, 3)

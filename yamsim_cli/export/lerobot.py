@@ -49,11 +49,6 @@ def export_lerobot(
     Args:
         pictures: whether to write videos and camera matrices of all cameras.
         environment_state: whether to write object poses as `observation.environment_state`.
-
-    Raises:
-        DatasetError: a file is missing, altered or damaged, or the joints of objects differ between episodes.
-        ResourceError: pyarrow or PyAV is not installed.
-        UsageError, PartialJobError, InterruptedJobError: `out` is in use; a write failed; the user stopped the job.
     """
     return _export(source, out, progress, _SimulatedContent(source, pictures, environment_state), overwrite)
 
@@ -72,12 +67,6 @@ def export_real_lerobot(
     Args:
         pictures: whether to write videos of all cameras and the known camera matrices.
         actions: "recorded" for commands, "measured" for joints one frame later, "none" for no actions.
-
-    Raises:
-        DatasetError: a file is missing, altered or damaged; the requested commands were not recorded; or the features
-            of an episode differ from those of the first.
-        ResourceError: pyarrow or PyAV is not installed.
-        UsageError, PartialJobError, InterruptedJobError: `out` is in use; a write failed; the user stopped the job.
     """
     return _export(source, out, progress, _RealContent(source, pictures, actions), overwrite)
 
@@ -115,11 +104,7 @@ class _Content(ABC):
 
     @abstractmethod
     def values(self, episode: Any, frames: Frames) -> Values:
-        """Return the values of an episode by feature.
-
-        Raises:
-            DatasetError: the episode has other features than the first.
-        """
+        """Return the values of an episode by feature."""
 
     @abstractmethod
     def origin(self, episode: Any) -> dict[str, Any]:
@@ -243,10 +228,10 @@ def _column_values(episode: RecordedEpisode, frames: Frames, key: str) -> list[A
 
 
 def _write_video(path: Path, episode: RecordedEpisode, camera: str, period: float) -> tuple[float, Stats]:
-    """Write the images of one episode and camera to a separate file. Return its duration (s) and the statistics.
+    """Write the images of one episode and camera to a file. Return its duration (s) and the statistics.
 
-    With separate files, lerobot's tools delete and split episodes by copying files. If several episodes share a file,
-    the tools encode it again at an integer frame rate (seen in 0.6.1), which shifts all frames in time.
+    With one file per episode, lerobot's tools delete and split episodes by copying. They encode a shared file again at
+    an integer frame rate (seen in 0.6.1), which shifts all frames in time.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     counts = PixelCounts()
@@ -259,11 +244,7 @@ def _write_video(path: Path, episode: RecordedEpisode, camera: str, period: floa
 
 
 class _LeRobotWriter(Closable):
-    """Writes the episodes of a dataset into a directory. A context manager that closes all files.
-
-    Attributes:
-        frames: number of frames written.
-    """
+    """Writes the episodes of a dataset into a directory."""
 
     def __init__(self, root: Path, source: ExportSource, content: _Content) -> None:
         self.frames = 0
@@ -330,7 +311,7 @@ class _LeRobotWriter(Closable):
         }
 
     def write_meta(self) -> None:
-        """Write the files that describe the whole dataset. Call this method after all episodes are added."""
+        """Write the files that describe the whole dataset, after all episodes are added."""
         source = self._source
         write_tasks(self._root, list(self._tasks))
         # Width and height of a video are even.

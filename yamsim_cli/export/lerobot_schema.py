@@ -43,7 +43,7 @@ ACTION = "action"
 VELOCITIES = "joint_velocities"
 RECORDED_TIME = "recorded_time"
 
-_BIMANUAL_PREFIX = "bi_"  # prefix of the robot type of two arms, as in lerobot's own names
+_BIMANUAL_PREFIX = "bi_"  # of the robot type of two arms, as in lerobot's own names
 
 
 @dataclass(frozen=True)
@@ -93,7 +93,7 @@ INDEX_FEATURES: Mapping[str, LeRobotFeature] = {
 def _matrix(letter: str, size: int) -> LeRobotFeature:
     """Return the feature of a square matrix in row-major order, with element names such as `K02` (row 0, column 2).
 
-    The feature is flat because lerobot's tools for editing datasets cannot write two-dimensional arrays.
+    Flat, because lerobot's tools for editing datasets cannot write two-dimensional arrays.
     """
     names = tuple(f"{letter}{row}{column}" for row in range(size) for column in range(size))
     return LeRobotFeature("float32", (len(names),), names)
@@ -110,7 +110,7 @@ def intrinsics_key(camera: str) -> str:
 
 
 def extrinsics_key(camera: str) -> str:
-    """Return the key of a camera's pose in the robot base; with two arms, in the left arm's base."""
+    """Return the key of a camera's pose in the base of the only or left arm."""
     return f"camera.extrinsics.{camera}"
 
 
@@ -140,11 +140,7 @@ def info_json(
     frames: int,
     tasks: int,
 ) -> dict[str, Any]:
-    """Return the content of `meta/info.json`.
-
-    Args:
-        cameras: camera -> (width, height) of its video, px.
-    """
+    """Return the content of `meta/info.json`. `cameras` is camera -> (width, height) of its video, px."""
     images = {image_key(camera): _video(size, fps) for camera, size in cameras.items()}
     return {
         "codebase_version": VERSION,
@@ -190,9 +186,7 @@ def _video(size: tuple[int, int], fps: float) -> dict[str, Any]:
 
 
 class TableSeries(Closable):
-    """Writes tables with the same columns to a series of Parquet files.
-
-    A context manager: the end of the block writes the footer of the last file.
+    """Writes tables with the same columns to a series of Parquet files. Closing writes the footer of the last file.
 
     Args:
         pattern: pattern of the file paths below `root`, such as `DATA`.

@@ -29,7 +29,7 @@ def column_stats(values: ArrayLike) -> Stats:
 
 
 class PixelCounts:
-    """Histogram of the intensity levels of each image channel, from which all statistics follow exactly."""
+    """Histogram of each image channel's intensity levels, from which all statistics follow exactly."""
 
     def __init__(self) -> None:
         self._counts = np.zeros((3, _LEVELS), np.int64)

@@ -18,8 +18,7 @@ class ExportResult:
 
     Attributes:
         path: the output directory or file.
-        episodes, frames: numbers of exported episodes and frames.
-        moved_aside: path of the backup of an earlier output at `path`; None if there was none.
+        moved_aside: backup of an earlier output at `path`; None if there was none.
         notes: lines for the user on where the export differs from the recording.
     """
 
@@ -35,13 +34,8 @@ def export_directory(final: Path, *, overwrite: bool) -> Iterator[StagedDirector
     """Yield a temporary directory for the block to fill. If the block succeeds, the directory is renamed to `final`.
 
     Args:
-        overwrite: whether to rename an existing `final` to a backup, once the new directory is complete. If False, an
+        overwrite: whether to rename an existing `final` to a backup once the new directory is complete. If False, an
             existing `final` that is not an empty directory is an error.
-
-    Raises:
-        UsageError: `final` is in use, or its parent directory does not exist.
-        PartialJobError: a write failed. No part of the export is left.
-        InterruptedJobError: the user stopped the job. No part of the export is left.
     """
     require_parent(final)
     if final.exists() and not overwrite and (not final.is_dir() or any(final.iterdir())):

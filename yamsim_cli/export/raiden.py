@@ -50,14 +50,7 @@ def export_raiden(
     the drive of the real arm reports them.
 
     Args:
-        locations: locations of the robot models and of the meshes to render.
         workers: number of processes that render.
-
-    Raises:
-        DatasetError: a file is missing, altered or damaged, or physics no longer reproduces the recorded states.
-        ResourceError: no renderer is available.
-        UsageError: `out` is in use, `options.single` is set for two arms, or the layout cannot represent an arm.
-        PartialJobError, InterruptedJobError: a write failed; the user stopped the job.
     """
     converter = FrameConverter(source.rig, camera_names(source), locations, options.hand_frame, single=options.single)
     config = _as_recorded(source) if options.renders else source.config
@@ -103,7 +96,7 @@ def _as_recorded(source: SimulatedSource) -> RecordConfig:
 def _convert_all(
     factory: Factory[Job, ConvertedEpisode], jobs: Sequence[Job], workers: int
 ) -> Iterator[tuple[Path, ConvertedEpisode]]:
-    """Convert episodes. Yield output folder and content of each when complete. 0 `workers` means this process."""
+    """Yield output folder and content of each episode when complete. 0 `workers` means this process."""
     executor: Executor[Job, ConvertedEpisode] = InlineExecutor(factory)
     if workers:
         executor = ProcessPool[Job, ConvertedEpisode](factory, min(workers, len(jobs)))
@@ -132,14 +125,8 @@ def export_real_raiden(
     The arrays of a single arm hold only that arm. No calibration file is written.
 
     Args:
-        source: the selected episodes, opened with the rate of `options`.
+        source: opened with the rate of `options`.
         actions: "recorded" for commands, or "measured" for joints one frame later.
-
-    Raises:
-        DatasetError: a file is missing, altered or damaged; the dataset has no images, beside which the layout stores
-            times; or the requested commands were not recorded.
-        UsageError: the layout cannot represent the arm, or frames without actions.
-        PartialJobError, InterruptedJobError: a write failed; the user stopped the job.
     """
     if actions == "none":
         raise UsageError("--actions none: each frame of raiden's layout has one; take measured, or export as lerobot")
@@ -207,11 +194,7 @@ def _metadata(
     pictures: Mapping[str, Any],
     depth: bool = False,
 ) -> dict[str, Any]:
-    """Return the content of `metadata.json`.
-
-    Args:
-        names: camera -> its name in raiden's layout.
-    """
+    """Return the content of `metadata.json`. `names` is camera -> its name in raiden's layout."""
     sizes = {names[camera]: [height, width] for camera, (width, height) in episode.record.cameras.items()}
     one_size = len({tuple(size) for size in sizes.values()}) == 1
     task = str(data[0]["language_task"])

@@ -65,16 +65,7 @@ class EpisodeConverter(Closable):
         self._simulators = None if options.fps is None else Simulators(session)
 
     def run(self, job: tuple[Path, Path]) -> ConvertedEpisode:
-        """Convert an episode and write its images.
-
-        Args:
-            job: the episode directory, and the folder to write to.
-
-        Raises:
-            DatasetError: the episode is damaged, or cannot be resampled; see `resample_episode`.
-            ResourceError: no renderer is available.
-            PartialJobError: a write failed.
-        """
+        """Convert an episode and write its images. `job` is the episode directory, and the folder to write to."""
         directory, folder = job
         try:
             return self._make(open_episode(directory), folder)
@@ -148,9 +139,6 @@ def copy_images(
     Args:
         names: camera -> its name in raiden's layout.
         frames: numbers of the recorded frames, which may repeat.
-
-    Raises:
-        DatasetError: an image is missing, altered or damaged.
     """
     for camera, name in names.items():
         before, data = -1, b""

@@ -27,7 +27,7 @@ from . import raiden_schema as schema
 from .export_source import Frames, SimulatedSource
 from .raiden_schema import HandFrameName, RaidenOptions
 
-_SIDES = ("left", "right")  # sides of the arms, in the order of raiden's arrays
+_SIDES = ("left", "right")  # in the order of raiden's arrays
 # Wrist cameras in raiden's layout, in the order of `_SIDES`. A single arm is the left one.
 _WRIST_CAMERAS = ("left_wrist_camera", "right_wrist_camera")
 
@@ -45,7 +45,7 @@ _HALF_TURN = np.diag([-1.0, -1.0, 1.0, 1.0])
 
 
 def hand_frame(name: HandFrameName) -> dict[str, str]:
-    """Return the entry of metadata.json that describes the hand frame `name`."""
+    """Return the entry of metadata.json on a hand frame."""
     return {"name": name, "description": _DESCRIPTIONS[name]}
 
 
@@ -63,11 +63,7 @@ def _wrist_arms(source: SimulatedSource) -> dict[str, int]:
 
 
 class _ArmConverter:
-    """Converts recorded joints (7,) of an arm, six in rad and one finger opening in m, to values of raiden's layout.
-
-    Raises:
-        UsageError: the layout cannot represent the arm, or `--hand-frame` has no kinematics for it.
-    """
+    """Converts recorded joints (7,) of an arm, six in rad and one finger opening in m, to values of raiden's layout."""
 
     def __init__(self, arm: ArmConfig, locations: Locations, frame: HandFrameName) -> None:
         robot = arm.robot
@@ -108,14 +104,9 @@ class _ArmConverter:
 class FrameConverter:
     """Converts frames of one dataset to raiden's layout.
 
-    Attributes:
-        names: camera -> its name in raiden's layout.
-
     Args:
+        names: camera -> its name in raiden's layout.
         single: whether arrays hold one arm instead of two.
-
-    Raises:
-        UsageError: `single` is given for two arms, or the layout cannot represent an arm.
     """
 
     def __init__(
@@ -188,7 +179,7 @@ def calibration_json(
     """Return the content of `calibration_results.json`.
 
     Args:
-        frames: converted frames of one episode. The position of a wrist camera is the mean over these frames. With
+        frames: converted frames of one episode. A wrist camera's position is the mean over these frames: with
             kinematics other than the simulated arm's, the hand-eye pose differs slightly between frames.
     """
     T = frames[0].get(schema.BETWEEN_ARMS)

@@ -41,7 +41,6 @@ class RaidenOptions:
     Attributes:
         fps: frames per second; None for exactly the recorded frames.
         pictures: source of the images; ignored if `fps` is None.
-        images: file format of the images.
         single: whether arrays hold only the left arm; for recordings of one arm.
         hand_frame: hand frame of the poses in `action` and `actual_poses`, and its kinematics.
     """

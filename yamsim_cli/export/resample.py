@@ -32,10 +32,9 @@ class ResampledEpisode:
     """An episode at another frame rate.
 
     Attributes:
-        attempt: the attempt of the episode.
         times: times of the frames (n,), s.
         qpos: MuJoCo `qpos` (n, nq) at these times.
-        frames: low-dimensional data (all values except images) at these times.
+        frames: all values except images at these times.
     """
 
     attempt: Attempt
@@ -61,13 +60,6 @@ def resample_episode(simulator: Simulator, episode: StoredEpisode, fps: float) -
     `action_joints`, the planned joints one control tick ahead, was recorded once per frame. Between frames, it is the
     simulated joints one tick ahead plus the difference between plan and simulation. This difference and the finger
     opening are interpolated between frames.
-
-    Args:
-        simulator: simulator of the config that the dataset was recorded with.
-
-    Raises:
-        DatasetError: the episode is damaged or of another scene, has no simulation data, or physics no longer
-            reproduces its recorded states.
     """
     recorded, record = episode.frames(), episode.record
     scene = simulator.scene

@@ -28,11 +28,6 @@ def export_rerun(source: ExportSource, out: Path, progress: Progress, *, overwri
     """Write `ep_NNNNNN.rrd` files into a directory. Poses are in the base of the only or left arm.
 
     Real recordings are shown at their recorded times. Data that was not recorded is omitted.
-
-    Raises:
-        DatasetError: a file is missing, altered or damaged.
-        ResourceError: rerun is not installed.
-        UsageError, PartialJobError, InterruptedJobError: `out` is in use; a write failed; the user stopped the job.
     """
     require_library("an .rrd file", "rerun", "rerun")
     frames = 0

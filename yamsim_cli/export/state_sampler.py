@@ -18,7 +18,6 @@ class StateSampler:
         qpos: positions (n, nq) at the times; NaN for times that the simulation has not reached.
 
     Args:
-        model: the simulated model.
         times: sample times (n,) in ascending order, s.
     """
 
@@ -30,7 +29,7 @@ class StateSampler:
         self.qpos = np.full((len(times), model.nq), np.nan)
 
     def __call__(self, data: mujoco.MjData) -> None:
-        """Store all samples up to the current state: the initial state, or the state after a step."""
+        """Store all samples up to the current state."""
         while self._next < len(self._times) and self._times[self._next] <= data.time + ROUNDING_S:
             self.qpos[self._next] = self._at(self._times[self._next], data)
             self._next += 1

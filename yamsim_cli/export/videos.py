@@ -19,7 +19,7 @@ from .export_source import ExportSource, RealSource
 from .output_directory import ExportResult, export_directory, require_parent
 
 _SHEET_QUALITY = 90  # JPEG quality (1 to 100) of a contact sheet
-_MAX_SIDE_PX = 16_000  # px, largest width and height of a contact sheet: some programs cannot open a larger JPEG
+_MAX_SIDE_PX = 16_000  # px, largest side of a contact sheet: some programs cannot open a larger JPEG
 
 
 def export_mp4(
@@ -36,12 +36,6 @@ def export_mp4(
     Args:
         cameras: cameras to show side by side; empty for all.
         speed: playback speed; 1 is real time.
-
-    Raises:
-        UsageError: a camera was not recorded, the cameras differ in image height, or `out` is in use.
-        DatasetError: an image is missing, altered or damaged, or the dataset has no images.
-        ResourceError: PyAV is not installed.
-        PartialJobError, InterruptedJobError: a write failed; the user stopped the job.
     """
     chosen = _cameras(source, cameras)
     require_encoder()
@@ -73,14 +67,9 @@ def export_sheet(
 
     Args:
         cameras: cameras to show, in one row per episode each; empty for the first camera.
-        columns: number of images in a row.
+        columns: images in a row.
         width: width of each image, px.
         overwrite: whether to rename an existing `out` to a backup.
-
-    Raises:
-        UsageError: a camera was not recorded, `out` is in use or not a JPEG name, or the sheet would be too large.
-        DatasetError: an image is missing, altered or damaged.
-        PartialJobError, InterruptedJobError: a write failed, or the user stopped the job. No sheet was written.
     """
     chosen = _cameras(source, cameras or tuple(source.cameras)[:1])
     if out.suffix.lower() not in (".jpg", ".jpeg"):

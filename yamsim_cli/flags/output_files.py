@@ -44,10 +44,6 @@ def require_unused(flag: str, files: Path | Iterable[Path], *, overwrite: bool) 
         flag: the option that names the files, for the message.
         files: one file, whose folder has to exist, or several files in folders that the command creates.
         overwrite: whether existing files may be replaced.
-
-    Raises:
-        UsageError: a file exists and may not be replaced, is a directory, or has no folder.
-        ResourceError: the folder is not writable, or the file system is full.
     """
     one = isinstance(files, Path)
     for file in [files] if isinstance(files, Path) else files:

@@ -50,10 +50,6 @@ def choose_viewer(web: bool | None, port: int | None, host: str | None) -> PageA
     """Return the browser page's address, or None for MuJoCo's window.
 
     If `web` is None, the viewer is the page if a port or host is given or no window can open.
-
-    Raises:
-        UsageError: a port or host is given for a window.
-        ResourceError: a window is requested, but none can open.
     """
     missing = _missing_for_window()
     for flag, value in (("--port", port), ("--host", host)):

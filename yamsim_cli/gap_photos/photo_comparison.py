@@ -56,9 +56,6 @@ def photos_in_parts(gaps: Sequence[MotionGap], camera: str | None) -> tuple[str,
 
     Args:
         camera: name of the camera; None for the first that is no wrist camera.
-
-    Raises:
-        UsageError: no recording has photos from that camera at the compared times.
     """
     folders = {gap.name: Path(gap.name) for gap in gaps if (Path(gap.name) / "rgb").is_dir()}
     cameras = sorted({path.name for folder in folders.values() for path in (folder / "rgb").iterdir() if path.is_dir()})
@@ -109,11 +106,7 @@ def postures_at(motion: RecordedMotion, sample: int, rig: RigConfig) -> ArmPostu
 
 
 def make_photo(recorded: RecordedPhoto, camera: str, rig: RigConfig, image: Image) -> Photo:
-    """Return a recorded photo with the simulated postures, and with camera and camera pose if the frame holds them.
-
-    Raises:
-        DatasetError: the frame cannot be read, or is damaged.
-    """
+    """Return a recorded photo with the simulated postures, and with camera and camera pose if the frame holds them."""
     file = Path(recorded.gap.name) / lowdim_path(recorded.frame)
     try:
         frame = load_frame(file.read_bytes())
@@ -184,14 +177,7 @@ def compare_photos(
     locations: Locations,
     progress: Progress,
 ) -> tuple[dict[str, Any], list[CaptionedJpeg]]:
-    """Compare simulated arms with photos of recordings. Return JSON-ready figures, and the worst photos as pictures.
-
-    Raises:
-        UsageError: no recording has photos from that camera at the compared times.
-        DatasetError: a frame is damaged.
-        ConfigError: the camera is calibrated for another image size.
-        ResourceError: no photo gives the camera's pose, or no OpenGL context is available.
-    """
+    """Compare simulated arms with photos of recordings. Return JSON-ready figures, and the worst photos as pictures."""
     camera, taken = photos_in_parts(gaps, request.name)
     chosen = select_photos(taken, request.max_photos)
     found: list[PhotoGap] = []
@@ -215,7 +201,7 @@ def compare_photos(
 def _compare_photo(
     recorded: RecordedPhoto, camera: str, rig: RigConfig, lenses: PhotoCameras, renderers: ArmRenderers
 ) -> PhotoGap | None:
-    """Return the comparison of one photo; None if neither its frame nor a board gives the camera's pose."""
+    """Compare one photo, or return None if neither its frame nor a board gives the camera's pose."""
     image = read_image(recorded.path)
     photo = make_photo(recorded, camera, rig, image)
     lens, grey = lenses.camera_of(photo, image), to_grey(image)

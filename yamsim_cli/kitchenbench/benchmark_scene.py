@@ -72,10 +72,6 @@ def open_station_session(size: str, *, images: bool, quality: str = "fast", task
 
     Args:
         task: a task of yamsim; scenes of KitchenBench replace it.
-
-    Raises:
-        UsageError: the size, the quality or the task is not valid.
-        ResourceError: images are requested, and nothing can be rendered here.
     """
     given: dict[str, Any] = {"rig": STATION, "task": task, "size": parse_size(size), "quality": quality}
     where = _OPENER.locations()

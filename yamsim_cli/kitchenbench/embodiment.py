@@ -68,11 +68,7 @@ def action_space(config: RecordConfig, period: float) -> Box:
 
 
 def ticks_per_action(control_hz: float) -> int:
-    """Return the number of control ticks in an action.
-
-    Raises:
-        UsageError: the number is not whole, or not from 1 to 30.
-    """
+    """Return the number of control ticks in an action."""
     ticks = round(TICK_HZ / control_hz) if control_hz > 0 else 0
     if not 1 <= ticks <= TICK_HZ or abs(TICK_HZ / control_hz - ticks) > 1e-9:
         valid = ", ".join(f"{TICK_HZ / k:g}" for k in (1, 2, 3, 5, 6, 10, 12, 15, 30))
@@ -94,10 +90,6 @@ class YamsimEmbodiment:
         images: whether observations have pictures of the three cameras; pictures take most of the time.
         size: of pictures, WIDTHxHEIGHT, px.
         quality: of pictures, see `configs/quality`.
-
-    Raises:
-        UsageError: a value is not valid.
-        ResourceError: images are requested, and nothing can be rendered here.
     """
 
     def __init__(

@@ -135,7 +135,7 @@ class FoldSmall(Skill):
         return fold is not None and fold.area <= _AREA_MARGIN * self.area
 
     def _is_foldable(self, context: PlanningContext, thing: str, points: Array) -> bool:
-        """Return whether hands reach a sufficient fold of a cloth with points (along y, along x, 3), m."""
+        """Whether hands reach a sufficient fold of a cloth with points (along y, along x, 3), m."""
         folds = [fold for fold in self._sorted_folds(points, first=True) if self._is_sufficient(fold)]
         return _first_reachable_fold(context, thing, points, folds) != (None, None)
 
@@ -258,7 +258,7 @@ def _make_fold(points: Array, corners: Sequence[Array], normal: Array, depth: fl
 
 
 def _corner_point(points: Array, corner: Array) -> tuple[Point, int]:
-    """Return the uppermost point of a cloth at a corner (2,), by row and column, and the number of points under it."""
+    """Return row and column of a cloth's uppermost point at a corner (2,), and the number of points under it."""
     apart = np.linalg.norm(points[..., :2] - corner, axis=-1)
     near = np.argwhere(apart < apart.min() + _CORNER_TOLERANCE)
     row, column = max(near, key=lambda one: float(points[tuple(one)][2]))

@@ -14,11 +14,7 @@ _DEFAULT_TRIALS = 5  # trials of a task without the option `--epochs`, as in Kit
 
 
 def make_task(name: str) -> Task:
-    """Return a yamsim task: one scene, whose trials differ by their seeds, with the task's own goal.
-
-    Raises:
-        ConfigError: no task has that name.
-    """
+    """Return a yamsim task: one scene, whose trials differ by their seeds, with the task's own goal."""
     session = open_station_session("64x48", images=False, task=name)
     task = session.config.task
     return Task(

@@ -36,9 +36,6 @@ def scene_task_data(name: str) -> dict[str, Any]:
 
     Args:
         name: `TASK/INSTANCE`, such as `stack/cups`; with `@K`, of the scene's epoch K instead of 0.
-
-    Raises:
-        UsageError: no scene has that name, or the scene cannot be recorded.
     """
     scene, epoch = _scene(name)
     first = _blueprint(scene, epoch)
@@ -127,7 +124,7 @@ def _region(name: str, arrangements: list[dict[str, Any]]) -> dict[str, Any]:
 
 
 def _goal(blueprint: SceneBlueprint) -> Mapping[str, Any]:
-    """Return the goal, as data of a task's YAML, that is equivalent to KitchenBench's own checker."""
+    """Return data of a task's YAML for a goal that is equivalent to KitchenBench's own checker."""
     roles = blueprint.roles
     match blueprint.target_kind:
         case "place_on":

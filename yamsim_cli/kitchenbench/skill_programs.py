@@ -72,10 +72,7 @@ def _pick_and_place(thing: str, placing: Skill) -> list[Skill]:
 
 
 def _slot_placement(blueprint: SceneBlueprint, items: Mapping[str, ObjectConfig], item: str, rack: str) -> Skill:
-    """Return the skill that places a dish upright in the required slot, or in the nearest slot between the bows.
-
-    Slots are counted from the left.
-    """
+    """Place a dish upright in the required slot, counted from the left, or in the nearest slot between the bows."""
     shape, dish = items[rack].shape, next(thing for thing in blueprint.objects if thing.name == item)
     assert isinstance(shape, RackShape), "a rack is made from sizes"
     slots = (np.arange(shape.slots) - (shape.slots - 1) / 2) * shape.slot_mm / 1000
@@ -98,7 +95,7 @@ def _handover_program(blueprint: SceneBlueprint, item: str) -> list[Skill]:
 
 
 def _stack_program(blueprint: SceneBlueprint, names: Sequence[str], bases: Sequence[Array]) -> list[Skill]:
-    """Return skills that stack onto the largest object; of equal ones, onto the one with the shortest reach."""
+    """Stack onto the largest object; of equal ones, onto the one with the shortest reach."""
     items = {item.name: item for item in blueprint.objects if item.name in names}
     places = {name: T_in_world(item, blueprint)[:2, 3] for name, item in items.items()}
 

@@ -122,7 +122,7 @@ class PlaceInCompartment(PlaceSkill):
                 yield off, pose((T @ (*place, 0.0, 1.0))[:3], R)
 
     def _hover_joints(self, hand: Hand, T_pinch: Array) -> Array | None:
-        """Return joints (dof,) over the goal, if needed by a second search from the joints at the goal; else None."""
+        """Return joints (dof,) over the goal, if needed by a second search from the joints at the goal."""
         joints = super()._hover_joints(hand, T_pinch)
         if joints is not None:
             return joints
@@ -145,10 +145,7 @@ def _rotations_along(local_box: Array, orientation: Array, T: Array) -> list[Arr
 
 
 def _orientations(world: SimWorld, thing: str) -> list[Array]:
-    """Return rotations (3, 3), up to the heading, in which an object may be put down: upright and as it is now.
-
-    An object on its side or on its head keeps its orientation.
-    """
+    """Return rotations (3, 3), up to the heading, in which an object may be put down: upright and as it is now."""
     now = world.pose(thing)[:3, :3]
     upright = rotation_z(yaw(world.pose(thing)))
     return [upright] if now[2, 2] > _UPRIGHT_COSINE else [upright, now] if now[2, 2] > _TILTED_COSINE else [now]
@@ -206,7 +203,7 @@ def _grasps_for(
     """Return the grasps with which `put` can bring an object to its goal, the most reliable first.
 
     Returns:
-        The rank of each grasp, its hand, and its pinch frame (4, 4) in the object's frame.
+        Rank of each grasp, its hand, and its pinch frame (4, 4) in the object's frame.
     """
     found = list[tuple[int, Hand, Array]]()
     for hand in context.acting_hands:
@@ -234,7 +231,7 @@ def _places_between(first: float, last: float) -> Array:
 
 @dataclass(frozen=True)
 class _PressPose:
-    """A pose to press: joints (dof,) above, and poses (4, 4) of the pinch frame above and pressing."""
+    """Joints (dof,) above a point to press, and poses (4, 4) of the pinch frame above and pressing."""
 
     above: Array
     T_above: Array
@@ -404,8 +401,8 @@ class Sort(Skill):
     def _move_to_compartment(
         self, context: PlanningContext, roles: RoleAssignment, name: str, number: int
     ) -> Iterator[MotionSegment]:
-        """Bring an object to its compartment. Try 1 picks and places it with one arm. Try 2 slides it free first.
-        Try 3 puts it beside the tray first. Try 4 hands it over to the other arm.
+        """Bring an object to its compartment: 1 by one arm; 2 after sliding it free; 3 after putting it beside the
+        tray; 4 by handing it over.
         """
         pick = PickNarrow(thing=name, lift=_LIFT_HEIGHT)
         put = PlaceInCompartment(thing=name, into=self.into[roles.config_names[name]], beside=self.things)
@@ -444,7 +441,7 @@ class PickNarrow(Pick):
 
 
 def _put_back(context: PlanningContext, roles: RoleAssignment, name: str) -> Iterator[MotionSegment]:
-    """Yield the motions that put a held object onto a free place of the table, else release it a little lower."""
+    """Put a held object onto a free place of the table, else release it a little lower."""
     hand = holding_hand(context, name)
     if hand is None:
         return

@@ -57,9 +57,6 @@ def build_task_scene(session: Session, seed: int) -> YamsimTaskScene:
 
     Args:
         session: of the station and the task.
-
-    Raises:
-        SimulationError: the scene cannot be compiled, its objects have no room, or its goal holds in every start.
     """
     task = session.config.task
     steps = task.timing.physics_steps_per_tick

@@ -104,7 +104,7 @@ def _host_needed(model: str) -> tuple[str, int] | None:
 
 
 def _accepts_connection(host: tuple[str, int], timeout_s: float) -> bool:
-    """Return whether a host accepts a direct TCP connection in time. Behind a proxy, pip is tried next instead."""
+    """Whether a host accepts a direct TCP connection in time. Behind a proxy, pip is tried next instead."""
     connected = threading.Event()
 
     def connect() -> None:

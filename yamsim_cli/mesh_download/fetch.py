@@ -57,10 +57,6 @@ def fetch(
         names: names of sets in `lock`; if empty, all sets that are not on demand.
         sources: sources in the order in which they are tried for each set.
         stop_at_failure: whether to skip the remaining sets after one that no source provides.
-
-    Raises:
-        UsageError: a name is not in the lock.
-        ResourceError: the store cannot be written, or no source provides a set. The other sets are published.
     """
     wanted = lock.select(names)
     found = {assets.name: store.resolve(assets) for assets in wanted}
@@ -134,9 +130,6 @@ def fetch_missing(lock: AssetLock, names: Collection[str], store: AssetStore, pr
     """Fetch missing sets before a command renders them, and stop at the first failure.
 
     After a failure, no source on the network is tried again for `FAILURE_VALID_S`.
-
-    Raises:
-        ResourceError: a set cannot be fetched, or a fetch failed less than `FAILURE_VALID_S` ago.
     """
     try:
         store.root.mkdir(parents=True, exist_ok=True)

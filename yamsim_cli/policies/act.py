@@ -1,6 +1,6 @@
 """Client of policy servers that answer HTTP POSTs of JSON to /act, such as MolmoAct2's and GR00T's for YAM arms.
 
-Arrays have the format of the package json_numpy: base64 of the bytes, the name of the dtype, and the shape.
+Arrays are in json_numpy's format: base64 of the bytes, name of the dtype, and shape.
 """
 
 from __future__ import annotations
@@ -32,15 +32,11 @@ _ARRAY_KEY = "__numpy__"  # key that marks a JSON object as an array of json_num
 
 
 class ActClient:
-    """Client of an /act server. A lost connection is restored for the next request.
+    """Client of an /act server, which connects again when the connection is lost.
 
     Args:
         url: `act://HOST:PORT`, with a path if the path is not `/act`.
         timeout: time limit for each part of an answer, s.
-
-    Raises:
-        UsageError: the URL is invalid.
-        ResourceError: no server listens at the address.
     """
 
     def __init__(self, url: str, timeout: float) -> None:
@@ -54,10 +50,10 @@ class ActClient:
             raise no_answer_error(url, error) from error
 
     def begin(self, seed: int) -> None:
-        """Do nothing, because the server keeps no state of a trial."""
+        """Do nothing: the server keeps no state of a trial."""
 
     def infer(self, message: Mapping[str, Any]) -> Mapping[str, Any]:
-        """Send an observation's message to the server, and return its answer.
+        """Return the server's answer to an observation's message.
 
         Raises:
             RemoteError: the server is gone, or its answer is an error or invalid.
@@ -83,7 +79,7 @@ class ActClient:
             self._connection.request("POST", self._path, body, headers)
             response = self._connection.getresponse()
         except (ConnectionError, http.client.BadStatusLine):
-            # A server may close an idle connection, so the request is sent again on a new connection.
+            # A server may close an idle connection, so send the request again on a new one.
             self._connection.close()
             self._connection.request("POST", self._path, body, headers)
             response = self._connection.getresponse()
@@ -91,7 +87,7 @@ class ActClient:
 
 
 def dump_json(message: Any) -> bytes:
-    """Encode a message of dictionaries, lists, text, numbers and arrays as JSON."""
+    """Encode a message as JSON, with arrays in json_numpy's format."""
     return json.dumps(message, default=_encode).encode()
 
 

@@ -18,7 +18,7 @@ from .policy_protocol import OBJECTS, InvalidActionError, Observation
 
 
 class PolicyClient(Protocol):
-    """Interface of the client of a policy server, or of a checkpoint in this process."""
+    """Client of a policy server, or of a checkpoint in this process."""
 
     def begin(self, seed: int) -> None:
         """Prepare for a new trial. `seed` seeds the policy's random numbers, if it has any."""
@@ -61,8 +61,8 @@ class MappedPolicy:
 
     Attributes:
         images: names of the cameras whose images the messages contain.
-        wants: further values that observations must have: `objects` if the messages contain poses of objects.
-        execute: default number of executed actions of a chunk before the next inference; None for all.
+        wants: `objects` if the messages contain poses of objects.
+        execute: default of executed actions of a chunk before the next inference; None for all.
 
     Args:
         wanted: keys of the config whose values the client needs; None for all.
@@ -106,16 +106,12 @@ class MappedPolicy:
         self._seed = 0
 
     def reset(self, seed: int) -> None:
-        """Begin a trial with the random seed `seed`."""
+        """Begin a trial."""
         self._seed = seed
         self._client.begin(seed)
 
     def __call__(self, observation: Observation) -> Mapping[str, Any]:
-        """Send an observation to the client and return its actions, as a policy of yamsim does.
-
-        Raises:
-            InvalidActionError: the client's answer has no valid actions.
-        """
+        """Return the client's actions, as a policy of yamsim does."""
         return self._actions(self._client.infer(self.message(observation)))
 
     def message(self, observation: Observation) -> dict[str, Any]:
@@ -164,7 +160,9 @@ class MappedPolicy:
         return found
 
     def _object_poses(self, observation: Observation) -> Array:
-        """Return the vector of all objects' poses in the base and joint positions, as LeRobot exports have it."""
+        """Return all objects' poses in the base and their joint positions, as one vector in the order of LeRobot
+        exports.
+        """
         T_world_in_base = inverse(self._station.T_base_in_world)
         return state_row(
             [
@@ -174,7 +172,7 @@ class MappedPolicy:
         )
 
     def _camera(self, key: str, picture: PictureMapping, wanted: Sequence[str] | None) -> str | None:
-        """Return the first camera of an image that the station has, or None if an optional image has no camera."""
+        """Return the first camera of an image that the station has; None if the image is optional and has no camera."""
         found = next((name for name in picture.cameras if name in self._station.cameras), None)
         if found is None and (wanted is not None or not picture.optional):
             there = ", ".join(self._station.cameras)

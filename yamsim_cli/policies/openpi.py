@@ -22,8 +22,8 @@ from .policy_client import (
     request_context,
 )
 
-SCHEME = "ws"  # scheme of the URL by which a user names an openpi server
-_CLOSE_S = 0.5  # s that closing a connection waits for the server
+SCHEME = "ws"  # scheme of an openpi server's URL
+_CLOSE_S = 0.5  # s, time limit of a connection's closing handshake
 _MESSAGE_TOO_BIG = 1009  # WebSocket close code for a message that is too long. Source: RFC 6455, section 7.4.1
 
 
@@ -40,9 +40,8 @@ class WebSocket:
 
     Raises:
         ResourceError: websockets is not installed.
-        TimeoutError: the connection is not made in time.
-        OSError: no server listens at the address.
-        WebSocketError: the server speaks another protocol.
+        TimeoutError, OSError, WebSocketError: no server answers in time, no server listens, or it speaks another
+            protocol.
     """
 
     def __init__(self, url: str, timeout: float) -> None:
@@ -56,7 +55,7 @@ class WebSocket:
                 url,
                 # Images hardly compress.
                 compression=None,
-                # Connect to the given address directly, even if the environment names a proxy.
+                # No proxy, even if the environment names one.
                 proxy=None,
                 # openpi answers no ping while it computes an action.
                 ping_interval=None,
@@ -68,11 +67,7 @@ class WebSocket:
             raise WebSocketError(f"it speaks no WebSocket: {error}") from error
 
     def send(self, data: bytes) -> None:
-        """Send a binary message.
-
-        Raises:
-            WebSocketError: the server has closed the connection.
-        """
+        """Send a binary message. Raise WebSocketError if the server has closed the connection."""
         try:
             self._connection.send(data)
         except self._closed as error:
@@ -100,15 +95,11 @@ class WebSocket:
 
 
 class OpenpiClient:
-    """Client of an openpi server. A lost connection is restored for the next trial or request.
+    """Client of an openpi server, which connects again when the connection is lost.
 
     Args:
         url: `ws://HOST:PORT`.
         timeout: time limit for the connection and for each message, s.
-
-    Raises:
-        UsageError: the URL is invalid.
-        ResourceError: msgpack or websockets is not installed, or no openpi server answers.
     """
 
     def __init__(self, url: str, timeout: float) -> None:
@@ -128,7 +119,7 @@ class OpenpiClient:
         self._connection()
 
     def infer(self, message: Mapping[str, Any]) -> Mapping[str, Any]:
-        """Send an observation's message to the server, and return its answer.
+        """Return the server's answer to an observation's message.
 
         Raises:
             RemoteError: the server is gone, or its answer is an error or invalid.

@@ -16,12 +16,12 @@ from ..core.geometry.se3 import Array
 from .policy_faults import PolicyFault
 from .policy_protocol import MAX_ACTIONS, MAX_PERIOD, MIN_PERIOD, InvalidActionError
 
-MAX_ANSWER_BYTES = 4_000_000  # largest size of a server's answer; 1000 actions of two arms take 150,000 bytes as JSON
-MAX_VALUES = 100_000  # largest number of values and containers in a message: seven times 1000 actions of two arms
-MAX_TEXT = 2_000  # kept characters of the error text that the result of a trial stores
+MAX_ANSWER_BYTES = 4_000_000  # largest answer of a server; 1000 actions of two arms take 150,000 bytes as JSON
+MAX_VALUES = 100_000  # most values and containers in a message: seven times 1000 actions of two arms
+MAX_TEXT = 2_000  # kept characters of an error text in the result of a trial
 _MAX_TRACEBACK = 50_000  # kept characters of a traceback, from its end
 
-_MAX_AXES = 8  # largest number of axes of an array
+_MAX_AXES = 8
 _DTYPE_KINDS = "biuf"  # accepted kinds of NumPy dtypes: booleans, integers and floating-point numbers
 _MAX_ITEM_BYTES = 8  # largest size of one number in an array
 
@@ -31,11 +31,7 @@ class DamagedMessageError(ValueError):
 
 
 class RemoteError(RuntimeError):
-    """The server's policy raised an exception, or the server is gone.
-
-    Attributes:
-        fault: description of the fault.
-    """
+    """The server's policy raised an exception, or the server is gone."""
 
     def __init__(self, text: str, traceback: str = "") -> None:
         text = text[:MAX_TEXT]
@@ -44,7 +40,7 @@ class RemoteError(RuntimeError):
 
 
 class ValueBudget:
-    """Counts the values of one message, and raises above a limit. msgpack calls `spend` for each container.
+    """Limits the number of values in one message. msgpack calls `spend` for each container.
 
     Small containers take far more memory decoded than encoded, so the limit applies while msgpack decodes the message.
     """
@@ -53,11 +49,7 @@ class ValueBudget:
         self._left = MAX_VALUES
 
     def spend(self, found: Any) -> Any:
-        """Count the values of a container and return the container.
-
-        Raises:
-            DamagedMessageError: the message has more than `MAX_VALUES` values.
-        """
+        """Count a container's values and return it. Raise DamagedMessageError above `MAX_VALUES` per message."""
         self._left -= 1 + len(found)
         if self._left < 0:
             raise DamagedMessageError(f"it holds more than {MAX_VALUES} values")
@@ -65,11 +57,7 @@ class ValueBudget:
 
 
 def check_json(data: bytes) -> None:
-    """Raise for a JSON text with too many values, before the text is decoded.
-
-    Raises:
-        DamagedMessageError: the text may hold more than `MAX_VALUES` values.
-    """
+    """Raise DamagedMessageError for a JSON text with more than `MAX_VALUES` values, before the text is decoded."""
     if sum(data.count(mark) for mark in (b",", b"[", b"{")) > MAX_VALUES:
         raise DamagedMessageError(f"it holds more than {MAX_VALUES} values")
 
@@ -163,11 +151,7 @@ def action_period(value: Any, key: str) -> float | None:
 
 
 def parse_address(url: str, scheme: str, port: int) -> tuple[str, int]:
-    """Return host and port of a URL; `port` is the default.
-
-    Raises:
-        UsageError: the URL has another scheme or no host, or has a query, a fragment or a user name.
-    """
+    """Return host and port of a URL; `port` is the default."""
     try:
         parts = urlsplit(url)
         given = parts.port
@@ -190,7 +174,6 @@ def request_context(url: str, hang_up: Callable[[], None]) -> Iterator[None]:
     Otherwise, the late answer to a failed request could be taken for the answer to the next request.
 
     Args:
-        url: address of the server, for error messages.
         hang_up: function that closes the connection.
 
     Raises:
@@ -207,11 +190,7 @@ def request_context(url: str, hang_up: Callable[[], None]) -> Iterator[None]:
 
 
 def read_body(response: http.client.HTTPResponse) -> bytes:
-    """Return the body of an HTTP answer.
-
-    Raises:
-        http.client.HTTPException: the body is longer than `MAX_ANSWER_BYTES`.
-    """
+    """Return the body of an HTTP answer. Raise HTTPException above `MAX_ANSWER_BYTES`."""
     data = response.read(MAX_ANSWER_BYTES + 1)
     if len(data) > MAX_ANSWER_BYTES:
         raise http.client.HTTPException(f"its answer is longer than {MAX_ANSWER_BYTES} bytes")

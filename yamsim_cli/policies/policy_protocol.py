@@ -23,10 +23,8 @@ STATE = (OBJECTS, VELOCITIES)
 
 MAX_ACTIONS = 1000  # largest number of actions in one answer
 MIN_PERIOD, MAX_PERIOD = 1e-3, 10.0  # s, limits of the duration of one action
-_ANGLE = QuantityBounds(
-    "rad", -2 * math.pi, 2 * math.pi
-)  # range of joint angles: no joint turns farther, so larger values are degrees
-_MAX_CHUNK_S = 100.0  # s, largest duration of a chunk: 1000 actions at 10 Hz; chunks are in memory until they run out
+_ANGLE = QuantityBounds("rad", -2 * math.pi, 2 * math.pi)  # rad, largest turn of any joint; larger values are degrees
+_MAX_CHUNK_S = 100.0  # s, longest chunk: 1000 actions at 10 Hz; chunks are in memory until they run out
 
 # Keys of an observation. Values of two arms have the left arm's first.
 # - `scene_rgb` (height, width, 3), uint8, and `wrist_rgb`, or for two arms `left_wrist_rgb` and `right_wrist_rgb`:
@@ -55,7 +53,7 @@ class Policy(Protocol):
 
     @property
     def reset(self) -> Callable[..., None]:
-        """Method that forgets the previous trial. It gets the trial's seed if it has a parameter `seed`."""
+        """Forget the previous trial. The method gets the trial's seed if it has a parameter `seed`."""
         ...
 
     def __call__(self, observation: Observation) -> Mapping[str, Any]:
@@ -97,8 +95,6 @@ def read_chunk(answer: object, arms: int, each: int) -> ActionChunk:
     """Check a policy's answer and return its actions.
 
     Args:
-        answer: answer of the policy.
-        arms: number of arms.
         each: number of drives of each arm, including the gripper.
 
     Raises:
@@ -126,7 +122,6 @@ def read_chunk(answer: object, arms: int, each: int) -> ActionChunk:
 
 
 def _weld_rows(value: Any, is_chunk: bool, count: int, arms: int) -> list[tuple[bool, ...]]:
-    """Return for each action whether each arm's weld is commanded on."""
     rows = _values(value, "magnet")
     if is_chunk and rows.size == count * arms:
         return [_truths(row, "magnet", arms) for row in rows.reshape(count, arms)]

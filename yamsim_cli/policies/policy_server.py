@@ -32,7 +32,7 @@ from .remote_policy import PROTOCOL, MessageError, UnsendableError, pack_message
 LOOPBACK = "127.0.0.1"
 
 _MAX_BYTES = 64_000_000  # largest accepted message; two images of 1920 x 1080 take a fifth
-_MAX_SESSIONS = 256  # largest number of clients with a policy; a further client replaces the oldest
+_MAX_SESSIONS = 256  # clients with a policy; a further client replaces the oldest
 
 
 class PolicyServer(ThreadingHTTPServer):
@@ -74,7 +74,6 @@ class PolicyServer(ThreadingHTTPServer):
                 # Without this context, a process that the policy forks would answer the client again.
                 with kill_forks_at_exit():
                     return pack_message(self._answer(what, message))
-            # The policy may raise any exception, which is sent to the client.
             except Exception as error:  # noqa: BLE001
                 return _fault(error)
 
@@ -107,7 +106,6 @@ class PolicyServer(ThreadingHTTPServer):
 
 
 def _fault(error: Exception) -> bytes:
-    """Return the answer that reports an exception."""
     if isinstance(error, MessageError):
         report: dict[str, Any] = {"error": str(error), "invalid": isinstance(error, UnsendableError)}
     else:
@@ -120,7 +118,7 @@ def _fault(error: Exception) -> bytes:
 
 class _Handler(BaseHTTPRequestHandler):
     server: PolicyServer
-    # HTTP/1.1 keeps the connection open, because a new connection for each action takes longer than the action.
+    # HTTP/1.1 keeps the connection open: a new connection for each action takes longer than the action.
     protocol_version = "HTTP/1.1"
     disable_nagle_algorithm = True
 
@@ -146,4 +144,4 @@ class _Handler(BaseHTTPRequestHandler):
         self.wfile.write(data)
 
     def log_message(self, format: str, *args: Any) -> None:
-        """Log nothing, because clients send about thirty requests per second."""
+        """Log nothing: clients send about thirty requests per second."""

@@ -3,10 +3,10 @@
 Episode k is the k-th successful attempt in the order of attempts, regardless of which worker finishes first. The data
 therefore depends only on the configuration and the seed.
 
-An attempt that crashes all its workers becomes a failure with cause `worker_lost`. The attempt remains a failure after
-a resume, because later episodes are numbered without it. The crash can also be the machine's fault, so
-a lost attempt is uncertain until another attempt finishes. If none does, the recording stops without writing the
-uncertain attempts, and `--resume` tries them again.
+An attempt that crashes all its workers becomes a failure with cause `worker_lost`, also after a resume, because later
+episodes are numbered without it. The crash can also be the machine's fault, so a lost attempt is uncertain until
+another attempt finishes. If none does, the recording stops without writing the uncertain attempts, and `--resume` tries
+them again.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ class Collector:
 
     @property
     def remaining_episodes(self) -> int:
-        """Number of episodes that are still to be recorded, including lost episodes of a resumed dataset."""
+        """Episodes that are still to be recorded, including lost episodes of a resumed dataset."""
         return max(0, self._config.episodes - self._sink.episodes) + len(self._lost_attempts)
 
     @property
@@ -86,15 +86,7 @@ class Collector:
         return self._sink.episodes - len(self._lost_attempts)
 
     def run(self, executor: EpisodeExecutor) -> None:
-        """Record until the dataset holds all requested episodes.
-
-        Raises:
-            InterruptedJobError: the user stopped the job. Running attempts were given `_STOP_SECONDS` to finish.
-            DatasetError: a lost episode cannot be reproduced on this machine.
-            PartialJobError: the task fails too often, or workers keep crashing.
-            SimulationError: all attempts fail for a cause in the task itself.
-            OSError: a write failed.
-        """
+        """Record until the dataset is complete. After a stop, running attempts have `_STOP_SECONDS` to finish."""
         self._report()
         while self.attempts_needed:
             while not self._stop.is_requested and executor.idle and self._can_start(executor):
@@ -139,7 +131,7 @@ class Collector:
         return attempt in self._finished and attempt not in self._uncertain_attempts
 
     def _can_start(self, executor: EpisodeExecutor) -> bool:
-        """Return whether to submit another attempt. Limit: the missing episodes, if all running attempts succeed."""
+        """Whether to submit another attempt. Limit: the missing episodes, if all running attempts succeed."""
         if self._queue:
             return True
         if self._next >= self._limit.max_attempts and not self._uncertain_attempts:

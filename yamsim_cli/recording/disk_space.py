@@ -14,29 +14,24 @@ from ..core.config.rendering import ImageConfig
 from ..core.dataset.records import ManifestEntry
 from ..core.errors import ResourceError, count_noun
 
-_MIN_JPEG_PER_PIXEL = 0.03  # bytes per pixel of a JPEG, lower bound: plain scenes at low quality
+_MIN_JPEG_PER_PIXEL = 0.03  # lower bound: plain scenes at low quality
 # JPEG quality -> bytes per pixel of a typical image. Source: the images of docs/images and tests/golden, 300 to 720
 # pixels wide, encoded at each quality. Noise (`--randomize`) doubles these values.
 _JPEG_PER_PIXEL = {1: 0.03, 50: 0.055, 70: 0.072, 85: 0.1, 95: 0.18, 100: 0.32}
 _JPEG_OVERHEAD = 600  # bytes of a JPEG for headers and tables
-_LOWDIM_BYTES = 2200  # bytes of the lowdim pickle of a frame; measured: 1600 to 2200
-_HASH_BYTES = 85  # bytes in the record of an episode for each of its files; measured: 85 to 95
+_LOWDIM_BYTES = 2200  # of the lowdim pickle of a frame; measured: 1600 to 2200
+_HASH_BYTES = 85  # in the record of an episode for each of its files; measured: 85 to 95
 # Bytes of ground truth per pixel, for depth and segmentation together: lower bound and typical value. Measured at
 # 640x480: 0.09 in the scene camera and 0.12 in the wrist camera.
 _MIN_TRUTH_PER_PIXEL, _LIKELY_TRUTH_PER_PIXEL = 0.04, 0.11
-_TRUTH_ARRAY_BYTES = 1000  # bytes of ground truth arrays per frame and camera; measured: 600
-_RESERVED_BYTES = 1_000_000  # bytes kept free for the ledger, the manifest and other programs
+_TRUTH_ARRAY_BYTES = 1000  # of ground truth arrays per frame and camera; measured: 600
+_RESERVED_BYTES = 1_000_000  # kept free for the ledger, the manifest and other programs
 _MIN_SHARE_OF_MEAN = 0.9  # smallest size of an episode as a share of the mean size, at equal numbers of frames
 
 
 @dataclass(frozen=True)
 class EpisodeSize:
-    """Size of an episode on disk.
-
-    Attributes:
-        min_bytes, likely: lower bound and estimate of bytes.
-        min_inodes, inodes: lower bound and estimate of inodes.
-    """
+    """Size of an episode on disk: lower bounds, and estimates of bytes (`likely`) and inodes."""
 
     min_bytes: int
     likely: int
@@ -92,14 +87,7 @@ def files_per_episode(frames: int, cameras: int, *, truth: bool) -> int:
 
 
 def check_space(place: Path, episodes: int, size: EpisodeSize) -> str | None:
-    """Compare the free space at `place` with the size of `episodes` more episodes.
-
-    Returns:
-        A warning if the episodes may not fit, else None.
-
-    Raises:
-        ResourceError: the episodes cannot fit.
-    """
+    """Return a warning if `episodes` more episodes may not fit into the free space at `place`."""
     state = os.statvfs(place)
     free = max(0, state.f_bavail * state.f_frsize - _RESERVED_BYTES)
     # Filesystems that create inodes on demand report zero inodes.

@@ -36,7 +36,7 @@ class ExecutorFactory(Protocol):
 
 @dataclass(frozen=True)
 class ProcessExecutorFactory:
-    """Runs attempts in processes of this machine. `job_seconds` is the time limit of an attempt, s."""
+    """Runs attempts in processes of this machine, each up to `job_seconds`, s."""
 
     job_seconds: float = JOB_SECONDS
 

@@ -1,7 +1,7 @@
-"""Worker pool with actors of a Ray cluster.
+"""Worker pool with actors of a Ray cluster, with the code, retries and time limits of local worker processes.
 
-Actors run the same code as local worker processes, with the same retries and time limits. If an actor is lost with its
-process or node, its job uses up one try. A new actor then starts where the cluster has capacity.
+If an actor is lost with its process or node, its job uses up one try. A new actor then starts where the cluster has
+capacity.
 """
 
 from __future__ import annotations
@@ -33,9 +33,6 @@ class RayPool(BaseWorkerPool[J, R]):
             the pool.
         environ: environment variables of the actor processes.
         job_seconds: time limit of a job, s.
-
-    Raises:
-        ResourceError: Ray is not installed, no cluster answers, or the cluster has fewer CPUs than `workers`.
     """
 
     def __init__(
@@ -67,7 +64,7 @@ class _Actor(Generic[J]):
 
 
 class _Cluster(Generic[J, R]):
-    """Starts Ray actors as workers, and waits for their answers; implements `WorkerBackend`."""
+    """Starts Ray actors as workers, and waits for their answers."""
 
     def __init__(self, factory: Factory[J, R], workers: int, address: str | None, environ: dict[str, str]) -> None:
         self._ray = _import_ray()

@@ -41,15 +41,7 @@ def record(
     callbacks: RecordCallbacks,
     stop: StopRequest,
 ) -> RecordReport:
-    """Record until the dataset holds the number of successful episodes that the config requests.
-
-    Raises:
-        UsageError, ConfigError, DatasetError, ResourceError: the output cannot be opened. ResourceError also if an
-            object has failed its certification.
-        InterruptedJobError: the user stopped the job.
-        PartialJobError: a write failed, workers keep crashing, or the task fails too often.
-        SimulationError: no attempt can succeed, for a cause in the task itself.
-    """
+    """Record until the dataset holds the number of successful episodes that the config requests."""
     began = time.monotonic()
     _check_certificates(session, callbacks)
     session = with_mesh_descriptions(session)
@@ -70,7 +62,7 @@ def record(
 
 
 def _check_certificates(session: Session, callbacks: RecordCallbacks) -> None:
-    """Raise ResourceError if an object failed its certification. Warn if an object has changed since then."""
+    """Refuse an object that failed its certification. Warn if an object has changed since then."""
     config, locations = session.config, session.locations
     lock = load_lock(locations)
     for item in (*config.task.objects, *config.randomization.extras):

@@ -57,18 +57,13 @@ class OpenRecordingOutput:
 
     @property
     def describe_staged(self) -> str:
-        """Clause for messages that says how many episodes are still in the staging directory; empty for none."""
+        """Clause for messages on how many episodes are still in the staging directory; empty for none."""
         if self._staged is None or not (waiting := self._staged.pending_episodes):
             return ""
         return f" ({waiting} of them still in {self._staged.folder}: give the same --stage)"
 
     def finish(self, callbacks: RecordCallbacks, stop: StopRequest) -> None:
-        """Wait until all episodes are in the dataset, and write the manifest.
-
-        Raises:
-            InterruptedJobError: the user stopped the job.
-            OSError: a write failed.
-        """
+        """Wait until all episodes are in the dataset, and write the manifest."""
         if self._staged is None:
             self.writer.finish()
             return
@@ -89,12 +84,7 @@ class OpenRecordingOutput:
 def open_destination(
     config: RecordConfig, output: RecordingOutput, callbacks: RecordCallbacks
 ) -> Iterator[OpenRecordingOutput]:
-    """Open an output for the `with` block. No other recorder can open the output meanwhile.
-
-    Raises:
-        UsageError, ConfigError, DatasetError, ResourceError: the output cannot be opened, see `DatasetWriter`.
-        ResourceError: the disk has not enough free space.
-    """
+    """Open an output for the `with` block. No other recorder can open the output meanwhile."""
     # Warn before any access to the mount, which may not respond.
     mount = _check_mounts(config, output, callbacks)
     resuming = output.mode is OpenMode.RESUME
@@ -121,7 +111,7 @@ def open_destination(
 
 
 def _check_mounts(config: RecordConfig, output: RecordingOutput, callbacks: RecordCallbacks) -> Mount | None:
-    """Return the network mount of the output, or None. Warn that writing to network mounts is slow."""
+    """Return the network mount of the output, and warn that writing to it is slow."""
     mounts = read_mounts()
     mount = network_mount(output.path, mounts)
     if output.stage is None and mount is not None:

@@ -1,5 +1,3 @@
-"""Shows a scene in MuJoCo's passive viewer window."""
-
 from __future__ import annotations
 
 import contextlib
@@ -22,15 +20,12 @@ def run_window(
 ) -> None:
     """Show a scene in MuJoCo's window until the window is closed, or `stopped` returns True.
 
-    The Control sliders of the window command the drives of a simulated rig. Space pauses. Backspace or the window's
-    reset button resets the scene.
+    The window's Control sliders command the drives of a simulated rig. Space pauses. Backspace or the reset button
+    resets the scene.
 
     Args:
         period: time between two images, s.
         ready: called when the window is open, unless `stopped` returns True before.
-
-    Raises:
-        ResourceError: no window can be opened here.
     """
     _check_display()
     with _window(shown) as viewer:
@@ -68,7 +63,7 @@ def _window(shown: ViewedScene) -> Iterator[Any]:
         yield viewer
     finally:
         viewer.close()
-        # If the window's thread outlives the interpreter, the thread reads freed memory.
+        # A thread of the window that outlives the interpreter reads freed memory.
         for thread in set(threading.enumerate()) - others:
             thread.join(_CLOSE_SECONDS)
 

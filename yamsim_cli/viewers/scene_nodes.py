@@ -16,7 +16,7 @@ _FIRST_HIDDEN_GROUP = 3  # first geom group that MuJoCo's viewer hides; holds th
 _DEFAULT_RGBA = (0.5, 0.5, 0.5, 1.0)  # MuJoCo's default colour of geoms; any other value overrides the material
 _IMAGE_IN_PLANE = (0.0, 1.0, 0.0, 0.0)  # quaternion wxyz; y points down in viser's images, and up in MuJoCo's planes
 
-# Collision primitives are transparent, so that the meshes inside them stay visible.
+# Transparent, so that the meshes inside collision primitives stay visible.
 _COLLISION_PAINT = {"color": (230, 120, 30), "opacity": 0.6}
 
 Paint = dict[str, Any]
@@ -24,7 +24,7 @@ Paint = dict[str, Any]
 
 @dataclass(frozen=True)
 class BodyNodes:
-    """The nodes that represent a scene's bodies in viser, the library of the browser page.
+    """Nodes of a scene's bodies in viser, the library of the browser page.
 
     Attributes:
         frames: body -> frame in `world`, for bodies with geoms. Frames start at the origin.
@@ -38,7 +38,7 @@ class BodyNodes:
 
 
 def add_bodies(scene: viser.SceneApi, model: mujoco.MjModel) -> BodyNodes:
-    """Add all geoms of a model to a page, and return their nodes."""
+    """Add all geoms of a model to a page."""
     frames: dict[int, viser.FrameHandle] = {}
     groups: dict[tuple[int, bool], viser.FrameHandle] = {}
     for geom in range(model.ngeom):
@@ -66,7 +66,6 @@ def _colour(model: mujoco.MjModel, geom: int) -> tuple[int, int, int]:
 
 
 def _rgb(colour: Array) -> tuple[int, int, int]:
-    """Return the first three channels of a colour in 0..255 as integers."""
     red, green, blue = (round(float(part)) for part in colour[:3])
     return red, green, blue
 
@@ -146,7 +145,7 @@ def _add_plane(scene: viser.SceneApi, model: mujoco.MjModel, geom: int, name: st
         wxyz = np.empty(4)
         mujoco.mju_mulQuat(wxyz, model.geom_quat[geom], np.array(_IMAGE_IN_PLANE))
         pixels, turned = _texture(model, texture), placed | {"wxyz": wxyz}
-        # Use PNG, since the edges of markers must stay sharp.
+        # PNG, since the edges of markers must stay sharp.
         scene.add_image(name, pixels, width, height, format="png", cast_shadow=False, **turned)
         return
     image = _texture(model, texture) if texture >= 0 else 255 * np.array([[model.geom_rgba[geom, :3]]])
@@ -202,7 +201,7 @@ class ClothNodes:
             node.vertices = points[own].astype(np.float32)
 
     def remove(self) -> None:
-        """Remove the cloths from the page."""
+        """Remove the cloths."""
         for node in self._nodes:
             node.remove()
 

@@ -1,4 +1,4 @@
-"""The base class of all browser pages: a server of the library viser, moving bodies, and a pause button."""
+"""Base class of all browser pages: a server of the library viser, moving bodies, and a pause button."""
 
 from __future__ import annotations
 
@@ -32,14 +32,10 @@ _START_LOCK = threading.Lock()
 
 
 class ScenePage:
-    """A page that shows the moving bodies and cloths of a scene. Closing the page frees its port.
-
-    Raises:
-        UsageError: the page cannot listen on the address.
-    """
+    """Page that shows the moving bodies and cloths of a scene. Closing the page frees its port."""
 
     def __init__(self, shown: ViewedScene, viewpoint: Viewpoint, address: PageAddress) -> None:
-        # Browsers drop connections at any time. Without a handler, each drop would print a traceback on stderr.
+        # Browsers drop connections at any time. Without a handler, each drop prints a traceback on stderr.
         logging.getLogger("websockets").addHandler(logging.NullHandler())
         self._shown = shown
         self._server = serve_page(address, f"yamsim: {shown.title}")
@@ -65,7 +61,7 @@ class ScenePage:
         points = np.round(self._shown.cloth_points(), _DECIMALS)
         with self._server.atomic():
             if len(positions) != self._model.nbody or len(points) != self._model.nflexvert:
-                return  # The model was replaced meanwhile; the next call shows the new model.
+                return  # The model was replaced meanwhile; the next call shows the new one.
             for body, frame in self._bodies.frames.items():
                 # viser sends changed poses only.
                 frame.position, frame.wxyz = positions[body], quaternions[body]
@@ -93,8 +89,7 @@ class ScenePage:
 def _disconnected(beat: int) -> str:
     """Return HTML that shows a notice on the panel and across the page, unless the next heartbeat replaces it in time.
 
-    Without its server, a page still shows the last state, such as a recording in progress. A server that is gone cannot
-    send a notice, so each heartbeat contains the notice in advance.
+    A server that is gone cannot send a notice, so each heartbeat contains the notice in advance.
     """
     name = f"yamsim-gone-{beat}"
     hidden = "visibility: hidden; overflow: hidden; max-height: 0"
@@ -109,7 +104,7 @@ def _disconnected(beat: int) -> str:
 
 
 class _LocalServer(viser.ViserServer):
-    """A viser server that refuses to open a tunnel to a public address, which any browser could request."""
+    """A viser server without public tunnels, which any browser could request."""
 
     def request_share_url(self, verbose: bool = True) -> None:
         """Do nothing, instead of opening a tunnel to a public address."""
@@ -117,7 +112,7 @@ class _LocalServer(viser.ViserServer):
 
 
 def serve_page(address: PageAddress, title: str) -> viser.ViserServer:
-    """Serve an empty page that refuses requests of other sites. Raise an error if the address cannot be used."""
+    """Serve an empty page that refuses requests of other sites. Raise if the address cannot be used."""
     require_free_address(address)
     with _refusing_other_sites(address.host):
         server = _LocalServer(host=address.host, port=address.port, label=title, verbose=False)
@@ -157,12 +152,7 @@ def _refusing_other_sites(host: str) -> Iterator[None]:
 
 
 def require_free_address(address: PageAddress) -> None:
-    """Check that a page can listen on an address.
-
-    Raises:
-        UsageError: the host is no address of this machine.
-        ResourceError: the port is in use, or is not permitted.
-    """
+    """Raise UsageError or ResourceError unless a page can listen on an address."""
     try:
         family, kind, _, _, place = socket.getaddrinfo(address.host, address.port, type=socket.SOCK_STREAM)[0]
     except socket.gaierror as error:

@@ -1,5 +1,3 @@
-"""Abstract interface with which a browser page controls a teleoperated arm."""
-
 from __future__ import annotations
 
 import abc
@@ -11,11 +9,10 @@ from .viewed_scene import ViewedScene
 
 @dataclass(frozen=True)
 class TeleopStatus:
-    """The state of a teleoperation session, for display.
+    """State of a teleoperation session, for display.
 
     Attributes:
         arm: the teleoperated arm, "left" or "right"; empty for a rig with one arm.
-        recording: whether an attempt is being recorded.
         seconds: length of the recording so far, s.
         episodes, failures, waiting: numbers of episodes in the dataset, failed attempts, and attempts not yet judged.
         target_distance: distance from the target pose of the hand to the nearest reachable pose, m; 0 if reachable.
@@ -23,8 +20,8 @@ class TeleopStatus:
         obstacle: name of the obstacle that blocks the arm; empty without one.
         gripper_open, magnet: commands of the gripper and the weld; `magnet` is None if grasps hold by friction alone.
         is_weld_holding: whether the weld holds an object.
-        message: the result of the last command.
-        prompt: the instruction, if it differs between attempts.
+        message: result of the last command.
+        prompt: instruction, if it differs between attempts.
         goal: how far the goal of the task is met; empty for tasks without a goal.
     """
 
@@ -51,17 +48,17 @@ class TeleopStatus:
 
 
 class TeleopInterface(ViewedScene):
-    """A scene with one or two arms, one of which a user teleoperates by a target pose. All methods are thread-safe."""
+    """A scene with one or two arms, one of which a page teleoperates by a target pose. All methods are thread-safe."""
 
     @property
     @abc.abstractmethod
     def target(self) -> Array:
-        """The target pose (4, 4) of the pinch frame, between the finger tips, in `world`."""
+        """Target pose (4, 4) of the pinch frame, between the finger tips, in `world`."""
 
     @property
     @abc.abstractmethod
     def status(self) -> TeleopStatus:
-        """The state of the session, for display."""
+        """State of the session, for display."""
 
     @abc.abstractmethod
     def switch_arm(self) -> None:
@@ -93,4 +90,4 @@ class TeleopInterface(ViewedScene):
 
     @abc.abstractmethod
     def discard(self) -> None:
-        """End the recording, and delete it."""
+        """End and delete the recording."""

@@ -1,5 +1,3 @@
-"""A browser page to teleoperate one arm, or two arms in turn, and to record attempts."""
-
 from __future__ import annotations
 
 import html
@@ -23,7 +21,7 @@ _STEP = 0.01  # m, translation of the target by one key press
 _TURN = np.radians(5.0)  # rad, rotation of the target about the vertical by one key press
 _TYPING_PAUSE = 1.0  # s from the last key press until typed numbers act; typing 0.15 must not move the target to 0
 
-# Key, description, translation of the target in `world` (m), and rotation about the vertical (rad).
+# key, description, translation of the target in `world` (m), and rotation about the vertical (rad)
 _MOVES = (
     ("I", "Target away from the base", (_STEP, 0, 0), 0.0),
     ("K", "Target towards the base", (-_STEP, 0, 0), 0.0),
@@ -42,7 +40,7 @@ _KEYS = (
 
 
 class TeleopPage(ScenePage):
-    """Browser page to teleoperate an arm: a 3D handle for the target, recording buttons, and notices of obstacles."""
+    """Page to teleoperate an arm: a 3D handle for the target, recording buttons, and notices of obstacles."""
 
     def __init__(self, arm: TeleopInterface, viewpoint: Viewpoint, address: PageAddress) -> None:
         super().__init__(arm, viewpoint, address)
@@ -65,7 +63,7 @@ class TeleopPage(ScenePage):
         self.update()
 
     def update(self) -> None:
-        """Send scene, target and status to all browsers, as far as they changed."""
+        """Send changes of scene, target and status to all browsers."""
         super().update()
         with self._acting:
             if self._fields.ready:
@@ -177,7 +175,7 @@ class TeleopPage(ScenePage):
 
 
 def _notice(status: TeleopStatus) -> str:
-    """Return HTML with the reasons why the hand cannot reach its target, in red, or that the hand follows, in green."""
+    """Return HTML: in red why the hand cannot reach its target, or in green that the hand follows."""
     reasons = []
     if status.obstacle:
         reasons.append(f"{status.obstacle} is in the way")
@@ -193,7 +191,7 @@ def _notice(status: TeleopStatus) -> str:
 
 
 class TargetFields:
-    """Input fields for the position and heading of the hand's target.
+    """Input fields for position and heading of the hand's target.
 
     The fields follow the target until a user types. They then keep the typed numbers until `take`. The class is not
     thread-safe; only `_type` runs in the server's thread.
@@ -203,7 +201,7 @@ class TargetFields:
         self._place = gui.add_vector3("target (m)", (0.0, 0.0, 0.0), step=0.001)
         self._heading = gui.add_number("heading (deg)", 0.0, min=-180.0, max=180.0, step=0.1)
         self._shown: tuple[tuple[float, ...], float] = ((0.0, 0.0, 0.0), 0.0)
-        # Time of the last key press by `time.monotonic`, s; None without typed numbers.
+        # time of the last key press by `time.monotonic`, s; None without typed numbers
         self._typed_at: float | None = None
         # Coroutines run in the server's loop, so that typing is registered before any later action.
         self._place.on_update(self._type)
@@ -246,11 +244,11 @@ class TargetFields:
         self._place.value, self._heading.value = numbers  # type: ignore[misc]
 
     async def _type(self, event: Any) -> None:
-        # An event without a client was caused by `show`, not by a user.
+        # An event without a client comes from `show`, not from a user.
         if event.client is not None:
             self._typed_at = time.monotonic()
 
 
 def hand_heading(T: Array) -> float:
-    """Return the heading of the y axis of the hand, along which the fingers close, in the xy plane of `world`, rad."""
+    """Return the heading of the hand's y axis, along which the fingers close, in the xy plane of `world`, rad."""
     return float(np.arctan2(T[1, 1], T[0, 1]))

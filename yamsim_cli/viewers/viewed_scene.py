@@ -41,7 +41,7 @@ class ViewedScene(abc.ABC):
 
     @abc.abstractmethod
     def advance(self, now: float) -> None:
-        """Advance the state of the scene to the time `now`, s on a monotonic clock."""
+        """Advance the scene to the time `now`, s on a monotonic clock."""
 
     @abc.abstractmethod
     def reset(self) -> None:
@@ -59,7 +59,6 @@ class ViewedScene(abc.ABC):
             return points
 
     def _elapsed(self, now: float) -> float:
-        """Return the seconds since the last call; 0 at the first call."""
         elapsed = 0.0 if self._last is None else now - self._last
         self._last = now
         return elapsed
@@ -168,7 +167,6 @@ class EpisodePlayer(ViewedScene):
 
     Args:
         title: title of the browser tab.
-        model: the scene.
         positions: `qpos` of each frame (frames, nq).
         frame_period: simulated time between two frames, s.
         speed: playback speed; 1 is real time.

@@ -1,5 +1,3 @@
-"""The initial camera pose of a viewer."""
-
 from __future__ import annotations
 
 import math
@@ -15,7 +13,7 @@ _AZIMUTH_DEG, _ELEVATION_DEG = 150.0, -32.0  # deg, a view from the front, to on
 
 # Sphere around an arm in its rest posture and its calibration board; the view must contain the sphere.
 _BALL_CENTRE = (0.12, 0.0, 0.17)  # m, in the arm's base frame
-_BALL_RADIUS = 0.34  # m, radius of the sphere
+_BALL_RADIUS = 0.34  # m
 _TABLE_MARGIN = 0.12  # m, added to the radius for the table of a task
 
 
@@ -37,7 +35,7 @@ class Viewpoint:
 
     @property
     def position(self) -> Array:
-        """The camera's position (3,) in `world`, m."""
+        """Position (3,) of the camera in `world`, m."""
         azimuth, elevation = math.radians(self.azimuth_deg), math.radians(self.elevation_deg)
         sight = (math.cos(elevation) * math.cos(azimuth), math.cos(elevation) * math.sin(azimuth), math.sin(elevation))
         return self.look_at - self.distance * np.array(sight)

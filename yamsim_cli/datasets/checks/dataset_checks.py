@@ -17,9 +17,9 @@ from yamsim_cli.core.errors import DatasetError
 
 from .episode_facts import EpisodeFacts
 
-_LAYOUT_DIGITS = 6  # decimals to which layouts (m, rad) are compared; independent samples never agree so closely
+_LAYOUT_DIGITS = 6  # decimals of compared layouts (m, rad); independent samples never agree so closely
 _MAX_MANIFEST_BYTES = 2**30  # bytes, largest manifest that is read
-_PART = re.compile(r"\..+\.part")  # name of a temporary file that a crash left
+_PART = re.compile(r"\..+\.part")  # temporary file that a crash left
 
 
 def check_dataset(
@@ -29,9 +29,8 @@ def check_dataset(
     attempts: Sequence[AttemptRecord],
     problems: ProblemCollector,
 ) -> list[DatasetProblem]:
-    """Compare episodes with each other, the ledger and the manifest, and return faults of episodes.
-
-    Faults of the dataset as a whole are added to `problems`.
+    """Return faults of episodes that differ from each other, the ledger or the manifest. Add other faults to
+    `problems`.
     """
     found: list[DatasetProblem] = []
     if not episodes:
@@ -137,7 +136,7 @@ def _note_leftovers(dataset: Path, known: set[str], problems: ProblemCollector) 
 
 
 def read_ledger(dataset: Path, problems: ProblemCollector) -> list[AttemptRecord]:
-    """Return all readable attempts, in order. Damaged lines and missing attempts are added to `problems`."""
+    """Return all readable attempts, in order. Add damaged lines and missing attempts to `problems`."""
     file = dataset / ATTEMPTS
     attempts: list[AttemptRecord] = []
     if not file.is_file():
@@ -167,7 +166,7 @@ def read_ledger(dataset: Path, problems: ProblemCollector) -> list[AttemptRecord
 def compare_ledger(
     dataset: Path, attempts: Sequence[AttemptRecord], episodes: Sequence[EpisodeFacts], problems: ProblemCollector
 ) -> list[DatasetProblem]:
-    """Return faults of episodes that differ from the ledger. Faults of the ledger itself are added to `problems`."""
+    """Return faults of episodes that differ from the ledger. Add faults of the ledger itself to `problems`."""
     recorded = [episode for episode in episodes if episode.record]
     if not (dataset / ATTEMPTS).is_file():
         if recorded:
@@ -188,7 +187,7 @@ def compare_ledger(
 
 
 def _find_difference(attempt: AttemptRecord, episode: EpisodeFacts) -> tuple[str, str] | None:
-    """Return the first differing value, in the episode and in the ledger; None if all agree."""
+    """Return the first differing value, in the episode and in the ledger."""
     record = episode.record
     assert record is not None
     for key in ("attempt", "seed", "outcome", "layout"):
@@ -209,7 +208,7 @@ def _shown(value: object, other: object) -> str:
 def check_manifest(
     dataset: Path, episodes: Mapping[int, EpisodeFacts], problems: ProblemCollector
 ) -> tuple[set[int], list[DatasetProblem]]:
-    """Return the numbers of the episodes in the manifest, and faults of episodes that differ from the manifest."""
+    """Return the numbers of the episodes in the manifest, and faults of episodes that differ from it."""
     file = dataset / MANIFEST
     if not file.is_file():
         problems.add("manifest.missing", MANIFEST)

@@ -145,7 +145,6 @@ class _EpisodeCheck:
             self._problems.add("frames.count", "lowdim", f"{frames} in lowdim", f"{record.frames}, as in {EPISODE}")
 
     def _hash_fits(self, name: str, data: bytes) -> bool:
-        """Return whether the hash of a file matches the record; True if the record does not list the file."""
         record = self._record or self._imported
         wanted = record.files.get(name) if record else None
         if wanted is None:

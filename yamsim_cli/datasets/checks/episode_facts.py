@@ -37,10 +37,9 @@ class EpisodeFacts:
         images: camera -> paths of decodable images, relative to the episode, in order.
         starts, ends: object -> (x, y) in `world` in the first and in the last frame, m.
         layout: object -> initial pose as recorded, or else (x, y, z, yaw) in the robot base; m and rad.
-        outcome: recorded outcome, or else derived from the last frame; None without either.
+        outcome: as recorded, or else derived from the last frame; None without either.
         content: hash of the lowdim values; "" if a frame is unreadable.
-        problems: the episode's faults.
-        noted: faults that the import found, one sentence each; only for real recordings.
+        noted: faults that the import of a real recording found, one sentence each.
     """
 
     name: str
@@ -113,7 +112,7 @@ def initial_layout(values: Values, record: EpisodeRecord | None) -> dict[str, tu
 
 
 def outcome_from_frames(values: Values, context: CheckContext) -> OutcomeRecord | None:
-    """Return the outcome derived from the last frame; None without stored poses of object and target."""
+    """Return the outcome of the last frame; None without stored poses of object and target."""
     if not values:
         return None
     poses = object_poses(values, max(values))

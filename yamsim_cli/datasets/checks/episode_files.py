@@ -13,7 +13,7 @@ from yamsim_cli.core.dataset.checks.problem import ProblemCollector
 from yamsim_cli.core.dataset.dataset_paths import EPISODE, depth_name, image_path, lowdim_path, segmentation_name
 from yamsim_cli.core.dataset.records import EpisodeRecord
 
-_MAX_DEPTH = 4  # folder levels that are searched: the format has no deeper folders, and a link may form a loop
+_MAX_DEPTH = 4  # searched folder levels: the format has no deeper folders, and a link may form a loop
 # File extension -> largest file that is read, bytes.
 _MAX_BYTES = {".pkl": 2**20, ".jpg": 2**26, ".jpeg": 2**26, ".json": 2**26, ".png": 2**26, ".npz": 2**27}
 _MAX_OTHER_BYTES = 2**28  # bytes, largest file with any other extension that is read
@@ -44,7 +44,7 @@ class EpisodeFiles:
 
 
 def list_files(directory: Path, recorded: bool, problems: ProblemCollector) -> EpisodeFiles:
-    """Return all files below an episode directory. Other kinds of entries than files and folders are reported.
+    """Return all files below an episode directory, and report entries that are neither files nor folders.
 
     Args:
         recorded: whether yamsim recorded the episode, so that frame numbers have at least six digits.
@@ -150,7 +150,7 @@ def check_missing_files(files: EpisodeFiles, record: EpisodeRecord | None, probl
 
 
 def _is_numbered(name: str, record: EpisodeRecord) -> bool:
-    """Return whether a file belongs to a sequence of frames, whose gaps are reported separately."""
+    """Whether a file belongs to a sequence of frames, whose gaps are reported separately."""
     return bool(_IMAGE.fullmatch(name) or _LOWDIM.fullmatch(name) or (record.truth and _TRUTH.fullmatch(name)))
 
 

@@ -27,12 +27,12 @@ _BLACK_BRIGHTNESS = 16.0  # 0 to 255, brightness below which a uniform image is 
 _MIN_FROZEN_RUN = 3  # images
 _MIN_FROZEN_MOTION = 0.02  # rad; images of a slower arm may be equal
 
-HashCheck = Callable[[str, bytes], object]  # gets the path and content of a file, and reports a wrong hash
+HashCheck = Callable[[str, bytes], object]  # gets path and content of a file, and reports a wrong hash
 Read = Callable[[str], bytes | None]  # gets the path of a file, and returns its content or None
 
 
 class ImageReader(Protocol):
-    """Image decoder. Callers inject the decoder, because this package does not import OpenCV."""
+    """Image decoder. Callers inject it, because this package does not import OpenCV."""
 
     def header(self, data: bytes) -> ImageHeader | None:
         """Return size and channels; None if `data` is not a complete image."""
@@ -105,9 +105,7 @@ def check_frozen_images(
     """Report runs of equal images during which the arm moves.
 
     Args:
-        fingerprints: frame number -> fingerprint of the image.
-        names: frame number -> path of the image.
-        joints: frame number -> joint angles, rad.
+        fingerprints, names, joints: frame number -> fingerprint of the image, its path, and joint angles, rad.
     """
     for run in _equal_runs(fingerprints):
         known = [joints[k] for k in run if k in joints]
@@ -135,11 +133,7 @@ def _format_size(size: tuple[int, int]) -> str:
 
 
 class TruthChecks:
-    """Checks the ground truth of one episode against its `record`.
-
-    Args:
-        hash_fits: called with each image that decodes; reports a wrong hash.
-    """
+    """Checks the ground truth of one episode against its `record`."""
 
     def __init__(
         self, record: EpisodeRecord, reader: ImageReader, read: Read, hash_fits: HashCheck, problems: ProblemCollector
@@ -171,7 +165,7 @@ class TruthChecks:
                 self._problems.add("truth.missing", name)
 
     def check_arrays(self, camera: str) -> None:
-        """Check keys, dtypes and shapes of the arrays of one camera: poses, keypoints and boxes."""
+        """Check keys, dtypes and shapes of one camera's poses, keypoints and boxes."""
         name = truth_name(camera)
         data = self._read(name)
         if data is None:
@@ -186,7 +180,7 @@ class TruthChecks:
                 self._problems.add("truth.shape", name, fault)
 
     def check_depth(self, camera: str, name: str) -> None:
-        """Check that a depth image decodes and has the size and the hash in the record."""
+        """Check that a depth image decodes and has the recorded size and hash."""
         data = self._read(name)
         if data is None:
             return

@@ -38,11 +38,9 @@ from .policy_trial import MEASURED, TrialEnd, TrialResult, TrialRunner
 
 @dataclass(frozen=True)
 class Evaluation:
-    """Results of all trials of a policy.
+    """Results of all trials of a policy, in order.
 
     Attributes:
-        choice: the evaluated policy.
-        results: results of the trials, in order.
         seconds: real time of all trials, s.
         instances: objects of each trial as text, such as "object banana, plate".
     """
@@ -60,10 +58,6 @@ def evaluate(
 
     Args:
         trial_seconds: real time after which a worker with an unfinished trial is terminated, s.
-
-    Raises:
-        UsageError, ResourceError: the policy cannot be made.
-        InterruptedJobError: the user stopped the evaluation.
     """
     began = time.monotonic()
     config = session.config
@@ -77,7 +71,7 @@ def evaluate(
 
 
 def describe_objects(session: Session, job: AttemptJob) -> str:
-    """Return which object has which role in a trial as text, such as "object banana, plate"."""
+    """Return the objects of a trial with their roles as text, such as "object banana, plate"."""
     kinds = sample_roles_for(session, job).config_names
     return ", ".join(name if name == kind else f"{name} {kind}" for name, kind in sorted(kinds.items()))
 
@@ -102,7 +96,6 @@ def rates_by_objects(evaluation: Evaluation) -> list[dict[str, Any]]:
 
 
 def _chunks(results: Sequence[TrialResult], tick: float) -> dict[str, Any]:
-    """Return sums over all trials: chunks, actions, actions that came too late, and the time without an action, s."""
     counts = [result.chunk_stats for result in results]
     return {
         "chunks": sum(count.chunks for count in counts),
@@ -122,7 +115,7 @@ def _lost_trial(lost: LostJobError) -> TrialResult:
 
 
 def evaluation_report(evaluation: Evaluation, config: RecordConfig, thresholds: Sequence[float]) -> dict[str, Any]:
-    """Return an evaluation as JSON data, with policy, stats, rig, task, grasp, arms, seed, seconds and trials.
+    """Return an evaluation as JSON data.
 
     Args:
         thresholds: distances, m, for which success rates are computed in addition to that of the task.
@@ -155,14 +148,7 @@ def evaluation_report(evaluation: Evaluation, config: RecordConfig, thresholds: 
 
 
 def require_measured(report: Mapping[str, Any]) -> None:
-    """Check that an evaluation measured the policy's success.
-
-    Args:
-        report: result of `evaluation_report`.
-
-    Raises:
-        PartialJobError: all trials ended before they measured the policy.
-    """
+    """Raise PartialJobError if all trials of a report ended before they measured the policy's success."""
     ended = report["stats"]["ended"]
     if not any(TrialEnd(how) in MEASURED for how in ended):
         first = report["trials"][0]
@@ -203,7 +189,7 @@ class PolicyFilmer(TrialFilmer):
 
 
 def trials_to_film(results: Sequence[TrialResult], limit: int, *, successes: bool) -> list[TrialResult]:
-    """Return up to `limit` trials to film: failures, or successes if none failed. With `successes`, return both."""
+    """Return up to `limit` failures, or successes if none failed. With `successes`, return both."""
     acted = [result for result in results if result.actions is not None]
     failed = [result for result in acted if not result.outcome.success]
     return (acted if successes else failed or acted)[:limit]
@@ -223,10 +209,6 @@ def film_evaluation(
     Args:
         limit: largest number of films.
         successes: whether to film failures and successes, in the order of the trials.
-
-    Raises:
-        InterruptedJobError: the user stopped the job; finished films stay.
-        ResourceError: the machine cannot render, or the films cannot be written.
     """
     config = session.config
     tick = config.task.timing.tick

@@ -17,7 +17,7 @@ from yamsim_cli.core.images.image import Image
 
 from ..policy_protocol import OBJECTS, SCENE, VELOCITIES, WRIST, squeeze_single_arm
 
-# Function that renders the image of a camera (second argument) at MuJoCo's positions (nq,) (first argument).
+# (MuJoCo's positions (nq,), name of a camera) -> image.
 Render = Callable[[Array, str], Image]
 
 
@@ -37,11 +37,7 @@ def available_cameras(config: RecordConfig) -> dict[str, dict[str, str]]:
 
 
 def policy_cameras(config: RecordConfig, images: Iterable[str]) -> dict[str, str]:
-    """Return key of an observation -> camera of the scene, for the images that a policy requests.
-
-    Raises:
-        UsageError: the rig and the task do not have a requested image.
-    """
+    """Return key of an observation -> camera of the scene, for the images that a policy requests."""
     there = available_cameras(config)
     cameras: dict[str, str] = {}
     for name in images:
@@ -55,10 +51,10 @@ def policy_cameras(config: RecordConfig, images: Iterable[str]) -> dict[str, str
 
 
 class ObservationRenderer:
-    """Renders the images of one trial's observations, and refuses to do so in another thread or after the trial.
+    """Renders the images of one trial's observations.
 
     Attributes:
-        failure: exception of a failed rendering, which is not the policy's fault; None if none failed.
+        failure: exception of a failed rendering, which is yamsim's fault and not the policy's; None if none failed.
     """
 
     def __init__(self, render: Render) -> None:
@@ -85,17 +81,17 @@ class ObservationRenderer:
             raise
 
     def finish(self) -> None:
-        """End the trial, after which its images can no longer be rendered."""
+        """End the trial, after which `render` refuses."""
         self._is_over = True
 
 
 class LazyObservation(Mapping[str, Any]):
-    """An observation whose images are rendered at the first access, in the state of the observation.
+    """Observation whose images are rendered at the first access, in the state of the observation.
 
     `dict(observation)` renders all images. Listing and counting the keys renders no image.
 
     Args:
-        numbers: key -> value, for all keys of the observation except images.
+        numbers: key -> value, for all keys except images.
         qpos: MuJoCo's positions (nq,), which the caller must not change.
         cameras: key of an image -> camera.
     """
@@ -134,9 +130,6 @@ class ObservationBuilder:
     Args:
         images: names of the requested images, from `policy_protocol.IMAGES` or the rig's cameras.
         wants: further requested values, from `policy_protocol.STATE`.
-
-    Raises:
-        UsageError: a requested camera does not exist.
     """
 
     def __init__(self, simulator: Simulator, images: Iterable[str], wants: Iterable[str]) -> None:
@@ -146,7 +139,7 @@ class ObservationBuilder:
 
     @property
     def drives(self) -> tuple[int, int]:
-        """Number of arms, and number of drives of each arm."""
+        """Numbers of arms, and of drives of each arm."""
         arms, drives = self._simulator.scene.drives.shape
         return arms, drives
 

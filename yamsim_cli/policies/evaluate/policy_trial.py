@@ -60,15 +60,13 @@ class TrialResult:
     """Result of a trial.
 
     Attributes:
-        attempt: sampled start of the trial: objects, their poses and MuJoCo's positions.
+        attempt: sampled start.
         outcome: whether the trial succeeded, and why not.
-        ended: reason for the end of the trial.
         error: description of the policy's fault; empty without a fault.
         traceback: traceback of the policy's exception; empty without an exception.
-        ticks: number of simulated control ticks.
+        ticks: simulated control ticks.
         seconds: duration of each inference, s.
         actions: executed actions; None if no tick was simulated.
-        chunk_stats: numbers of received chunks and actions, of skipped actions, and of ticks without an action.
     """
 
     attempt: Attempt
@@ -90,11 +88,7 @@ def trial_rules(config: RecordConfig, choice: PolicyChoice) -> EpisodeRules:
 
 
 class TrialRunner(Closable):
-    """Runs trials of one policy. The caller must close the runner, for example as a context manager.
-
-    Raises:
-        ConfigError, UsageError, ResourceError: the policy does not exist, cannot be loaded, or does not fit the rig.
-    """
+    """Runs trials of one policy. The caller must close the runner, for example as a context manager."""
 
     def __init__(self, session: Session, choice: PolicyChoice) -> None:
         self._config, self._choice = session.config, choice
@@ -136,7 +130,6 @@ class TrialRunner(Closable):
     def _drive(
         self, simulator: Simulator, attempt: Attempt, seconds: list[float]
     ) -> tuple[Episode, TrialEnd, PolicyFault, ChunkStats]:
-        """Run the policy until the trial ends, or the policy is done or fails."""
         config = self._config
         episode = open_episode(simulator, attempt, trial_rules(config, self._choice))
         renderer = ObservationRenderer(lambda qpos, camera: self._render(simulator, attempt, qpos, camera))

@@ -1,4 +1,4 @@
-"""Trials of a task for callers that step the simulation tick by tick, such as environments and simulated stations."""
+"""Trials of a task for callers that step the simulation themselves, such as environments and simulated stations."""
 
 from __future__ import annotations
 
@@ -20,18 +20,14 @@ from yamsim_cli.core.errors import SimulationError
 from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.core.images.image import Image
 
-MAX_STARTS = 20  # number of consecutive trials without a start after which `begin` fails
+MAX_STARTS = 20  # consecutive trials without a start after which `begin` fails
 
 
 class SteppedTask(Closable):
     """Trials of a task, with the same starts as `yamsim trials`. The caller must close the object to free renderers.
 
     Attributes:
-        config: config of the session.
-        rules: rules of the episodes.
-        simulator: simulator of the current trial.
-        attempt: sampled start of the current trial.
-        episode: simulation of the current trial.
+        simulator, attempt, episode: simulator, sampled start and simulation of the current trial.
 
     Args:
         end: rule that ends a trial, such as at the first success.
@@ -48,11 +44,7 @@ class SteppedTask(Closable):
         self.simulator: Simulator = self._simulators.get(AttemptJob(self.config.seed, 0))
 
     def begin(self, job: AttemptJob) -> None:
-        """Begin the trial `job`. If no start could be sampled for it, begin the next trial that has a start.
-
-        Raises:
-            SimulationError: none of `MAX_STARTS` trials has a start.
-        """
+        """Begin the trial `job`, or the next trial for which a start can be sampled."""
         for attempt in self._sampled(job):
             if attempt.start is not None:
                 self._set_up(with_reserved_distractors(self.simulator, attempt))
@@ -60,15 +52,11 @@ class SteppedTask(Closable):
         raise self._none(job, "has a start")
 
     def begin_demonstrated(self, job: AttemptJob) -> ActionSequence:
-        """Begin the trial `job`, or the next trial in which the task's scripted expert succeeds.
-
-        The trial starts where `yamsim record` starts an episode of it.
+        """Begin the trial `job`, or the next trial in which the task's scripted expert succeeds, as `yamsim record`
+        starts it.
 
         Returns:
             Actions with which the expert succeeds in this trial.
-
-        Raises:
-            SimulationError: the expert succeeds in none of `MAX_STARTS` trials.
         """
         for attempt in self._sampled(job):
             done = demonstrate(self.simulator, attempt)
@@ -92,7 +80,7 @@ class SteppedTask(Closable):
         return end is not None and end.reason is EndReason.TIME_LIMIT
 
     def failure_reason(self) -> str:
-        """Return the reason why the trial is currently no success, or an empty text if it is a success."""
+        """Return why the trial is currently no success; empty for a success."""
         if self.succeeded:
             return ""
         end = self.episode.end

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class WrittenVideo:
-    """A written video: path, frames, length in s, size in px, cameras, and the backup of an older file of that name."""
+    """A written video: its length in s, size (width, height) in px, and the backup of an older file of that name."""
 
     path: Path
     frames: int
@@ -55,11 +55,6 @@ def film_recorded(
     Args:
         cameras: cameras whose images are placed side by side; the first camera if empty.
         frame_period: time between two frames in the video, s.
-
-    Raises:
-        UsageError: the episode has no such camera, or the file exists.
-        DatasetError: an image is missing, altered or damaged. No video is written then.
-        ResourceError: the video cannot be written, see `VideoWriter`.
     """
     if not episode.record.cameras:
         raise DatasetError(f"{episode.directory} has no pictures; without --video its arms are shown")
@@ -79,12 +74,7 @@ def film_rendered(
     """Render an episode again, and make a video.
 
     Args:
-        session: the result of `session_with_wrist_camera`, with its meshes.
-
-    Raises:
-        DatasetError: the episode was not simulated, or was simulated in another scene.
-        UsageError: the episode has no such camera, or the file exists.
-        ResourceError: the video cannot be written, or nothing can be rendered.
+        session: result of `session_with_wrist_camera`, with its meshes.
     """
     with _simulator_of(episode, session) as simulator:
         chosen = _choose(cameras, simulator.scene.cameras)
@@ -123,11 +113,7 @@ def session_with_wrist_camera(session: Session, size: tuple[int, int] | None = N
 
 
 def episode_positions(episode: StoredEpisode, simulator: Simulator) -> Array:
-    """Return the `qpos` of each frame (frames, nq) of a simulated episode.
-
-    Raises:
-        DatasetError: the episode was not simulated, was simulated in another scene, or a file is damaged.
-    """
+    """Return the `qpos` of each frame (frames, nq) of a simulated episode."""
     frames = episode.frames()
     if not all(map(has_simulation, frames)):
         raise DatasetError(
@@ -144,7 +130,6 @@ def episode_positions(episode: StoredEpisode, simulator: Simulator) -> Array:
 
 
 def _simulator_of(episode: StoredEpisode, session: Session) -> Simulator:
-    """Return the simulator of the scene in which an episode was simulated."""
     return simulator_for(session, AttemptJob(episode.record.seed, episode.record.attempt))
 
 
@@ -161,10 +146,6 @@ def play_simulated(
     Args:
         session: a session of the dataset's config.
         speed: playback speed; 1 is real time.
-
-    Raises:
-        DatasetError: the episode was not simulated, or is damaged.
-        UsageError, ResourceError: the page cannot be served, or no window can be opened.
     """
     record, config = episode.record, session.config
     with _simulator_of(episode, session_with_wrist_camera(session)) as simulator:
@@ -188,9 +169,6 @@ def play_real(
 
     Args:
         motion: motion of the arms, in the recording order of the rig.
-
-    Raises:
-        UsageError, ResourceError: the page cannot be served, or no window can be opened.
     """
     _, model = compose_at_home(blueprint, locations)
     period = episode.record.frame_period_s

@@ -28,13 +28,8 @@ _ZIP_DATE = (1980, 1, 1, 0, 0, 0)  # earliest date of a zip file; constant, so t
 
 
 def scene_files(spec: mujoco.MjSpec, model: mujoco.MjModel, reader: Reader = "3.3") -> dict[str, bytes]:
-    """Return relative path -> content for the files of a scene. Equal specs give equal bytes.
-
-    Args:
-        model: the compiled `spec`.
-
-    Raises:
-        UsageError: the scene has an element, attribute or value that `reader` does not know.
+    """Return relative path -> content for the files of a scene; `model` is the compiled `spec`. Equal specs give equal
+    bytes.
     """
     named = {mesh.file for mesh in spec.meshes} | {texture.file for texture in spec.textures}
     files = {name: data for name, data in sorted(spec.assets.items()) if name in named}
@@ -55,10 +50,7 @@ def zip_bytes(files: dict[str, bytes], folder: str) -> bytes:
 
 
 def classic_xml(spec: mujoco.MjSpec, model: mujoco.MjModel) -> str:
-    """Return the MJCF of a scene for MuJoCo 3.3 and newer, in full precision.
-
-    Args:
-        model: the compiled `spec`.
+    """Return the MJCF of a scene for MuJoCo 3.3 and newer, in full precision; `model` is the compiled `spec`.
 
     Raises:
         UsageError: the scene has an element, attribute or value that 3.3 does not know.
@@ -113,7 +105,6 @@ def _write_inertia(body: Element, model: mujoco.MjModel, number: int) -> None:
 
 
 def _write_light_type(light: Element) -> None:
-    """Replace the type of a light by the attribute `directional` of 3.3.0."""
     kind = light.get("type")
     if kind in ("directional", "spot"):
         del light.attrib["type"]

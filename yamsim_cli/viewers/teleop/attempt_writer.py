@@ -32,7 +32,7 @@ class TeleopAttemptRenderer(Closable):
     """Renders teleoperated attempts that were successful. The outcomes were determined before.
 
     Args:
-        render: whether images and files of successful attempts are made; otherwise only outcomes are returned.
+        render: whether to make images and files of successful attempts; otherwise only outcomes are returned.
     """
 
     def __init__(self, session: Session, *, render: bool = True) -> None:
@@ -44,7 +44,7 @@ class TeleopAttemptRenderer(Closable):
         self._simulators.get(AttemptJob(session.config.seed, 0))
 
     def run(self, simulated: SimulatedAttempt) -> AttemptPayload:
-        """Return the payload of an attempt: its record and, on success, its rendered files."""
+        """Return an attempt's record and, on success, its rendered files."""
         simulator, done = self._simulators.get(simulated.attempt.job), simulated
         if done.outcome.success:
             done = replace(done, attempt=with_distractors(simulator, done.attempt, done.states))
@@ -64,11 +64,11 @@ def open_worker(session: Session) -> ProcessPool[SimulatedAttempt, AttemptPayloa
 
 
 class AttemptReceiver(Protocol):
-    """Interface of an object to which a scene submits its teleoperated attempts."""
+    """Object to which a scene submits its teleoperated attempts."""
 
     @property
     def next_attempt(self) -> int:
-        """The number of the next attempt."""
+        """Number of the next attempt."""
         ...
 
     def submit(self, simulated: SimulatedAttempt) -> None:
@@ -104,12 +104,12 @@ class AttemptWriter(Closable):
 
     @property
     def waiting(self) -> int:
-        """The number of submitted attempts that `next_written` has not returned yet."""
+        """Number of submitted attempts that `next_written` has not returned yet."""
         return len(self._futures)
 
     @property
     def next_attempt(self) -> int:
-        """The number of the next attempt."""
+        """Number of the next attempt."""
         return self._first + self._submitted
 
     def submit(self, simulated: SimulatedAttempt) -> None:

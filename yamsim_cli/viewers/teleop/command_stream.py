@@ -26,19 +26,19 @@ _OPENING = QuantityBounds("m", -0.02, 0.1)  # valid finger openings; drives repo
 
 
 class PoseTarget(Config):
-    """A pose of `grasp_site` in the arm's base: position in m, quaternion wxyz."""
+    """Pose of `grasp_site` in the arm's base: position in m, quaternion wxyz."""
 
     position: PlacePoint
     quaternion: Quaternion
 
     @property
     def T(self) -> Array:
-        """The pose (4, 4)."""
+        """Pose (4, 4)."""
         return pose_from_quat(self.position, self.quaternion)
 
 
 class TeleopCommand(Config):
-    """One line of a command stream. Values that the line omits keep their previous commands.
+    """One line of a command stream. Omitted values keep their previous commands.
 
     Attributes:
         t: time since the beginning of the stream, s.
@@ -80,11 +80,7 @@ class TeleopCommand(Config):
 
 
 def read_stream(file: Path, config: RecordConfig) -> list[TeleopCommand]:
-    """Read all commands of a file, in order of time, for the arms of a recording.
-
-    Raises:
-        ConfigError: the file cannot be read, or a line is not valid for these arms. The message names line and key.
-    """
+    """Read all commands of a file, in order of time. Errors name line and key."""
     try:
         lines = file.read_text(encoding="utf-8").splitlines()
     except (OSError, UnicodeDecodeError) as error:
@@ -117,8 +113,6 @@ def _read(line: str, where: str) -> TeleopCommand:
 
 
 class _Arms:
-    """Checks that each command of a stream is valid for the arms of a recording config."""
-
     def __init__(self, config: RecordConfig) -> None:
         rig = config.rig
         self._arms = {rig.arms[k].side: rig.arms[k] for k in rig.recording_order}
@@ -127,7 +121,7 @@ class _Arms:
         self._task, self._grasp = config.task.name, config.grasp
 
     def check(self, command: TeleopCommand, where: str) -> None:
-        """Check one command. Raise ConfigError if the arm or the weld does not exist, or the joints are not valid."""
+        """Raise ConfigError if the arm or the weld does not exist, or the joints are not valid."""
         if self._grasp != "weld" and command.magnet is not None:
             raise ConfigError(
                 f"{where}: magnet: task {self._task!r} with grasp {self._grasp!r} has none: things are held by "

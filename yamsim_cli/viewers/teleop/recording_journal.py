@@ -25,7 +25,7 @@ class CommandTick:
     Attributes:
         ctrl: commands to the drives (arms, drives), rad and m.
         magnet: for each arm, whether the weld was commanded to hold.
-        reference: joints and openings (arms, drives), rad and m, that the commands aim at.
+        reference: joints and openings (arms, drives), rad and m, at which the commands aim.
     """
 
     ctrl: Array
@@ -38,11 +38,11 @@ class UnfinishedRecording:
     """The recording of a killed session.
 
     Attributes:
-        path: the file of the recording.
+        path: file of the recording.
         job: seed and number of the attempt.
         start: MuJoCo `qpos` (nq,) at the beginning.
-        ticks: the commands of all simulated ticks.
-        stopped: number of ticks before the user stopped the recording; None if the session was killed before.
+        ticks: commands of all simulated ticks.
+        stopped: ticks before the user stopped the recording; None if the session was killed before.
     """
 
     path: Path
@@ -65,11 +65,7 @@ class RecordingJournal:
         self._attempt = -1
 
     def begin(self, attempt: Attempt) -> None:
-        """Open the file of a recording.
-
-        Raises:
-            OSError: the file cannot be written.
-        """
+        """Open the file of a recording. Raise OSError if it cannot be written."""
         self.end()
         self._folder.mkdir(exist_ok=True)
         assert attempt.start is not None, "a driven attempt has a start"
@@ -96,7 +92,7 @@ class RecordingJournal:
         self._write({"event": _STOP})
 
     def end(self) -> None:
-        """Close the file. The file exists until `drop` removes it."""
+        """Close the file, which stays on the disk."""
         if self._file is not None:
             self._file.close()
             self._file = None

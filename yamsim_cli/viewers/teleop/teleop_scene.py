@@ -32,10 +32,7 @@ class TeleopAttemptScene:
     """The compiled scene and the arms of the present attempt. Each role assignment has a separate scene.
 
     Attributes:
-        scene: the compiled scene.
-        arms: the arms, in the order of recordings.
-        sides: sides of the arms, in the order of recordings.
-        postures: start postures of the arms.
+        arms, sides, postures: arms, their sides and start postures, in the order of recordings.
     """
 
     scene: CompiledScene
@@ -49,11 +46,7 @@ class TeleopAttemptScene:
         self.postures = start_postures(session.config)
 
     def begin(self, job: AttemptJob) -> Attempt:
-        """Sample the attempt of a job, which becomes the present attempt.
-
-        Raises:
-            SimulationError: no layout has room for the objects of the attempt.
-        """
+        """Sample the attempt of a job, which becomes the present attempt."""
         attempt = self.sample(job)
         if attempt.start is None:
             assert self._simulator is not None, "begin comes first"
@@ -72,7 +65,7 @@ class TeleopAttemptScene:
         return attempt if start is None else replace(attempt, start=start)
 
     def set_up(self, attempt: Attempt, rules: EpisodeRules) -> Episode:
-        """Reset the arms, and return the episode that simulates the present attempt."""
+        """Reset the arms, and return the episode that simulates the attempt."""
         assert self._simulator is not None, "begin comes first"
         for arm, posture in zip(self.arms, self.postures, strict=True):
             arm.reset(posture)
@@ -89,25 +82,23 @@ class TeleopScene(TeleopInterface):
     """A scene with teleoperated arms, and its state. All methods are thread-safe.
 
     Of two arms, one is teleoperated at a time, and the other continues to its last target. Methods without a side
-    command the teleoperated arm. An arm follows a target pose or target joints, see `TeleopArm`. A recording begins at
-    rest with the layout of its attempt. Each attempt has its own role assignment, so the scene and the model change
-    between attempts. A stop releases objects that welds hold. Fingers keep their grasp, since the goal may require it.
-    After a stop, the scene ignores targets until it is at rest.
+    command the teleoperated arm. A recording begins at rest with the layout of its attempt. Each attempt has its own
+    role
+    assignment, so the scene and the model change between attempts. A stop releases objects that welds hold. Fingers
+    keep
+    their grasp, since the goal may require it. After a stop, the scene ignores targets until it is at rest.
 
     Attributes:
         sides: sides of the arms, in the order of recordings.
         active_arm: index of the teleoperated arm in that order.
         episodes, failures, waiting, discarded: numbers of successful, failed, not yet judged and discarded attempts.
-        message: the result of the last command.
+        message: result of the last command.
 
     Args:
         receiver: object to which finished attempts are submitted.
         journal: saves the present recording to the disk; None saves nothing.
         time_limit: time limit of a recording, s.
-        end: the rule that ends a recording.
-
-    Raises:
-        SimulationError: no layout has room for the objects of the task.
+        end: rule that ends a recording.
     """
 
     def __init__(
@@ -133,7 +124,7 @@ class TeleopScene(TeleopInterface):
         self.episodes = self.failures = self.waiting = 0
         self.discarded = 0
         self._ticks = 0
-        # Remaining ticks until a stopped recording is submitted.
+        # remaining ticks until a stopped recording is submitted
         self._settling: int = 0
         self._begin()
 
@@ -144,7 +135,7 @@ class TeleopScene(TeleopInterface):
 
     @property
     def dof(self) -> int:
-        """The number of joints of each arm, without fingers."""
+        """Number of joints of each arm, without fingers."""
         return self._stage.scene.arms[0].dof
 
     @property
@@ -164,7 +155,7 @@ class TeleopScene(TeleopInterface):
 
     @property
     def status(self) -> TeleopStatus:
-        """The state of the session, for display."""
+        """State of the session, for display."""
         with self.lock:
             arm = self._arm
             return TeleopStatus(

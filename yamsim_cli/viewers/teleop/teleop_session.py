@@ -38,9 +38,8 @@ class Jitter:
 
     Attributes:
         rate_hz: nominal rate of ticks.
-        ticks: number of ticks.
         p50, p95, max: median, 95th percentile and maximum.
-        late: number of ticks that began more than half a tick late.
+        late: ticks that began more than half a tick late.
         lost: time that the loop skipped because its delay was too large, ms. The recording still has every tick.
     """
 
@@ -54,7 +53,7 @@ class Jitter:
 
 
 class TickClock:
-    """Paces a loop at a fixed period with the monotonic clock, and measures the jitter."""
+    """Paces a loop at a fixed period (s) with the monotonic clock, and measures the jitter."""
 
     def __init__(self, period: float) -> None:
         self._period = period
@@ -77,7 +76,7 @@ class TickClock:
 
     @property
     def jitter(self) -> Jitter | None:
-        """The jitter of the ticks so far; None before the second tick."""
+        """Jitter of the ticks so far; None before the second tick."""
         if len(self._began) < 2:
             return None
         off = 1000 * np.abs(np.diff(self._began) - self._period)
@@ -88,12 +87,12 @@ class TickClock:
 
 @dataclass(frozen=True)
 class TeleopReport:
-    """The result of a teleoperation session.
+    """Result of a teleoperation session.
 
     Attributes:
         path: directory of the dataset.
         episodes, attempts: numbers of successful attempts and of all attempts in the dataset.
-        discarded: number of recordings that the user discarded.
+        discarded: recordings that the user discarded.
         trials: records of the attempts of this session, in order.
         jitter: jitter of the control ticks; None if ticks did not follow the clock.
     """
@@ -115,7 +114,7 @@ class TeleopSession:
     dataset: DatasetWriter
 
     def update(self, timeout: float = 0.0) -> None:
-        """Update the counts and the message of the scene from the next written attempt, if any. `timeout` is in s."""
+        """Show the next written attempt, if one is written within `timeout` s, in the scene's counts and message."""
         scene, attempts = self.scene, self.attempts
         attempt = attempts.next_written(timeout)
         scene.episodes, scene.waiting = attempts.episodes, attempts.waiting
@@ -134,12 +133,7 @@ class TeleopSession:
 
 
 def check_page(address: PageAddress) -> None:
-    """Check that a page can be served, before the dataset is created.
-
-    Raises:
-        UsageError: the host is no address of this machine.
-        ResourceError: the port is in use, or viser is not installed.
-    """
+    """Raise unless a page can be served, before the dataset is created."""
     require_viser()
     from ..scene_page import require_free_address
 
@@ -160,10 +154,6 @@ def open_teleop(
     Args:
         warn: called with each warning.
         time_limit: time limit of a recording, s. At the limit, the recording is stopped and judged.
-
-    Raises:
-        UsageError, ConfigError, DatasetError, ResourceError: the dataset cannot be opened, see `DatasetWriter`.
-        PartialJobError: a write to the disk failed.
     """
     session = with_mesh_descriptions(session)
     config = session.config
@@ -252,9 +242,6 @@ def run_page(
 
     Args:
         ready: called with the URL once the page is served.
-
-    Raises:
-        UsageError, ResourceError: the page cannot listen on the address.
     """
     from ..teleop_page import TeleopPage
 
