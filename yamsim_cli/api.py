@@ -24,7 +24,7 @@ def _keyword(setting: str) -> str:
     return f"{setting}="
 
 
-# Opens sessions for Python programs: error messages name keywords, and warnings go to the logger `yamsim`.
+# For Python programs: error messages name keywords, and warnings go to the logger `yamsim`.
 API_SESSION_OPENER = SessionOpener(
     os.environ, logging.getLogger("yamsim").warning, _keyword, import_if_file, resolve_scene_task
 )

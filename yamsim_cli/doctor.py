@@ -23,9 +23,9 @@ from .core.scene.assets.asset_store import FileStatus
 from .cpu_limits import usable_cores, usable_memory
 from .gl import INSTALL_GL, LINUX_BACKENDS, GlBackend, probe_backend
 
-# Python packages that every command needs.
+# packages that every command needs
 PACKAGES = ("mujoco", "mink", "daqp", "numpy", "opencv-python-headless", "pydantic", "pyyaml", "rich", "typer")
-# Optional extra, as in `yamsim[extra]` -> package that it installs, and purpose of the package.
+# optional extra, as in `yamsim[extra]` -> package that it installs, and its purpose
 EXTRAS = {
     "view": ("viser", "the browser page of view and replay"),
     "video": ("av", "MP4"),
@@ -45,7 +45,7 @@ EXTRAS = {
 _WORKER_BYTES = 300_000_000  # of a worker process that renders
 _RECORDER_BYTES = 150_000_000  # of the recording process
 
-# Approximate size of an episode with one camera at 640x480.
+# of an episode with one camera at 640x480, roughly
 _FRAMES = 57  # frames per episode
 _IMAGE_BYTES = 22_000  # bytes of the image of a frame
 _LOWDIM_BYTES = 2_000  # bytes of the lowdim file of a frame

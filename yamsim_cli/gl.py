@@ -16,9 +16,9 @@ from .core.errors import ResourceError
 
 LINUX_BACKENDS = ("egl", "osmesa")  # EGL finds a GPU or Mesa's software renderer; newer Mesa has no OSMesa
 _PROBE_SECONDS = 60.0  # s, time limit of the test of a backend
-# Renderer names of OpenGL implementations that use no GPU: Mesa's llvmpipe, softpipe, lavapipe and swrast, and others.
+# renderer names of OpenGL implementations without a GPU: Mesa's llvmpipe, softpipe, lavapipe and swrast, and others
 _SOFTWARE = re.compile("llvmpipe|softpipe|lavapipe|swrast|software|swiftshader", re.IGNORECASE)
-# Python program that tests a backend. It reads a rendered image back, since some backends render nothing.
+# Tests a backend. It reads a rendered image back, since some backends render nothing.
 _PROBE = """
 import mujoco
 model = mujoco.MjModel.from_xml_string("<mujoco><worldbody><geom size='1'/></worldbody></mujoco>")

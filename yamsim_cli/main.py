@@ -71,7 +71,7 @@ app.add_typer(robots.app, name="robots")
 app.add_typer(tasks.app, name="tasks")
 app.add_typer(assets.app, name="assets")
 
-# Packages whose versions affect recorded data. `yamsim doctor` shows all packages.
+# whose versions affect recorded data; `yamsim doctor` shows all packages
 _VERSIONS = ("mujoco", "mink", "numpy", "opencv-python-headless")
 
 
@@ -93,7 +93,7 @@ def _root(
 
 
 _INTERRUPTED = 130  # exit code of a command that a signal interrupted
-# Commands that run until a signal. For these, a signal gives exit code 0.
+# commands that run until a signal, which gives exit code 0
 _ENDED_BY_SIGNAL = ("view", "serve-policy")
 
 
@@ -115,7 +115,7 @@ def main(interrupted: Callable[[], bool] = lambda: False) -> NoReturn:
     except YamsimError as error:
         _fail(str(error), error.exit_code)
     except OSError as error:
-        # Any access to a path from the user, such as `exists`, raises this error if the path is too long.
+        # Any access to a path from the user raises this error if the path is too long.
         if error.errno != errno.ENAMETOOLONG:
             raise
         _fail(
@@ -144,7 +144,7 @@ def _command(error: TyperException) -> str:
 
 def _decimal_point(error: TyperException) -> str:
     """Return a hint for a number with a decimal comma; empty for other errors."""
-    # Typer validates values with pydantic, whose error is the `__cause__`.
+    # Typer validates values with pydantic.
     checked: list[dict[str, Any]] = getattr(error.__cause__, "errors", list)()
     given = str(checked[0].get("input")) if checked else ""
     if not re.fullmatch(r"[-+]?[0-9]+,[0-9]+", given):

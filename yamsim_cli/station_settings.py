@@ -13,7 +13,7 @@ from .session_opener import SessionOpener
 if TYPE_CHECKING:
     from .core.config.recording import RecordConfig
 
-# Name of a setting in `SessionOpener` -> its name in `StationSettings`, where the two differ.
+# name in `SessionOpener` -> name in `StationSettings`, where they differ
 _FIELDS = {"camera": "cameras"}
 
 

@@ -1,7 +1,7 @@
 """python-can bus on the sockets of `yamsim serve-robot`, for programs that `yamsim can-run` starts.
 
-python-can finds the class by the entry point beside this file, which replaces python-can's `socketcan` interface. The
-module does not import yamsim. A channel that yamsim does not serve is opened as a CAN interface of the machine.
+The entry point beside this file replaces python-can's `socketcan` interface. The module does not import yamsim. A
+channel that yamsim does not serve is opened as a CAN interface of the machine.
 """
 
 import os

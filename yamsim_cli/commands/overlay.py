@@ -165,7 +165,7 @@ def _print(report: OverlayReport) -> None:
         for caption in captions(result):
             print_line(f"{result.path}: {caption}")
         for arm in result.arms:
-            # If no arm of a photo has a pose, the error at the end of the command gives the reason.
+            # If no arm of a photo has a pose, the error at the end gives the reason.
             if result.bases and not arm.located and arm.detection:
                 print_note(f"{result.path}: {arm.name}: {arm.detection.explanation}")
         for text in result.notes:

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from yamsim_cli.core.files.resources import Locations
     from yamsim_cli.viewers.page_address import PageAddress
 
-# Figures that `_physics` returns for an episode whose actions cannot be simulated again.
+# of an episode whose actions cannot be simulated again
 _NO_PHYSICS: dict[str, Any] = {"max_error": None, "first_divergence": None}
 
 
@@ -135,7 +135,7 @@ def play_episode(
 
     if isinstance(stored, StoredEpisode):
         session = opener.with_meshes(_session(stored, locations))
-        # Ctrl-C is deferred: a server or window that is interrupted during its start cannot be closed.
+        # A server or window that Ctrl-C interrupts during its start cannot be closed.
         with defer_signals() as stopped:
             physics = _physics(stored, locations)
             play_simulated(stored, session, speed, page, ready, stopped)

@@ -27,7 +27,7 @@ def serve_policy(
     from yamsim_cli.policies.policy_loading import load_policy
     from yamsim_cli.policies.policy_server import LOOPBACK, PolicyServer
 
-    # Load the policy once, so that an error is reported before a client connects.
+    # Report errors before a client connects.
     load_policy(policy, Path.cwd())
     with PolicyServer(lambda: load_policy(policy, Path.cwd()), host, port) as server:
         if host != LOOPBACK:

@@ -78,7 +78,6 @@ def teleop(
         check_page(page)
 
     def ready(url: str) -> None:
-        # Standard output is reserved for the report.
         print_note(f"{url}  (Ctrl-C ends)")
         sys.stderr.flush()
 

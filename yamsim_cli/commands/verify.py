@@ -16,12 +16,12 @@ from yamsim_cli.terminal.tables import FactTable
 if TYPE_CHECKING:
     from rich.text import Text
 
-# Check -> label in the report that says how the episode was reproduced.
+# check -> label in the report
 _METHODS = {"seed": "made again from its seed", "actions": "from its actions", "images": "rendered again"}
 
 # Largest difference that rounding alone explains: m, rad, or relative for numbers above 1. Another processor rounds the
-# last bit of a sine or a sum differently, and contacts amplify the difference. On an emulated processor, most of 40
-# episodes differed by 1.5e-4, and the worst by 1.4e-3 (the tilt of a rolling banana).
+# last bit differently, and contacts amplify the difference. On an emulated processor, most of 40 episodes differed by
+# 1.5e-4, and the worst by 1.4e-3 (the tilt of a rolling banana).
 _MAX_ROUNDING = 0.005
 
 _MAX_LINES = 10  # printed lines of differences, and of problems; --json has no limit

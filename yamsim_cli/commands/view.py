@@ -77,7 +77,7 @@ def view(
         line = f"{url}  (Ctrl-C ends)" if url else "MuJoCo's window: space pauses, backspace goes home"
         print_result_now({"url": url}, line, json)
 
-    # Ctrl-C is deferred: a server or window that is interrupted during its start cannot be closed.
+    # A server or window that Ctrl-C interrupts during its start cannot be closed.
     with defer_signals() as stopped:
         live, viewpoint = _live(settings, where, boards=boards or page is not None, pictures=pictures)
         view_rig(live, page, ready, stopped, viewpoint, boards=boards, pictures=pictures)

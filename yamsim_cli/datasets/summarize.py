@@ -105,7 +105,7 @@ def _error_rank(episode: EpisodeFacts) -> tuple[int, float]:
 
 
 def _strip(dataset: Path, episode: EpisodeFacts) -> FrameStrip:
-    # A fixed camera shows more of the episode than a wrist camera.
+    # A fixed camera shows more than a wrist camera.
     _, names = min((("wrist" in camera, camera), names) for camera, names in episode.images.items() if names)
     chosen = [names[k] for k in dict.fromkeys((0, (len(names) - 1) // 2, len(names) - 1))]
     pictures = [picture for name in chosen if (picture := _picture(dataset / episode.name / name))]

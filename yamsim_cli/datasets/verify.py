@@ -44,7 +44,7 @@ from ..core.workers.executors import run_all
 from ..core.workers.process_pool import ProcessPool
 from .compare import Difference, EpisodeComparison, compare_frames, compare_values
 
-# Names of the checks, in the order in which their differences are reported.
+# checks, in the order in which their differences are reported
 SEED, ACTIONS, IMAGES = "seed", "actions", "images"
 CHECKS = (SEED, ACTIONS, IMAGES)
 
@@ -129,7 +129,7 @@ class EpisodeVerifier(Closable):
             else:
                 skipped[ACTIONS] = "its frames hold no sim_qpos, sim_ctrl and sim_magnet"
         except DatasetError as error:
-            # Put the error first because it says more than that a file was altered.
+            # The error says more than that a file was altered.
             problems = {"": str(error)} | problems
         return EpisodeVerdict(number, checks, skipped, problems, changed)
 
@@ -331,7 +331,7 @@ def _report(verdicts: Sequence[EpisodeVerdict], tolerances: Tolerances) -> dict[
     return {
         "episodes": len(verdicts),
         "agree": sum(verdict.agrees for verdict in verdicts),
-        # Images are excluded because their differences have another unit.
+        # without images, whose differences have another unit
         "max_error": max(remade, default=0.0),
         "first_divergence": divergences[0] if divergences else None,
         "divergences": divergences,

@@ -33,7 +33,7 @@ from ..core.errors import DatasetError
 from ..core.files.resources import Locations
 from ..core.geometry.se3 import Array
 
-# Source of exported actions: recorded commands, joints measured one frame later, or no actions.
+# of exported actions: recorded commands, joints measured one frame later, or no actions
 ActionSource = Literal["recorded", "measured", "none"]
 Frames = Sequence[Mapping[str, Any]]  # low-dimensional data of the frames of an episode
 

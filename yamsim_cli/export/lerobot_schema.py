@@ -26,7 +26,7 @@ KEY_FRAME_INTERVAL = 2  # frames, as in lerobot's own encoding: training reads s
 INFO = "meta/info.json"
 STATS = "meta/stats.json"
 TASKS = "meta/tasks.parquet"
-# Extra file outside the format: the source episode and seed of each exported episode.
+# extra file outside the format: source episode and seed of each exported episode
 PROVENANCE = "meta/yamsim.json"
 
 _FILE = "chunk-{chunk_index:03d}/file-{file_index:03d}"
@@ -35,11 +35,11 @@ EPISODES = f"meta/episodes/{_FILE}.parquet"
 VIDEO = "videos/{video_key}/" + _FILE + ".mp4"
 
 STATE = "observation.state"
-# Object poses. lerobot gives this key to policies that use no images.
+# object poses; lerobot gives this key to policies that use no images
 ENVIRONMENT_STATE = "observation.environment_state"
 ACTION = "action"
-# Keys of real recordings: measured joint velocities, rad/s, and recorded frame times, s. Other programs ignore both,
-# because their names begin neither with `observation` nor with `action`.
+# Of real recordings: measured joint velocities, rad/s, and recorded frame times, s. Other programs ignore both, because
+# the names begin neither with `observation` nor with `action`.
 VELOCITIES = "joint_velocities"
 RECORDED_TIME = "recorded_time"
 
@@ -80,7 +80,7 @@ class LeRobotFeature:
         return {"dtype": self.dtype, "shape": list(self.shape), "names": list(self.names) if self.names else None}
 
 
-# Features that every dataset of the format has.
+# features that every dataset of the format has
 INDEX_FEATURES: Mapping[str, LeRobotFeature] = {
     "timestamp": LeRobotFeature("float32", (1,)),
     "frame_index": LeRobotFeature("int64", (1,)),

@@ -30,7 +30,7 @@ from .raiden_schema import RaidenOptions
 from .resample import ResampledEpisode, nearest_frames, resample_episode
 
 # 0 to 255, largest mean pixel difference between a newly rendered and the recorded image. OpenGL of another machine
-# stays below this limit. Missing meshes, or the appearance of another yamsim version, exceed it.
+# stays below. Missing meshes, or the appearance of another yamsim version, exceed it.
 _MAX_DIFFERENCE = 3.0
 
 

@@ -28,7 +28,7 @@ from .export_source import Frames, SimulatedSource
 from .raiden_schema import HandFrameName, RaidenOptions
 
 _SIDES = ("left", "right")  # in the order of raiden's arrays
-# Wrist cameras in raiden's layout, in the order of `_SIDES`. A single arm is the left one.
+# in the order of `_SIDES`; a single arm is the left one
 _WRIST_CAMERAS = ("left_wrist_camera", "right_wrist_camera")
 
 _KINEMATICS_FILES = {"i2rt": "raiden_kinematics.xml"}  # hand frame -> MJCF file with its kinematics
@@ -122,7 +122,7 @@ class FrameConverter:
         if single and len(arms) > 1:
             raise UsageError(f"--single is for recordings of one arm, and this dataset has {len(arms)}: leave it out")
         self.names = names
-        # The model of a single arm is also used for the other arm, which was not recorded.
+        # The model of a single arm stands for the other arm, which was not recorded.
         pair = (arms[0], arms[-1])[: 1 if single else 2]
         self._arms = [_ArmConverter(arm, locations, hand_frame) for arm in pair]
 

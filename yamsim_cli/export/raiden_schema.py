@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
-# "draw" renders an image at the time of each frame. "nearest" takes the recorded image nearest in time.
+# "draw" renders at the time of each frame; "nearest" takes the recorded image nearest in time
 PictureSource = Literal["draw", "nearest"]
 ImageFormat = Literal["png", "jpg"]  # raiden's code reads only PNG
 HandFrameName = Literal["yamsim", "i2rt"]  # kinematics for hand poses, see `raiden_frames.hand_frame`
@@ -26,7 +26,7 @@ TIMESTAMP_DTYPE = "int64"  # dtype of capture times, ns
 DEPTH_DTYPE = "uint16"  # dtype of depth images, mm
 DEPTH_KEY = "depth"  # array name in a depth `.npz`
 
-# Files of the dataset, of an episode, and of an episode's camera.
+# of the dataset, of an episode, and of an episode's camera
 SHARED_METADATA = "metadata_shared.json"
 SPLIT = "split_all.json"
 CALIBRATION = "calibration_results.json"

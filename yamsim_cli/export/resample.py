@@ -23,7 +23,7 @@ from ..core.scene.compiled import CompiledScene
 from .export_source import ROUNDING_S
 from .state_sampler import StateSampler
 
-# m or rad, largest accepted deviation of replayed from recorded states. Rounding on other machines can cause as much.
+# m or rad, largest accepted deviation of replayed from recorded states; rounding on other machines can cause as much
 _MAX_DEVIATION = 1e-4
 
 
@@ -74,7 +74,7 @@ def resample_episode(simulator: Simulator, episode: StoredEpisode, fps: float) -
     tick = period / len(recorded[0]["sim_ctrl"])
     times = frame_times(len(recorded), period, fps)
     stored = np.arange(float(len(recorded))) * period
-    # The state is needed at the time of each frame, and one tick later, which is the target time of its command.
+    # One tick after a frame is the target time of its command.
     moments, places = np.unique(
         np.round(np.concatenate([times, times + tick, stored, stored + tick]), 12), return_inverse=True
     )

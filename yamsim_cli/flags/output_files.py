@@ -29,7 +29,7 @@ ReportFile = Annotated[Path | None, typer.Option(help="Also write the JSON to th
 
 
 def open_mode(*, resume: bool, overwrite: bool) -> OpenMode:
-    """Return whether to create, resume or replace the output dataset. Raises `UsageError` if both flags are set."""
+    """Return whether to create, resume or replace the output dataset. Both flags together are an error."""
     from yamsim_cli.core.dataset.writing.directory_claim import OpenMode
 
     if resume and overwrite:
@@ -43,7 +43,6 @@ def require_unused(flag: str, files: Path | Iterable[Path], *, overwrite: bool) 
     Args:
         flag: the option that names the files, for the message.
         files: one file, whose folder has to exist, or several files in folders that the command creates.
-        overwrite: whether existing files may be replaced.
     """
     one = isinstance(files, Path)
     for file in [files] if isinstance(files, Path) else files:

@@ -34,7 +34,7 @@ Host = Annotated[
 
 
 def page_address(port: int | None, host: str | None) -> PageAddress:
-    """Return the address of a browser page, and warn the user if other machines can reach the page."""
+    """Return the address of a browser page. Warn if other machines can reach the page."""
     from yamsim_cli.viewers.page_address import LOOPBACK, PageAddress
 
     address = PageAddress(_DEFAULT_PORT if port is None else port, host or LOOPBACK)
@@ -49,7 +49,7 @@ def page_address(port: int | None, host: str | None) -> PageAddress:
 def choose_viewer(web: bool | None, port: int | None, host: str | None) -> PageAddress | None:
     """Return the browser page's address, or None for MuJoCo's window.
 
-    If `web` is None, the viewer is the page if a port or host is given or no window can open.
+    If `web` is None, the page is chosen for a given port or host, or if no window can open.
     """
     missing = _missing_for_window()
     for flag, value in (("--port", port), ("--host", host)):

@@ -52,7 +52,7 @@ class RecordedPhoto:
 
 
 def photos_in_parts(gaps: Sequence[MotionGap], camera: str | None) -> tuple[str, list[RecordedPhoto]]:
-    """Return a camera's name, and its photos at those times of the recordings that are compared with simulation.
+    """Return a camera's name, and its photos at those times that are compared with simulation.
 
     Args:
         camera: name of the camera; None for the first that is no wrist camera.
@@ -94,7 +94,7 @@ def _error(photo: RecordedPhoto) -> float:
 
 
 def postures_at(motion: RecordedMotion, sample: int, rig: RigConfig) -> ArmPostures:
-    """Return the joints and the gripper opening of each arm of a rig at a sample (index) of a recorded motion."""
+    """Return joints and gripper opening of each arm at a sample (index) of a recorded motion."""
     postures = {}
     for arm, number in zip(motion.arms, rig.recording_order, strict=True):
         config, opening = rig.arms[number], 0.0 if arm.openings is None else float(np.nan_to_num(arm.openings[sample]))
@@ -121,7 +121,7 @@ def make_photo(recorded: RecordedPhoto, camera: str, rig: RigConfig, image: Imag
     height, width = image.shape[:2]
     T_base_in_cam = None
     if T_cam_in_base is not None:
-        # Recorded extrinsics are relative to the base of the only arm, or of the left arm.
+        # Recorded extrinsics are relative to the base of the only or left arm.
         T_cam_in_world = rig.T_base_in_world(rig.recording_order[0]) @ T_cam_in_base
         T_base_in_cam = inverse(T_cam_in_world) @ rig.T_base_in_world(0)
     model = None if K is None else pinhole_camera(K, width, height)
@@ -152,7 +152,7 @@ class PhotoRequest:
 
 @dataclass(frozen=True)
 class PhotoGap:
-    """The comparison of the simulated arms with a photo.
+    """Comparison of the simulated arms with a photo.
 
     Attributes:
         outline: median distance of the simulated outline to the photo's edges, px; None if no arm is visible.
@@ -177,7 +177,7 @@ def compare_photos(
     locations: Locations,
     progress: Progress,
 ) -> tuple[dict[str, Any], list[CaptionedJpeg]]:
-    """Compare simulated arms with photos of recordings. Return JSON-ready figures, and the worst photos as pictures."""
+    """Compare simulated arms with recorded photos. Return figures as JSON data, and the worst photos as pictures."""
     camera, taken = photos_in_parts(gaps, request.name)
     chosen = select_photos(taken, request.max_photos)
     found: list[PhotoGap] = []

@@ -32,7 +32,7 @@ _OBJECT_CONFIGS = {
 #: The asset whose objects are parts of the tray.
 COMPARTMENT = "compartment"
 
-_COURGETTE_WIDTH = 55.0  # mm, width and height of a long produce item; fingers could not hold a tomato of that length
+_COURGETTE_WIDTH = 55.0  # mm, width and height of long produce; fingers could not hold a tomato of that length
 _COURGETTE_BODY = {"stuff": "fruit", "rgba": [0.24, 0.42, 0.16, 1], "specular": 0.3, "shininess": 0.4}
 
 _RIM_GRASP_DEPTH = 0.012  # m, distance below a cup's rim of the grasp for nesting the cup into another one
@@ -114,7 +114,7 @@ def _scaled_shape(item: SceneObject, shape: dict[str, Any], conditions: Mapping[
 
 
 def is_folded_in_thirds(blueprint: SceneBlueprint, item: SceneObject) -> bool:
-    """Return whether a cloth is folded twice, and long enough for thirds."""
+    """Whether a cloth is folded twice, and long enough for thirds."""
     return int(float(blueprint.success_params.get("fold_count", 1))) > 1 and item.asset == "dish_towel"
 
 
@@ -159,11 +159,7 @@ def crumpled_start(blueprint: SceneBlueprint, scene: CompiledScene, start: Array
 
 
 def table_for_sheet(table: Table, item: SceneObject, middle: tuple[float, float]) -> Table:
-    """Return a table, enlarged so that a cloth lies flat on it at any angle.
-
-    Args:
-        middle: of the cloth (2,), in `world`, m.
-    """
+    """Return a table, enlarged so that a cloth with its middle (2,) in `world`, m, lies flat on it at any angle."""
     asset = ASSETS[item.asset]
     factor = (item.size_cm or asset.footprint_w_cm) / asset.footprint_w_cm
     reach = math.hypot(asset.footprint_w_cm, asset.footprint_h_cm) * factor / 200 + _CLOTH_MARGIN

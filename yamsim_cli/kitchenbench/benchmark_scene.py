@@ -45,7 +45,7 @@ TICK_HZ = 30  # Hz, control ticks
 
 #: Kinds of KitchenBench's goals whose scenes can be built.
 KINDS = frozenset({"place_on", "stack", "place_in", "handoff", "sort", FOLD})
-_HANDED_OVER = "handoff"  # the kind of goal for which a cup is not put into another object
+_HANDED_OVER = "handoff"  # kind of goal for which a cup is not put into another object
 
 _PLACEHOLDER_TASK = "tower"  # task of the session, which a scene of KitchenBench replaces
 _PHYSICS_STEPS, _CLOTH_PHYSICS_STEPS = 16, 8  # physics steps in a control tick, without and with cloth
@@ -68,11 +68,7 @@ _OPENER = SessionOpener(os.environ, _LOG.warning, "{}=".format)
 
 
 def open_station_session(size: str, *, images: bool, quality: str = "fast", task: str = _PLACEHOLDER_TASK) -> Session:
-    """Open a session of the station.
-
-    Args:
-        task: a task of yamsim; scenes of KitchenBench replace it.
-    """
+    """Open a session of the station. Scenes of KitchenBench replace the yamsim task `task`."""
     given: dict[str, Any] = {"rig": STATION, "task": task, "size": parse_size(size), "quality": quality}
     where = _OPENER.locations()
     if "contact" in _OPENER.config("default", where, **given).task.valid_grasps:
@@ -132,10 +128,7 @@ class BenchmarkScene:
 
 
 def build_benchmark_scene(blueprint: SceneBlueprint, base: Session) -> BenchmarkScene:
-    """Build the scene of a blueprint.
-
-    Args:
-        base: a session of the station, whose task is replaced.
+    """Build the scene of a blueprint. `base` is a session of the station, whose task is replaced.
 
     Raises:
         LookupError: the blueprint has a kind of goal or an object that yamsim does not have.

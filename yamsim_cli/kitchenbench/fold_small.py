@@ -77,7 +77,7 @@ class FoldSmall(Skill):
     def run(
         self, context: PlanningContext, roles: RoleAssignment, next_skills: Sequence[Skill]
     ) -> Iterator[MotionSegment]:
-        """Yield the motions that flatten, slide and fold the cloth, until its box is small enough; see `Skill.run`."""
+        """Yield the motions that flatten, slide and fold the cloth; see `Skill.run`."""
         thing = roles.object_of(self.thing)
         if self.crumpled:
             yield from flatten_cloth(context, thing, _FLAT_LAYERS, _FLAT_DISPLACEMENT, _FIRST_PULLS)
@@ -109,7 +109,6 @@ class FoldSmall(Skill):
             try:
                 yield from carry_points(context, thing, grasps, speed=_SLOW_SPEED if folds and fold.layers else _SPEED)
             except SkillFailedError:
-                # A new run of the skill would flatten the cloth again.
                 missed.append(fold.points)
                 if len(missed) > _MAX_MISSES:
                     raise

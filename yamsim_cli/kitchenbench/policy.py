@@ -131,7 +131,7 @@ class PlanningScene:
         self.start_program(program, simulator.roles)
 
     def start_program(self, program: Sequence[Skill], roles: RoleAssignment) -> None:
-        """Begin a list of skills; afterwards, `next_actions` returns their motions as actions."""
+        """Begin a list of skills, whose motions `next_actions` returns as actions."""
         self._segments = chain(run_program(program, self.context, roles, RecoveryLog()), park_free_hands(self.context))
 
     def next_actions(self) -> list[Array]:
@@ -165,7 +165,7 @@ class PlanningScene:
 
 
 def is_still(segment: MotionSegment) -> bool:
-    """Return whether a segment only waits: no joint, finger opening or finger force changes in it."""
+    """Whether a segment only waits: no joint, finger opening or finger force changes in it."""
     return all(
         not np.ptp(row, axis=0).any() for path in segment.paths for row in (path.joints, path.gripper, path.grip_force)
     )

@@ -13,7 +13,7 @@ from ..core.episode.simulator import Simulator
 from ..core.geometry.se3 import Array
 from ..core.scene.compiled import ArmAddresses, FingerAddresses
 
-# In actions and states, an arm's joints come before its gripper, and the left arm before the right one.
+# An arm's joints come before its gripper, and the left arm before the right one.
 ARM_JOINTS = 6
 _ARM_DIM = ARM_JOINTS + 1
 ACTION_DIM = 2 * _ARM_DIM
@@ -71,11 +71,11 @@ class SceneStepper:
 
     @property
     def reference(self) -> Array:
-        """The references (14,) at the end of the last action: joints in rad and gripper openings, 0..1."""
+        """References (14,) at the end of the last action: joints in rad and gripper openings, 0..1."""
         return self._reference.copy()
 
     def is_at_rest(self) -> bool:
-        """Return whether arms, fingers and rigid objects are almost still."""
+        """Whether arms, fingers and rigid objects are almost still."""
         fingers = max(float(np.abs(self.data.qvel[fingers.dof]).max()) for fingers in scene_fingers(self._scene.arms))
         return float(np.abs(self.data.qvel[self._rigid_dofs]).max()) <= _REST_SPEED and fingers <= _FINGER_REST_SPEED
 
@@ -90,7 +90,7 @@ class SceneStepper:
         self._reference = goal
 
     def physics_failure(self) -> str | None:
-        """Return MuJoCo's fatal warning that ended the episode, as text; None without one."""
+        """Return MuJoCo's fatal warning that ended the episode, if any."""
         end = self.episode.end
         return end.detail if end is not None and end.reason is EndReason.UNSTABLE else None
 

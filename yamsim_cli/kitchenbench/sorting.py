@@ -39,7 +39,7 @@ _HANDOVER_HEIGHT = 0.25  # m over the table, height of the object's origin at a 
 _GRID_STEP = 0.02  # m, largest step between the places that are tried in a compartment
 _HEIGHT_STEP = 0.001  # m, resolution of heights: a place that is lower by this is better
 _FREE_DISTANCE = 0.003  # m, a place at least this far from all other objects is free, and preferred
-_MAX_PLACES = 12  # largest number of free places tried for each orientation, and of occupied places
+_MAX_PLACES = 12  # free places tried for each orientation, and occupied places
 _DROP_HEIGHT = 0.010  # m, height of the release where fingers would touch the tray; the only value that was tried
 _TABLE_GRID_STEP = 0.04  # m, between the places on the table that are tried
 _MAX_ASIDE_DISTANCE = 0.30  # m, largest distance of a place on the table from the object
@@ -162,11 +162,11 @@ def _set_rest_heights(context: PlanningContext, thing: str, onto: str, goals: Se
 
 
 class PutBesideTray(PlaceSkill):
-    """Put a long object down on a free place of the table: one from which `then` can follow, else the nearest.
+    """Put a long object down on a free place of the table.
 
     Attributes:
         thing: a role; its object is in a hand.
-        then: the skill for which the object is grasped again; None for any.
+        then: the skill that must be able to follow from the place; None for the nearest place.
     """
 
     then: PlaceSkill | None = None
@@ -239,12 +239,7 @@ class _PressPose:
 
 
 class Slide(Skill):
-    """Press closed fingers onto a flat object, and slide it sideways to the middle of its free space.
-
-    Attributes:
-        thing: a role.
-        arm: which arm.
-    """
+    """Press closed fingers onto a flat object, and slide it sideways to the middle of its free space."""
 
     ROLES: ClassVar[tuple[str, ...]] = ("thing",)
     NEEDS_HELD: ClassVar[bool | None] = False
@@ -370,15 +365,15 @@ class Sort(Skill):
                 failures[name] = str(error)
                 yield from _put_back(context, roles, name)
                 yield from open_and_park_hands(context)
-                # A try counts only if both arms were parked: otherwise one may have blocked the other.
+                # A try without parked arms does not count: one arm may have blocked the other.
                 tries[name] = tries.get(name, 0) + parked
 
     def _in_tray(self, world: SimWorld, name: str) -> bool:
         return any(world.volume_fraction_inside(name, compartment) > 0.5 for compartment in self.into.values())
 
     def remaining_objects(self, world: SimWorld, roles: RoleAssignment, tries: Mapping[str, int]) -> list[str]:
-        """Return the objects that are not in their compartment, in order: those on which nothing lies first. Then those
-        with fewer tries, and those in the tray before those outside.
+        """Return the objects outside their compartment: first those on which nothing lies, with fewer tries, and in the
+        tray.
         """
         names = [
             name

@@ -33,7 +33,7 @@ class Judge(Protocol):
     step_info: dict[str, Any]
 
     def evaluate(self) -> tuple[bool, str]:
-        """Return whether the goal is reached now, and an explanation as text."""
+        """Return whether the goal is reached now, and an explanation."""
 
 
 class KitchenJudge:
@@ -50,7 +50,7 @@ class KitchenJudge:
         self._checker = make_success_checker(realized.blueprint, self.world)
 
     def evaluate(self) -> tuple[bool, str]:
-        """Return whether the checker finds the goal reached, and its explanation as text."""
+        """Return whether the checker finds the goal reached, and its explanation."""
         verdict = self._checker(self.world)
         return bool(verdict.success), str(verdict.explanation)
 
@@ -65,7 +65,7 @@ class GoalJudge:
         self._episode = motion.episode
 
     def evaluate(self) -> tuple[bool, str]:
-        """Return whether the goal has held for its hold time, and the state of the goal as text."""
+        """Return whether the goal has held for its hold time, and its state as text."""
         return self._episode.succeeds, self._episode.status
 
 

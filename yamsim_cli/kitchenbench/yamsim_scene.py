@@ -53,11 +53,7 @@ class YamsimTaskScene:
 
 
 def build_task_scene(session: Session, seed: int) -> YamsimTaskScene:
-    """Build the first trial of a seed, as in `yamsim trials --seed SEED --n 1`, with the station's control ticks.
-
-    Args:
-        session: of the station and the task.
-    """
+    """Build the first trial of a seed, as in `yamsim trials --seed SEED --n 1`, with the station's control ticks."""
     task = session.config.task
     steps = task.timing.physics_steps_per_tick
     timing = task.timing.model_copy(update={"timestep": 1 / (TICK_HZ * steps)})

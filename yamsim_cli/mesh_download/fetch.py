@@ -21,7 +21,7 @@ STORE = "store"  # `FetchedSet.source` of a set that was already in the store
 
 @dataclass(frozen=True)
 class FetchedSet:
-    """A set in the store: its name, its source (`"store"` if already present), and its folder."""
+    """A set in the store. `source` is `"store"` if the set was already present."""
 
     name: str
     source: str
@@ -30,7 +30,7 @@ class FetchedSet:
 
 @dataclass(frozen=True)
 class FetchReport:
-    """The result of `fetch`: all requested sets, in the lock's order."""
+    """Result of `fetch`: all requested sets, in the lock's order."""
 
     sets: tuple[FetchedSet, ...]
 
@@ -55,7 +55,7 @@ def fetch(
 
     Args:
         names: names of sets in `lock`; if empty, all sets that are not on demand.
-        sources: sources in the order in which they are tried for each set.
+        sources: in the order in which they are tried for each set.
         stop_at_failure: whether to skip the remaining sets after one that no source provides.
     """
     wanted = lock.select(names)
@@ -160,7 +160,7 @@ def _download(lock: AssetLock, names: Collection[str], store: AssetStore, progre
 def _failed_lately(store: AssetStore) -> bool:
     lock = store.root / _LOCK
     try:
-        # Both times are from the clock of the file system, which can differ from that of the machine.
+        # By the file system's clock, which can differ from the machine's.
         lock.touch()
         age_s = lock.stat().st_mtime - store.failure_mark.stat().st_mtime
     except OSError:

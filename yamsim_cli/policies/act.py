@@ -79,7 +79,7 @@ class ActClient:
             self._connection.request("POST", self._path, body, headers)
             response = self._connection.getresponse()
         except (ConnectionError, http.client.BadStatusLine):
-            # A server may close an idle connection, so send the request again on a new one.
+            # A server may close an idle connection.
             self._connection.close()
             self._connection.request("POST", self._path, body, headers)
             response = self._connection.getresponse()

@@ -53,9 +53,8 @@ class WebSocket:
         try:
             self._connection = connect(
                 url,
-                # Images hardly compress.
                 compression=None,
-                # No proxy, even if the environment names one.
+                # even if the environment names a proxy
                 proxy=None,
                 # openpi answers no ping while it computes an action.
                 ping_interval=None,
@@ -138,7 +137,7 @@ class OpenpiClient:
             return self._socket
         with request_context(self._url, self.close):
             made = self._socket = WebSocket(self._address, self._timeout)
-        # Discard the metadata, which the server sends first.
+        # the metadata, which the server sends first
         self._receive(made)
         return made
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from types import TracebackType
 
 _YAMSIM = str(Path(__file__).resolve().parents[1])
-# Folders of Python and of installed packages. A fault is described by the last line outside these folders.
+# Python and installed packages. A fault is described by the last line outside these folders.
 _INSTALLED = tuple({sysconfig.get_path(name) for name in ("stdlib", "platstdlib", "purelib", "platlib")})
 _MAX_CHARACTERS = 300  # of an exception's message in a description
 

@@ -71,7 +71,7 @@ class PolicyServer(ThreadingHTTPServer):
         """Return the encoded answer to a message that was posted to `/<what>`. An error becomes an answer too."""
         with self._one_at_a_time:
             try:
-                # Without this context, a process that the policy forks would answer the client again.
+                # Otherwise, a process that the policy forks would answer the client again.
                 with kill_forks_at_exit():
                     return pack_message(self._answer(what, message))
             except Exception as error:  # noqa: BLE001

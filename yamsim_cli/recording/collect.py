@@ -91,7 +91,7 @@ class Collector:
         while self.attempts_needed:
             while not self._stop.is_requested and executor.idle and self._can_start(executor):
                 executor.submit(AttemptJob(self._config.seed, self._next_attempt()))
-            # Write after submitting, so that workers are busy in the meantime.
+            # Workers are busy in the meantime.
             if self._commit_finished():
                 continue
             if self._stop.is_requested and (not executor.in_flight or self._stop.seconds_since_request > _STOP_SECONDS):

@@ -91,7 +91,7 @@ def pack_session(session: Session) -> PackedSession:
     """Pack a session with the content of all its robot models and meshes."""
     locations = session.locations
     files: dict[str, bytes] = {}
-    # The data folder with the highest priority comes last, so that its files replace those of other folders.
+    # Files of the data folder with the highest priority replace others.
     for root in reversed(locations.data):
         files |= _read(root / _MODELS, _MODELS)
     for name, folder in locations.meshes.items():
@@ -114,7 +114,7 @@ def unpack_session(packed: PackedSession, place: Path) -> Session:
 @contextlib.contextmanager
 def unpacked_runner(packed: PackedSession) -> Iterator[AttemptRunner]:
     """Yield an `AttemptRunner` of a packed session. The unpacked files are removed at the end."""
-    # Keep the files while the runner is in use: scenes are composed from them when first needed.
+    # Scenes are composed from the files when first needed.
     with (
         tempfile.TemporaryDirectory(prefix="yamsim-") as place,
         AttemptRunner(unpack_session(packed, Path(place)), render=True) as runner,

@@ -33,7 +33,7 @@ _ATTEMPTS_PER_EPISODE = 20  # per requested episode; a task that needs more succ
 
 HAND_HEIGHT = 0.05  # m above the table, assumed height of grasps
 
-# Failure cause -> parts of a task to inspect.
+# failure cause -> parts of a task to inspect
 _TASK_PARTS: Mapping[str, str] = {
     FailureCause.NO_LAYOUT: "`starts` (their regions and `apart`), and how large the things are",
     FailureCause.UNREACHABLE: "`starts`, the steps of `expert`, and where the rig's arms stand",

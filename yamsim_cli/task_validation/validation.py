@@ -34,9 +34,9 @@ _GRID_POINTS = 8  # points along each side of a start region, where the reach is
 _HAND_HEIGHT = 0.03  # m, height of the hand over the surface
 _MIN_MOTION = 0.05  # m, distance from the start above which an object counts as moved
 _STILL_SECONDS = 2.0  # s, for which the arms hold still, besides the hold time, before the goal is evaluated
-_MAX_ATTEMPTS = 3  # attempts of each check in which the goal must not be reached
+_MAX_ATTEMPTS = 3  # of each check in which the goal must not be reached
 
-# Keys of a batch report that are also in a validation report.
+# keys of a batch report that are also in a validation report
 _BATCH_KEYS = (
     "task", "rig", "seed", "n", "n_success", "success_rate", "wilson95", "causes", "recovered", "seconds",
     "core_seconds_per_trial",
@@ -45,12 +45,11 @@ _BATCH_KEYS = (
 
 @dataclass(frozen=True)
 class TaskCheck:
-    """The result of one check.
+    """Result of one check.
 
     Attributes:
-        name: the check's name in reports.
         ok: whether the task passed; None if the check does not apply.
-        value: the share or the count that was measured; None without one.
+        value: the measured share or count; None without one.
         detail: the figures behind the result, as text.
     """
 
@@ -201,16 +200,10 @@ def _hold_actions(scene: CompiledScene, start: Array, ticks: int) -> ActionSeque
 
 
 def validate_task(session: Session, minimum: float, progress: Progress) -> dict[str, Any]:
-    """Run as many trials of a task as the config has `episodes`, and every check.
+    """Run as many trials of a task as the config has `episodes`, and every check. Return a report as JSON data.
 
     Args:
         minimum: share of trials in which the expert has to reach the goal.
-
-    Returns:
-        JSON-ready: ok, task, rig, n, n_success, success_rate, wilson95, causes, recovered, core_seconds_per_trial,
-        checks, failed trials.
-
-    Raises InterruptedJobError if the user stops the trials.
     """
     config = session.config
     report = run_batch(session, (), progress)

@@ -19,7 +19,7 @@ console = Console(stderr=True)
 
 _LOG_SECONDS = 30.0  # s before and between progress lines without a terminal; a shorter job writes none
 
-_end_notes = list[str]()  # lines for stderr at the end of the command
+_end_notes = list[str]()  # for stderr at the end of the command
 
 
 class ProgressCallback(Protocol):
@@ -45,7 +45,7 @@ def print_report(report: Mapping[str, Any], table: Callable[[], RenderableType],
 
 
 def print_result_now(data: Mapping[str, Any], line: str, json: bool) -> None:
-    """Write a result to stdout before the command ends: `data` as JSON if `json` is true, else the text `line`."""
+    """Write a result to stdout before the command ends: `data` as JSON if `json` is true, else `line`."""
     if json:
         print_json(data)
     else:
@@ -112,7 +112,6 @@ def progress_bar(label: str, unit: str, log_seconds: float | None = None) -> Ite
     """Yield a function that shows progress, rate and time left on stderr: a bar in a terminal, else lines of text.
 
     Args:
-        label: name of the job.
         unit: name of the counted items, in the plural.
         log_seconds: s before the first line of text and between lines; None for 30 s.
     """
@@ -160,7 +159,7 @@ class _ProgressLog:
     def __init__(self, label: str, unit: str, seconds: float) -> None:
         self._label, self._unit, self._seconds = label, unit, seconds
         self._written = time.monotonic()
-        # Time (s) and finished items at the first call. The rate excludes these items: a resumed job has many.
+        # time (s) and finished items at the first call; the rate excludes these items: a resumed job has many
         self._first: tuple[float, int] | None = None
 
     def __call__(self, done: int, total: int, remark: str = "") -> None:

@@ -1,4 +1,4 @@
-"""A progress bar for the download of meshes and their reduction to smaller ones."""
+"""Progress bar for the download of meshes and their reduction to smaller ones."""
 
 from __future__ import annotations
 

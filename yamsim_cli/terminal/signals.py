@@ -70,7 +70,7 @@ def raise_signals() -> None:
 
 
 def _interrupt(number: int, frame: FrameType | None) -> None:
-    # If the import of an extension module is interrupted, the importing library may treat the module as missing.
+    # A library whose import of an extension module is interrupted may treat the module as missing.
     if _importing(frame):
         signal.setitimer(signal.ITIMER_REAL, _RETRY_SECONDS)
         return

@@ -11,14 +11,14 @@ if TYPE_CHECKING:
     from rich.table import Table
     from rich.text import Text
 
-_MIN_WIDE_COLUMNS = 60  # width of a terminal in characters, below which the cells of a row may be stacked
+_MIN_WIDE_COLUMNS = 60  # characters, width of a terminal below which the cells of a row may be stacked
 _MAX_NAME_SHARE = 0.4  # share of a narrow terminal's width; longer names have their values below
 
 Item = Mapping[str, Any]
 
 
 class FactTable:
-    """A table of an item's properties. A row has a name and a value; narrow terminals show it below long names."""
+    """Table of an item's properties. A row has a name and a value; narrow terminals show it below long names."""
 
     def __init__(self, rows: Iterable[tuple[str | Text, str | Text]], title: str | None = None) -> None:
         self._rows = [(_plain(name), _plain(value)) for name, value in rows]
@@ -37,11 +37,10 @@ class FactTable:
 
 
 class ItemTable:
-    """A table with one item in each row, or a stacked list in a narrow terminal whose columns would break words.
+    """Table with one item in each row, or a stacked list in a narrow terminal whose columns would break words.
 
     Args:
-        headings: the heading of each column.
-        numbers_from, numbers_to: the columns with indices from `numbers_from` to `numbers_to` - 1 are aligned right.
+        numbers_from, numbers_to: the columns from `numbers_from` to `numbers_to` - 1, from 0, are aligned right.
         whole: whether cells of the first column never wrap.
     """
 

@@ -187,7 +187,6 @@ class ClothNodes:
             scene.add_mesh_simple(
                 f"/cloth/{mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_FLEX, k)}",
                 np.zeros((int(model.flex_vertnum[k]), 3)),
-                # Point numbers start at 0 in each cloth.
                 model.flex_elem[model.flex_elemdataadr[k] :][: 3 * model.flex_elemnum[k]].reshape(-1, 3),
                 color=_cloth_colour(model, int(model.flex_matid[k])),
                 side="double",

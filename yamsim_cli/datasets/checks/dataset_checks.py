@@ -174,7 +174,6 @@ def compare_ledger(
         return []
     logged = {attempt.episode: attempt for attempt in attempts}
     unlogged = [episode.name for episode in recorded if episode.number not in logged]
-    # Damaged and missing lines are already reported.
     if unlogged and not problems.has_code_prefix("ledger."):
         problems.add("ledger.unlogged", ATTEMPTS, ", ".join(unlogged))
     found = []

@@ -42,8 +42,8 @@ from .episode_facts import (
 from .episode_files import check_missing_files, list_files, read_file
 from .images import CameraChecks, ImageReader, TruthChecks, check_frozen_images
 
-# m, largest difference between the object-target distance in the recorded outcome and in the last frame. The outcome
-# is measured shortly after that frame, and a resting object moves by less than 0.1 mm until then.
+# m, largest difference between the object-target distance in the recorded outcome and in the last frame. The outcome is
+# measured shortly after that frame; a resting object moves by less than 0.1 mm until then.
 _OUTCOME_TOLERANCE = 0.005
 _SHOWN_HASH_DIGITS = 12  # leading hex digits of a SHA-256 in messages
 

@@ -14,7 +14,7 @@ from yamsim_cli.core.dataset.dataset_paths import EPISODE, depth_name, image_pat
 from yamsim_cli.core.dataset.records import EpisodeRecord
 
 _MAX_DEPTH = 4  # searched folder levels: the format has no deeper folders, and a link may form a loop
-# File extension -> largest file that is read, bytes.
+# file extension -> largest file that is read, bytes
 _MAX_BYTES = {".pkl": 2**20, ".jpg": 2**26, ".jpeg": 2**26, ".json": 2**26, ".png": 2**26, ".npz": 2**27}
 _MAX_OTHER_BYTES = 2**28  # bytes, largest file with any other extension that is read
 
@@ -85,7 +85,7 @@ def _walk(top: Path, folder: Path, depth: int, files: EpisodeFiles, problems: Pr
                 continue
             status = entry.stat()
         except OSError as error:
-            # List the file, so that it does not count as missing too.
+            # So that the file does not count as missing too.
             found.append(name)
             problems.add("file.unreadable", name, error.strerror)
             continue

@@ -18,12 +18,12 @@ from yamsim_cli.core.images.image import ImageHeader, ImageStats
 
 _MAX_PIXELS = 2**26  # pixels, largest image that is decoded: a header can declare gigabytes
 
-# Contrast and brightness are measured on a downscaled image, which suppresses noise and single bad pixels.
+# Both are measured on a downscaled image, which suppresses noise and single bad pixels.
 _UNIFORM_CONTRAST = 2.0  # 0 to 255, contrast below which an image is uniform
 _BLACK_BRIGHTNESS = 16.0  # 0 to 255, brightness below which a uniform image is black
 
-# A camera is frozen if at least `_MIN_FROZEN_RUN` consecutive images are equal while a joint moves more than
-# `_MIN_FROZEN_MOTION`. 0.02 rad move the hand, half a metre away, by 10 mm or 5 pixels in the task's camera.
+# A camera is frozen if `_MIN_FROZEN_RUN` images are equal while a joint moves by `_MIN_FROZEN_MOTION`. That moves the
+# hand, half a metre away, by 10 mm or 5 pixels in the task's camera.
 _MIN_FROZEN_RUN = 3  # images
 _MIN_FROZEN_MOTION = 0.02  # rad; images of a slower arm may be equal
 

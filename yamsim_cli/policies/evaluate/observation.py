@@ -120,7 +120,6 @@ class LazyObservation(Mapping[str, Any]):
         return f"{type(self).__name__}({', '.join(self._keys)})"
 
     def __reduce__(self) -> tuple[type[dict[str, Any]], tuple[dict[str, Any]]]:
-        # A copy is a plain dictionary with all images.
         return dict, (dict(self),)
 
 

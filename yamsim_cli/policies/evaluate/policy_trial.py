@@ -49,7 +49,7 @@ class TrialEnd(StrEnum):
 
 
 FAULTS = (TrialEnd.RAISED, TrialEnd.INVALID, TrialEnd.SLOW, TrialEnd.LOST)
-# Ends after which a trial counts as a measurement of the policy's success.
+# ends that measure the policy's success
 MEASURED = (TrialEnd.SUCCESS, TrialEnd.DONE, TrialEnd.TIME_LIMIT, TrialEnd.UNSTABLE)
 
 _NO_FAULT = PolicyFault("")
@@ -169,7 +169,7 @@ class TrialRunner(Closable):
         except PolicyFailedError as error:
             return TrialEnd.RAISED, PolicyFault(f"{error}, after {episode.ticks} ticks", error.fault.traceback)
         if episode.end is None:
-            # The policy is done. Hold the last command while objects settle, and for the goal's hold time.
+            # Hold the last command while objects settle, and for the goal's hold time.
             for _ in range(self._config.task.timing.settle_ticks + self._config.task.hold_ticks):
                 if not episode.succeeds:
                     episode.step(ctrl, magnet)
