@@ -51,10 +51,9 @@ def record(
     """Record successful episodes into a new dataset, byte for byte as `yamsim record` does with the same flags.
 
     Args:
-        out: directory of the dataset.
         workers: number of processes to start; None records in this process. A script that starts processes must guard
             its main part by `if __name__ == "__main__"`.
-        size: width and height of the images, px.
+        size: (width, height) of the images, px.
         resume: continue the dataset at `out`.
     """
     session = API_SESSION_OPENER.open(
@@ -118,7 +117,7 @@ def evaluate(
     The function starts processes, so a script must guard its main part by `if __name__ == "__main__"`.
 
     Args:
-        policy: address of the policy, such as `my_policy.py:MyPolicy`, see docs/policies.md.
+        policy: such as `my_policy.py:MyPolicy`, see docs/policies.md.
 
     Returns:
         The data that `--json` prints, such as `stats` and `trials`.

@@ -1,4 +1,4 @@
-"""Checks of this machine for `yamsim doctor`. A check that finds a problem names the fix."""
+"""Checks of this machine for `yamsim doctor`. A failed check names the fix."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ _GPUS = ("/dev/nvidia0", "/dev/dri/renderD128", "/dev/kfd")  # device files that
 
 
 class Health(StrEnum):
-    """The result of a check. Only a fault means that a part of yamsim does not work."""
+    """Result of a check. Only a fault means that a part of yamsim does not work."""
 
     OK = "ok"
     WARNING = "warning"
@@ -71,8 +71,7 @@ class HealthCheck:
     """One check of the machine.
 
     Attributes:
-        detail: the result in words.
-        fix: the recommended action; empty if none is needed.
+        fix: recommended action; empty if none is needed.
         figures: measured values by name, in SI units and bytes.
     """
 
@@ -89,12 +88,10 @@ def run_health_checks(
     out: Path,
     on_check: Callable[[HealthCheck], None] = lambda check: None,
 ) -> list[HealthCheck]:
-    """Run all checks, and return their results. The machine is left unchanged, and every wait has a time limit.
+    """Run all checks. The machine is left unchanged, and every wait has a time limit.
 
     Args:
-        environ: environment variables of the process.
         out: directory of future datasets, which need not exist.
-        on_check: called with the result of each check when the check ends.
     """
     checks: list[HealthCheck] = []
     for part in (_packages(), _gl(environ), _meshes(locations), _disk(out), _workers()):
@@ -241,7 +238,7 @@ def _disk(out: Path) -> Iterator[HealthCheck]:
 
 
 def _write_episodes(place: Path) -> float:
-    """Write a few dummy episodes as `record` does, delete them, and return the duration of the slowest, s."""
+    """Write a few dummy episodes, delete them, and return the duration of the slowest, s."""
     files = {f"rgb/scene_camera/{k:06d}.jpg": bytes(_IMAGE_BYTES) for k in range(_FRAMES)}
     files |= {f"lowdim/{k:06d}.pkl": bytes(_LOWDIM_BYTES) for k in range(_FRAMES)}
     worst = 0.0

@@ -42,7 +42,7 @@ class PickPlaceEnv(gymnasium.Env[dict[str, NDArray[Any]], NDArray[np.float32]]):
 
     Args:
         observation: "state" gives the poses of the objects and renders nothing; "images" gives images instead.
-        size: width and height of images, px.
+        size: (width, height) of images, px.
         render_mode: None, or "rgb_array" for the image of the scene camera.
         max_ticks: control ticks after which the episode is truncated; by default the time limit of the task.
         end: "success" ends the episode on success; with "actor" only truncation ends the episode.
@@ -113,7 +113,7 @@ class PickPlaceEnv(gymnasium.Env[dict[str, NDArray[Any]], NDArray[np.float32]]):
         return spaces.Dict(parts)
 
     def _poses(self) -> dict[str, str]:
-        """Return observation key -> name of the object whose pose it has."""
+        """Return observation key -> object whose pose it has."""
         return {f"{role}_pose_world": item for role, item in self._roles().items()}
 
     def _parts(self) -> dict[str, tuple[str, int]]:

@@ -143,7 +143,7 @@ def _command(error: TyperException) -> str:
 
 
 def _decimal_point(error: TyperException) -> str:
-    """Return a hint for a number with a decimal comma; empty for other errors."""
+    """Return a hint if a number has a decimal comma."""
     # Typer validates values with pydantic.
     checked: list[dict[str, Any]] = getattr(error.__cause__, "errors", list)()
     given = str(checked[0].get("input")) if checked else ""

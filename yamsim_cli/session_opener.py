@@ -1,4 +1,4 @@
-"""Opens sessions: loads the config, and finds model files, meshes and an OpenGL backend for rendering."""
+"""Opens sessions: loads the config, and finds model files, meshes and an OpenGL backend."""
 
 from __future__ import annotations
 
@@ -63,16 +63,14 @@ _WITHIN_TASK = ("object", "target", "threshold")
 
 @dataclass(frozen=True)
 class SessionOpener:
-    """Opens sessions (a record config with the locations of its files), for the command line or for a program.
+    """Opens sessions (a record config with the locations of its files), for the command line or a program.
 
     Attributes:
-        environ: environment variables of the process. MuJoCo reads its OpenGL backend from them at its import.
-        notify: shows a sentence to the user.
-        setting_label: name of a setting -> the flag or keyword in messages.
-        resolve_object: converts the name of an object to the name of its config; imports files of other formats.
+        environ: MuJoCo reads its OpenGL backend from these variables at its import.
+        setting_label: name of a setting -> flag or keyword in messages.
+        resolve_object: converts the name of an object to that of its config; imports files of other formats.
         resolve_task: converts the name of a task to a name, or to a config as plain data.
-        fetch_bar: opens the progress bar for the download of missing meshes.
-        notify_at_end: shows a sentence to the user when the command ends.
+        notify_at_end: shows a sentence when the command ends.
     """
 
     environ: MutableMapping[str, str]
@@ -89,10 +87,8 @@ class SessionOpener:
         """Open a session of a record config with settings.
 
         Args:
-            renders: whether the session renders; otherwise OpenGL and meshes are not needed.
-            parallel: whether several processes render.
-            resumes: the dataset that the session resumes. Mesh sets that it shows as primitives stay primitives.
-            given: values of settings by name, such as `seed=1`.
+            renders: without, OpenGL and meshes are not needed.
+            resumes: dataset that the session resumes. Mesh sets that it shows as primitives stay primitives.
         """
         from .core.episode.sampling import require_start
 
@@ -200,7 +196,7 @@ class SessionOpener:
         return {("task", "timing", key): (self.setting_label("fps"), value) for key, value in changed.items()}
 
     def _rig_named_by_task(self, task: str | dict[str, Any], locations: Locations) -> tuple[str, str] | None:
-        """Return the file position and the name of the rig in the config of a task; None if the task names no rig."""
+        """Return file position and name of the rig in a task's config, if any."""
         from .core.config.loader import config_model
         from .core.config.program_task import PROGRAM
         from .core.files.documents.yaml_document import Document
@@ -221,7 +217,7 @@ class SessionOpener:
         revision: str | None = None,
         robot: Sequence[str] | None = None,
     ) -> RigConfig:
-        """Load a rig. Replace its arm distance `margin` (m), arm `revision` and dynamics files `robot` if given."""
+        """Load a rig, with another arm distance `margin` (m), arm `revision` and dynamics files `robot` if given."""
         from .core.config.loader import load_config
         from .core.config.rig import RigConfig
 
@@ -256,13 +252,13 @@ class SessionOpener:
         self.environ.setdefault("MUJOCO_GL", _NO_GL)
 
     def stay_offline(self) -> None:
-        """Show primitives for missing meshes, and do not fetch the meshes."""
+        """Show primitives for missing meshes instead of fetching them."""
         self.environ[_OFFLINE] = "1"
 
     def with_meshes(self, session: Session) -> Session:
-        """Find or fetch all meshes of a session's scene, and return the session with their folders.
+        """Find or fetch all meshes of a scene, and return the session with their folders.
 
-        Mesh sets that the config records as primitives stay primitives.
+        Sets that the config records as primitives stay primitives.
         """
         from .core.config.mesh_provenance import PRIMITIVES
         from .core.scene.blueprint import recording_blueprint
@@ -277,7 +273,7 @@ class SessionOpener:
     def with_mesh_folders(
         self, locations: Locations, names: Iterable[str], quality: RenderConfig | None = None
     ) -> Locations:
-        """Return `locations` with the folder of each asset set. Fetch missing sets, and notify the user of failures.
+        """Return `locations` with the folder of each asset set. Fetch missing sets; failures are only a note.
 
         Args:
             quality: render quality, which decides whether meshes are reduced. Missing reduced meshes are made.
@@ -307,7 +303,7 @@ class SessionOpener:
     def _fetch(
         self, locations: Locations, lock: AssetLock, store: AssetStore, missing: Sequence[str]
     ) -> dict[str, Path | None]:
-        """Fetch missing asset sets, unless the user chose primitives. Return their folders."""
+        """Fetch missing asset sets, unless the user chose primitives."""
         from yamsim_cli.mesh_download.fetch import fetch_missing
 
         on_demand = "".join(f" {name}" for name in missing if lock.sets[name].on_demand)
@@ -335,7 +331,7 @@ class SessionOpener:
         return not locations.assets.is_dir() or not any(locations.assets.iterdir())
 
     def _reduced(self, lock: AssetLock, store: AssetStore, name: str, folder: Path) -> Path:
-        """Return the folder of a set's simplified meshes. Make them if missing; on failure, return `folder`."""
+        """Return the folder of a set's simplified meshes, made if missing; on failure, return `folder`."""
         from .core.scene.assets import find_reduced, make_reduced
 
         assets = lock.sets[name]
@@ -351,10 +347,7 @@ class SessionOpener:
 
 
 def parse_size(text: str) -> tuple[int, int]:
-    """Convert a text WIDTHxHEIGHT to width and height, px.
-
-    Raises UsageError if the text has another format, or a number is out of range.
-    """
+    """Convert a text WIDTHxHEIGHT to width and height, px."""
     width, cross, height = text.lower().partition("x")
     if not cross or not width.isdecimal() or not height.isdecimal():
         raise UsageError(f"--size {text!r} is not valid: give WIDTHxHEIGHT in pixels, such as 640x480")

@@ -27,7 +27,7 @@ class Bus(can.BusABC):
     """Connection to a CAN bus that yamsim simulates."""
 
     def __new__(cls, channel, **kwargs):
-        """Return a connection to the channel if yamsim serves it, else python-can's `SocketcanBus`."""
+        """Connect to the channel if yamsim serves it, else return python-can's `SocketcanBus`."""
         if not _place(channel).is_socket():
             return SocketcanBus(channel, **kwargs)
         return super().__new__(cls)
@@ -101,7 +101,7 @@ class Bus(can.BusABC):
         return can.BusState.ACTIVE
 
     def fileno(self):
-        """Return the socket's file descriptor, with which `select` waits for messages."""
+        """Return the socket's file descriptor, which `select` needs."""
         return self._socket.fileno()
 
     def shutdown(self):

@@ -1,5 +1,3 @@
-"""`yamsim assets`: list and fetch mesh sets, and import and certify objects."""
-
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
@@ -117,7 +115,6 @@ def _files(assets: AssetSet, store: AssetStore) -> Sequence[Mapping[str, object]
 
 
 def _things(lock: AssetLock) -> list[dict[str, Any]]:
-    """Return name, certificate state and failed checks of each object config."""
     from yamsim_cli.core.config.loader import load_config
     from yamsim_cli.core.config.objects.object_config import ObjectConfig
     from yamsim_cli.core.scene.certificates import find_certificate

@@ -1,5 +1,3 @@
-"""`yamsim eval`: measure how often a policy succeeds."""
-
 from __future__ import annotations
 
 from pathlib import Path
@@ -168,7 +166,9 @@ def evaluate(
 
 
 def _read_reports(names: list[str], session: Session) -> dict[str, dict[str, Any]]:
-    """Read the names that end in .json as reports of earlier evaluations, which must have this session's trials."""
+    """Return name -> report of an earlier evaluation, for names that end in .json. Its trials must equal this
+    session's.
+    """
     from yamsim_cli.core.episode.trials import describe_run
     from yamsim_cli.policies.evaluate.compare import read_report, require_same_trials
 

@@ -1,5 +1,3 @@
-"""`yamsim export`: write a dataset in the formats of other programs."""
-
 from __future__ import annotations
 
 from pathlib import Path

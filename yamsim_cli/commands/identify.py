@@ -1,5 +1,3 @@
-"""`yamsim excite` and `yamsim identify`: excite a real arm, and identify its dynamics from the log."""
-
 from __future__ import annotations
 
 from collections.abc import Sequence

@@ -1,5 +1,3 @@
-"""`yamsim overlay`: draw the simulated arms over photos of real arms."""
-
 from __future__ import annotations
 
 import math
@@ -139,7 +137,7 @@ def overlay(
 def _rig(
     name: str | None, revision: str | None, recordings: Sequence[Path], margin: float | None, locations: Locations
 ) -> RigConfig:
-    """Return the named rig. Without a name, return the rig of the recordings' dataset, else the rig `single`."""
+    """Return the named rig, or else that of the recordings' dataset, or else `single`."""
     from yamsim_cli.core.dataset.dataset_paths import CONFIG
     from yamsim_cli.core.dataset.reader import recorded_rig
 

@@ -1,5 +1,3 @@
-"""`yamsim replay`: show a recorded episode in a viewer, or write a video."""
-
 from __future__ import annotations
 
 import sys
@@ -119,7 +117,7 @@ def _film(
 def play_episode(
     stored: RecordedEpisode, locations: Locations, speed: float, page: PageAddress | None, json: bool
 ) -> None:
-    """Play an episode on a web page, or in MuJoCo's window if `page` is None. A real recording shows only its arms."""
+    """Play an episode on a page, or in MuJoCo's window if `page` is None. A real recording shows only its arms."""
     prepare_viewer(page)
     from yamsim_cli.core.dataset.reader import StoredEpisode
     from yamsim_cli.viewers.show.replay import play_real, play_simulated
@@ -164,8 +162,8 @@ def _session(stored: StoredEpisode, locations: Locations) -> Session:
 
 
 def _physics(stored: StoredEpisode, locations: Locations) -> dict[str, Any]:
-    """Return the largest error and first difference of states after the recorded actions. None: no simulation, or no
-    difference.
+    """Return error and first difference after the recorded actions; None if they cannot be simulated, or nothing
+    differs.
     """
     from yamsim_cli.datasets.verify import reproduce_episode
 

@@ -1,5 +1,3 @@
-"""`yamsim robots`: list, show, make and check arms, grippers and stations."""
-
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence

@@ -1,5 +1,3 @@
-"""`yamsim serve-policy`: serve a policy over HTTP from a separate process."""
-
 from __future__ import annotations
 
 from pathlib import Path

@@ -1,5 +1,3 @@
-"""`yamsim teleop`: teleoperate the arm and record episodes."""
-
 from __future__ import annotations
 
 import sys

@@ -1,5 +1,3 @@
-"""`yamsim verify`: check that a dataset can be reproduced from its records."""
-
 from __future__ import annotations
 
 from collections.abc import Iterator

@@ -1,5 +1,3 @@
-"""`yamsim view`: watch a rig, a task or an episode, and move its joints."""
-
 from __future__ import annotations
 
 from pathlib import Path

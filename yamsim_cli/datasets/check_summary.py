@@ -22,12 +22,7 @@ CELL_M = 0.05  # m, largest cell width for workspace coverage: about the width o
 
 @dataclass(frozen=True)
 class CheckResults:
-    """Result of checking a dataset.
-
-    Attributes:
-        attempts: readable attempts of the ledger.
-        problems: faults of the dataset, then those of its episodes in order.
-    """
+    """Result of checking a dataset."""
 
     path: Path
     context: CheckContext
@@ -39,7 +34,7 @@ class CheckResults:
 def combine_checks(
     dataset: Path, context: CheckContext, episodes: Sequence[EpisodeFacts], problems: ProblemCollector
 ) -> CheckResults:
-    """Check a dataset as a whole, and combine the results with those of its episodes.
+    """Check a dataset as a whole, and add the results of its episodes.
 
     Args:
         problems: faults that were found before the episode checks.
@@ -94,7 +89,7 @@ def summarize(results: CheckResults, thresholds: Sequence[float]) -> dict[str, A
 
 
 def is_within_threshold(episode: EpisodeFacts, threshold: float, results: CheckResults) -> bool:
-    """Whether the goal was reached; without a goal, whether the object ended on its target within `threshold` m of its
+    """Whether the goal was reached; without a goal, whether the object ended within `threshold` m of its target's
     centre.
     """
     if episode.outcome is None or results.context.judged_by_goal:
@@ -104,7 +99,7 @@ def is_within_threshold(episode: EpisodeFacts, threshold: float, results: CheckR
 
 
 def workspace_coverage(results: CheckResults, points: Sequence[tuple[float, float]]) -> Coverage | None:
-    """Return how points (x, y) in `world`, m, cover the box of sampled start positions; None if it is unknown."""
+    """Return how points (x, y) in `world`, m, cover the box of sampled start positions."""
     box = results.context.sampling
     return compute_coverage(points, box.x, box.y, CELL_M) if box else None
 

@@ -1,5 +1,3 @@
-"""Report on a dataset as one self-contained HTML page."""
-
 from __future__ import annotations
 
 import math
@@ -49,7 +47,6 @@ def dataset_page(results: CheckResults, summary: Mapping[str, Any], strips: Sequ
     """Return the report page on a checked dataset as HTML.
 
     Args:
-        summary: result of `check_summary.summarize`.
         made: text at the foot of the page.
     """
     path = results.path.absolute()
@@ -68,7 +65,7 @@ def dataset_page(results: CheckResults, summary: Mapping[str, Any], strips: Sequ
 
 
 def problem_counts(summary: Mapping[str, Any]) -> tuple[str, str]:
-    """Return the numbers of errors and warnings as texts, such as ``"1 error"`` and ``"1,200 warnings"``."""
+    """Return the numbers of errors and warnings, such as ``"1 error"`` and ``"1,200 warnings"``."""
     errors, warnings = summary["errors"], summary["warnings"]
     return f"{errors:,} error{'' if errors == 1 else 's'}", f"{warnings:,} warning{'' if warnings == 1 else 's'}"
 

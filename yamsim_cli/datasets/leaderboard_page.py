@@ -1,5 +1,3 @@
-"""HTML page that ranks evaluations of policies on the same trials."""
-
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence

@@ -32,7 +32,7 @@ _THUMBNAIL_PX = 240  # px, longer side of these images
 
 
 class EpisodeChecker(Closable):
-    """Checks episodes in a separate worker process, because the JPEG decoder writes warnings to its stderr."""
+    """Checks episodes in a separate process, because the JPEG decoder writes warnings to its stderr."""
 
     def __init__(self, context: CheckContext) -> None:
         self._context = context
@@ -49,7 +49,7 @@ class EpisodeChecker(Closable):
 
 
 def check_dataset(dataset: Path, locations: Locations, workers: int, progress: Progress) -> CheckResults:
-    """Check a dataset with `workers` processes. Every file is read, and none is changed."""
+    """Check a dataset, with `workers` processes. No file is changed."""
     directories, recorded = find_episodes(dataset)
     problems = ProblemCollector()
     context = read_context(dataset, recorded, locations, problems)
@@ -82,7 +82,7 @@ def write_report(results: CheckResults, summary: Mapping[str, Any], path: Path) 
 
 
 def write_trials_page(report: Mapping[str, Any], config: RecordConfig, path: Path) -> None:
-    """Write the report page of a batch of trials of `config`."""
+    """Write the report page of a batch of trials."""
     write_page(trials_page(report, start_boxes(config), page_footer()), path)
 
 
@@ -92,7 +92,7 @@ def write_leaderboard(reports: Sequence[Mapping[str, Any]], pairs: Sequence[Mapp
 
 
 def contact_sheet(results: CheckResults) -> list[FrameStrip]:
-    """Return images of up to `_MAX_STRIPS` episodes: those whose object ended farthest from its target come first."""
+    """Return images of up to `_MAX_STRIPS` episodes, first of those that ended farthest from the target."""
     shown = sorted(
         (episode for episode in results.episodes if any(episode.images.values())), key=_error_rank, reverse=True
     )
@@ -115,7 +115,7 @@ def _strip(dataset: Path, episode: EpisodeFacts) -> FrameStrip:
 
 
 def _picture(path: Path) -> bytes | None:
-    """Return a JPEG thumbnail; None if the file has changed since the checks and is no image now."""
+    """Return a JPEG thumbnail; None if the file is no image any more."""
     try:
         return thumbnail(path.read_bytes(), _THUMBNAIL_PX) if stat.S_ISREG(path.stat().st_mode) else None
     except OSError:

@@ -1,7 +1,7 @@
 """Verify a dataset: worker processes reproduce its episodes and compare them with the stored data.
 
-An episode is simulated again from its seed (`SEED`) and from its recorded actions (`ACTIONS`), and its images are
-rendered again (`IMAGES`).
+An episode is simulated from its seed (`SEED`) and from its recorded actions (`ACTIONS`), and its images are rendered
+(`IMAGES`).
 """
 
 from __future__ import annotations
@@ -69,8 +69,7 @@ class EpisodeVerdict:
     """Result of verifying one episode.
 
     Attributes:
-        checks: check -> comparison of the stored and the reproduced episode.
-        skipped: check -> reason why the check was not possible.
+        skipped: check -> why it was not possible.
         problems: file -> fault other than a difference of values; "" for the whole episode.
         changed: library or component -> version at recording time and now, if they differ.
     """
@@ -88,7 +87,7 @@ class EpisodeVerdict:
 
 
 class EpisodeVerifier(Closable):
-    """Verifies episodes of one dataset. A context manager, because a verifier may own a renderer.
+    """Verifies episodes of one dataset, and may own a renderer.
 
     Args:
         session: session of the dataset's config. Its meshes affect only images.
@@ -136,7 +135,7 @@ class EpisodeVerifier(Closable):
     def _from_seed(
         self, episode: StoredEpisode, frames: Frames, skipped: dict[str, str]
     ) -> dict[str, EpisodeComparison]:
-        """Simulate the attempt from its seed and number. Add to `skipped` why its images are not compared."""
+        """Simulate the attempt from its seed. Add to `skipped` why images are not compared."""
         record, simulator = episode.record, self._simulator(episode.record)
         done = demonstrate(simulator, sample_attempt(simulator, AttemptJob(record.seed, record.attempt)))
         made = made_frames(simulator, done.attempt, done.states)
@@ -221,7 +220,7 @@ def reproduce_frames(
 
 
 def reproduce_episode(episode: StoredEpisode, session: Session) -> EpisodeComparison | None:
-    """Replay an episode's actions in physics, and compare exactly with its frames; None without replayable actions."""
+    """Replay an episode's actions in physics, and compare exactly; None without replayable actions."""
     job = AttemptJob(episode.record.seed, episode.record.attempt)
     with simulator_for(session.without_meshes(), job) as simulator:
         return reproduce_frames(simulator, episode, episode.frames(), tolerance=0.0)
@@ -242,7 +241,6 @@ def _read_frames(episode: StoredEpisode, problems: dict[str, str]) -> list[dict[
 
 
 def _outcome_numbers(outcome: OutcomeRecord, keys: set[str] | None = None) -> dict[str, Any]:
-    """Return the numbers and verdict of an outcome, restricted to `keys` if given."""
     return outcome.model_dump(include=keys, exclude={"detail"})
 
 
@@ -251,7 +249,7 @@ def _arrays(poses: Mapping[str, Sequence[float]]) -> dict[str, Any]:
 
 
 def _merge_comparisons(frames: EpisodeComparison, once: EpisodeComparison) -> EpisodeComparison:
-    """Merge the comparison of frames with `once`, that of whole-episode values, which precedes a wrong frame count."""
+    """Merge frames with `once`, the comparison of whole-episode values, which precedes a wrong frame count."""
     first = frames.first_difference or once.first_difference
     if frames.first_difference and frames.first_difference.frame is None:
         first = once.first_difference or frames.first_difference
@@ -259,7 +257,7 @@ def _merge_comparisons(frames: EpisodeComparison, once: EpisodeComparison) -> Ep
 
 
 def _compare_images(episode: StoredEpisode, images: Mapping[str, bytes], limit: float) -> EpisodeComparison:
-    """Compare recorded with rendered JPEGs. `largest` is camera -> largest mean difference, 0 to 255."""
+    """Compare recorded with rendered JPEGs: camera -> largest mean difference, 0 to 255."""
     result = EpisodeComparison()
     record = episode.record
     for k in range(record.frames):
@@ -285,7 +283,7 @@ def _first_other_truth(episode: StoredEpisode, images: Mapping[str, bytes]) -> D
 
 
 def _pixels_apart(stored: bytes, made: bytes) -> float | None:
-    """Return the mean pixel difference of two JPEGs, 0 to 255; None if one is damaged or the sizes differ."""
+    """Return the mean pixel difference of two JPEGs, 0 to 255; None if they do not compare."""
     one, other = decode_jpeg(stored), decode_jpeg(made)
     if one is None or other is None or one.shape != other.shape:
         return None
@@ -298,9 +296,7 @@ def verify(
     """Verify episodes of one dataset, and return a report as JSON data.
 
     Args:
-        episodes: number and directory of each episode.
         session: session of the dataset's config. Its meshes affect only images.
-        progress: called with the number of verified episodes and of all episodes.
     """
     began = time.monotonic()
     factory = functools.partial(EpisodeVerifier, session, tolerances)

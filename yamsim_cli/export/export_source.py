@@ -1,6 +1,6 @@
-"""Source dataset of an export, read episode by episode: simulated episodes or real recordings.
+"""Source dataset of an export, read episode by episode.
 
-A real recording is exported with all recorded frames, or with the recorded frames nearest to evenly spaced times.
+A real recording is exported with all recorded frames, or with those nearest to evenly spaced times.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ class ExportSource(ABC):
 
     @property
     def rig(self) -> RigConfig:
-        """The rig (arms and cameras) that recorded the dataset."""
+        """Rig that recorded the dataset."""
         return self.config.rig
 
     @property
@@ -86,7 +86,7 @@ class ExportSource(ABC):
 
 @dataclass(frozen=True)
 class SimulatedSource(ExportSource):
-    """Selected simulated episodes, all with the same cameras, frame period, objects and number of arms."""
+    """Selected simulated episodes, all with the same cameras, frame period, objects and arms."""
 
     first: StoredEpisode
     config: RecordConfig
@@ -130,7 +130,7 @@ class RealSource(ExportSource):
     """Selected recordings of real arms in one dataset, all with the same cameras and arms.
 
     Attributes:
-        period: time from one exported frame to the next, s.
+        period: time between exported frames, s.
         is_resampled: whether to export the frames nearest to evenly spaced times instead of all recorded frames.
     """
 
@@ -174,9 +174,10 @@ class RealSource(ExportSource):
         return RealEpisode(episode.directory, record, chosen)
 
     def with_gripper_shares(self, values: ArrayLike) -> Array:
-        """Reshape rows (n, arms * drives) of joints or commands to (n, arms, drives), with grippers as shares.
+        """Reshape rows (n, arms * drives) of joints (rad) and finger openings (m) to (n, arms, drives), with openings
+        as shares.
 
-        Joints are in rad. Recorded openings of one finger, m, become shares, 0 closed to 1 open, without clipping.
+        Shares are 0 closed to 1 open, without clipping.
         """
         record = self.first.record
         rows = np.array(values, dtype=np.float64).reshape(-1, record.arms, record.drives)
@@ -203,7 +204,7 @@ class RealSource(ExportSource):
         return self.with_gripper_shares([frame["ctrl"] for frame in frames])
 
     def describe_uneven_times(self, episode: RecordedEpisode, frames: Frames) -> str | None:
-        """Return a warning if an episode was recorded at uneven times and is exported at even times."""
+        """Warn if an episode was recorded at uneven times and is exported at even times."""
         pauses = np.diff([frame["timestamp"] for frame in frames])
         if self.is_resampled or len(pauses) == 0 or np.abs(pauses / self.period - 1).max() <= _MAX_UNEVENNESS:
             return None
@@ -225,10 +226,10 @@ def _require_alike(episode: RecordedEpisode, first: RecordedEpisode, keys: Seque
 
 
 def nearest_to_even(times: Array, period: float) -> tuple[int, ...]:
-    """Return the index of the frame nearest to each multiple of `period` (s), from the first to the last frame.
+    """Return the index of the frame nearest to each multiple of `period` (s), up to the last frame.
 
     Args:
-        times: increasing times of the frames (n,), s.
+        times: (n,), increasing, s.
     """
     since = times - times[0]
     even = np.arange(math.floor((since[-1] + ROUNDING_S) / period) + 1) * period
@@ -265,12 +266,12 @@ def open_real_source(dataset: Path, episodes: str | None, locations: Locations, 
 
 
 def _common_fps(periods: Sequence[float]) -> float:
-    """Return the median frame rate of these frame periods (s), rounded if close to an integer."""
+    """Return the median frame rate of these periods (s), rounded if close to an integer."""
     rate = 1 / float(np.median(periods))
     whole = round(rate)
     return float(whole) if abs(rate - whole) <= _FPS_TOLERANCE * rate else round(rate, 3)
 
 
 def depth_cameras(episode: StoredEpisode) -> tuple[str, ...]:
-    """Return the cameras of an episode that have depth images."""
+    """Return the cameras with depth images."""
     return tuple(camera for camera in episode.record.cameras if depth_name(camera, 0) in episode.record.files)

@@ -1,4 +1,4 @@
-"""Export to LeRobotDataset v3.0, episode by episode and without torch. `lerobot_schema` defines the format."""
+"""Export to LeRobotDataset v3.0, without torch. `lerobot_schema` defines the format."""
 
 from __future__ import annotations
 
@@ -42,9 +42,7 @@ def export_lerobot(
     environment_state: bool = False,
     overwrite: bool = False,
 ) -> ExportResult:
-    """Write a dataset as LeRobotDataset v3.0, with numbers in Parquet and images in H.264.
-
-    The time of frame k is exactly k frame periods.
+    """Write a dataset as LeRobotDataset v3.0. The time of frame k is exactly k frame periods.
 
     Args:
         pictures: whether to write videos and camera matrices of all cameras.
@@ -62,7 +60,7 @@ def export_real_lerobot(
     actions: ActionSource = "recorded",
     overwrite: bool = False,
 ) -> ExportResult:
-    """Write real recordings as LeRobotDataset v3.0. Features that were not recorded are omitted.
+    """Write real recordings as LeRobotDataset v3.0, without features that were not recorded.
 
     Args:
         pictures: whether to write videos of all cameras and the known camera matrices.
@@ -85,12 +83,11 @@ def _export(source: ExportSource, out: Path, progress: Progress, content: _Conte
 
 
 class _Content(ABC):
-    """Supplies the features of an export, except images and the index features that every dataset of the format has.
+    """Supplies the features of an export, except images and those that every dataset of the format has.
 
     Attributes:
-        pictures: whether the export has videos.
-        about: entries of the provenance file on the whole dataset, complete after the last episode.
-        notes: lines for the user, complete after the last episode.
+        about, notes: entries on the whole dataset for the provenance file, and lines for the user; complete after the
+            last episode.
     """
 
     def __init__(self, pictures: bool, about: dict[str, Any]) -> None:
@@ -154,10 +151,7 @@ class _SimulatedContent(_Content):
 
 
 class _RealContent(_Content):
-    """Features of real recordings: measurements, commands, recorded times, and known camera matrices.
-
-    Grippers are shares of their opening, as in public datasets of real stations.
-    """
+    """Features of real recordings. Grippers are shares of their opening, as in public datasets of real stations."""
 
     def __init__(self, source: RealSource, pictures: bool, actions: ActionSource) -> None:
         super().__init__(pictures, {"source": "real", "actions": actions, "gripper": "share"})
@@ -203,7 +197,7 @@ class _RealContent(_Content):
 
 
 def _state_and_action(frame: Mapping[str, Any]) -> tuple[Any, Any]:
-    """Return state and action of a frame: its keys `state` and `action`, else joints, and commands with weld states."""
+    """Return the keys `state` and `action` of a frame, else joints, and commands with weld states."""
     if ACTION in frame:
         return frame[STATE], frame[ACTION]
     return frame["joints"], np.append(frame["ctrl"], np.asarray(frame["magnet"], np.float32))
@@ -244,8 +238,6 @@ def _write_video(path: Path, episode: RecordedEpisode, camera: str, period: floa
 
 
 class _LeRobotWriter(Closable):
-    """Writes the episodes of a dataset into a directory."""
-
     def __init__(self, root: Path, source: ExportSource, content: _Content) -> None:
         self.frames = 0
         self._root, self._source, self._content = root, source, content

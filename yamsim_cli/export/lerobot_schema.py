@@ -63,13 +63,13 @@ class SeriesFile:
         return self.number % CHUNK_FILES
 
     def path(self, pattern: str, **keys: str) -> str:
-        """Return the path relative to the dataset, from a pattern such as `DATA`."""
+        """Return the path in the dataset, from a pattern such as `DATA`."""
         return pattern.format(chunk_index=self.chunk, file_index=self.file, **keys)
 
 
 @dataclass(frozen=True)
 class LeRobotFeature:
-    """A column of the dataset: dtype and shape of the value of one frame, and the names of its elements."""
+    """A column of the dataset: dtype, shape and element names of one frame's value."""
 
     dtype: str
     shape: tuple[int, ...]
@@ -120,7 +120,7 @@ def row_feature(names: Sequence[str]) -> LeRobotFeature:
 
 
 def matrix_features(intrinsics: Collection[str], extrinsics: Collection[str]) -> dict[str, LeRobotFeature]:
-    """Return the features of cameras with a known K, `intrinsics`, and of cameras with a known pose, `extrinsics`."""
+    """Return the features of cameras with a known K, and of cameras with a known pose."""
     features = {}
     for camera in dict.fromkeys((*intrinsics, *extrinsics)):
         if camera in intrinsics:
@@ -186,10 +186,10 @@ def _video(size: tuple[int, int], fps: float) -> dict[str, Any]:
 
 
 class TableSeries(Closable):
-    """Writes tables with the same columns to a series of Parquet files. Closing writes the footer of the last file.
+    """Writes tables with the same columns to a series of Parquet files. Closing completes the last file.
 
     Args:
-        pattern: pattern of the file paths below `root`, such as `DATA`.
+        pattern: of file paths below `root`, such as `DATA`.
         limit_mb: size at which a file is closed, MB.
     """
 
@@ -225,7 +225,7 @@ class TableSeries(Closable):
 
 
 def frames_table(columns: Mapping[str, LeRobotFeature], values: Mapping[str, NDArray[Any]]) -> Any:
-    """Return the table of an episode's frames, from values (frames, ...) by feature."""
+    """Return an episode's table, from values (frames, ...) by feature."""
     import pyarrow
 
     def array(key: str, feature: LeRobotFeature) -> Any:
@@ -237,7 +237,7 @@ def frames_table(columns: Mapping[str, LeRobotFeature], values: Mapping[str, NDA
 
 
 def episode_table(row: Mapping[str, Any]) -> Any:
-    """Return one row of `meta/episodes` as a table, with arrays converted to lists."""
+    """Return one row of `meta/episodes`, with arrays converted to lists."""
     import pyarrow
 
     plain = {key: value.tolist() if isinstance(value, np.ndarray) else value for key, value in row.items()}

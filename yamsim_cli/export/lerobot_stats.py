@@ -1,5 +1,3 @@
-"""Feature statistics for each episode, and for the whole dataset in bounded memory."""
-
 from __future__ import annotations
 
 from collections.abc import Mapping

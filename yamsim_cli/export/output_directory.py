@@ -1,5 +1,3 @@
-"""Output directory of an export, which becomes visible only when complete."""
-
 from __future__ import annotations
 
 from collections.abc import Iterator
@@ -17,8 +15,7 @@ class ExportResult:
     """Result of an export.
 
     Attributes:
-        path: the output directory or file.
-        moved_aside: backup of an earlier output at `path`; None if there was none.
+        moved_aside: backup of an earlier output at `path`.
         notes: lines for the user on where the export differs from the recording.
     """
 
@@ -31,7 +28,7 @@ class ExportResult:
 
 @contextmanager
 def export_directory(final: Path, *, overwrite: bool) -> Iterator[StagedDirectory]:
-    """Yield a temporary directory for the block to fill. If the block succeeds, the directory is renamed to `final`.
+    """Yield a temporary directory to fill. If the block succeeds, it is renamed to `final`.
 
     Args:
         overwrite: whether to rename an existing `final` to a backup once the new directory is complete. If False, an

@@ -1,4 +1,4 @@
-"""Export to the converted layout of raiden, a program that records real arms. `raiden_schema` defines the layout."""
+"""Export to the converted layout of raiden, a program that records real arms; see `raiden_schema`."""
 
 from __future__ import annotations
 
@@ -45,12 +45,9 @@ def export_raiden(
 ) -> ExportResult:
     """Write a simulated dataset in raiden's layout.
 
-    The global frame is the base of the left arm. A single arm is exported as the left arm. The right arm then rests
-    with all joints 0, or is omitted with `options.single`. Grippers are shares of the opening, 0 closed to 1 open, as
-    the drive of the real arm reports them.
-
-    Args:
-        workers: number of processes that render.
+    The global frame is the base of the left arm. A single arm is the left one. The right arm then rests with all joints
+    0, or is omitted with `options.single`. Grippers are shares of the opening, 0 closed to 1 open, as the drive of the
+    real arm reports them.
     """
     converter = FrameConverter(source.rig, camera_names(source), locations, options.hand_frame, single=options.single)
     config = _as_recorded(source) if options.renders else source.config
@@ -96,7 +93,7 @@ def _as_recorded(source: SimulatedSource) -> RecordConfig:
 def _convert_all(
     factory: Factory[Job, ConvertedEpisode], jobs: Sequence[Job], workers: int
 ) -> Iterator[tuple[Path, ConvertedEpisode]]:
-    """Yield output folder and content of each episode when complete. 0 `workers` means this process."""
+    """Yield output folder and content of each complete episode. 0 `workers` means this process."""
     executor: Executor[Job, ConvertedEpisode] = InlineExecutor(factory)
     if workers:
         executor = ProcessPool[Job, ConvertedEpisode](factory, min(workers, len(jobs)))
@@ -121,8 +118,8 @@ def export_real_raiden(
 ) -> ExportResult:
     """Write real recordings in raiden's layout. Each frame is the recorded frame nearest to its time.
 
-    Hand poses are computed from the joints with the kinematics in `options`. Only known camera matrices are written.
-    The arrays of a single arm hold only that arm. No calibration file is written.
+    Hand poses follow from the joints by the kinematics in `options`. Only known camera matrices are written. The arrays
+    of a single arm hold only that arm. No calibration file is written.
 
     Args:
         source: opened with the rate of `options`.

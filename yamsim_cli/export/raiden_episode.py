@@ -1,5 +1,3 @@
-"""Convert frames and images of one episode to raiden's layout, at the recorded or another frame rate."""
-
 from __future__ import annotations
 
 import io
@@ -39,8 +37,7 @@ class ConvertedEpisode:
     """Frames of an episode whose images are already written.
 
     Attributes:
-        times: times of the frames, s.
-        frames: low-dimensional data, with the keys of recorded frames.
+        times: of the frames, s.
         pictures: entry of metadata.json on the source of the images.
     """
 
@@ -50,7 +47,7 @@ class ConvertedEpisode:
 
 
 class EpisodeConverter(Closable):
-    """Converts episodes of one dataset, and owns a renderer if it renders.
+    """Converts episodes of one dataset, and may own a renderer.
 
     Args:
         session: session of the dataset's config, with the size of rendered images. Only rendering needs its meshes.
@@ -65,7 +62,7 @@ class EpisodeConverter(Closable):
         self._simulators = None if options.fps is None else Simulators(session)
 
     def run(self, job: tuple[Path, Path]) -> ConvertedEpisode:
-        """Convert an episode and write its images. `job` is the episode directory, and the folder to write to."""
+        """Convert an episode and write its images. `job` is the episode directory and the output folder."""
         directory, folder = job
         try:
             return self._make(open_episode(directory), folder)
@@ -134,7 +131,7 @@ class EpisodeConverter(Closable):
 def copy_images(
     episode: RecordedEpisode, folder: Path, names: Mapping[str, str], frames: Sequence[int], options: RaidenOptions
 ) -> None:
-    """Copy recorded images: JPEGs byte for byte, or their pixels as PNGs.
+    """Copy recorded images: JPEGs byte for byte, or as PNGs.
 
     Args:
         names: camera -> its name in raiden's layout.

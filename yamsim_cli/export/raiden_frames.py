@@ -50,7 +50,7 @@ def hand_frame(name: HandFrameName) -> dict[str, str]:
 
 
 def camera_names(source: SimulatedSource) -> dict[str, str]:
-    """Map each camera to its name in raiden's layout. Wrist cameras get raiden's names; others keep theirs."""
+    """Map each camera to its name in raiden's layout. Only wrist cameras get new names."""
     wrists = _wrist_arms(source)
     return {name: _WRIST_CAMERAS[wrists[name]] if name in wrists else name for name in source.cameras}
 
@@ -159,7 +159,7 @@ class FrameConverter:
         return self._arms[arm].T_hand_in_base(np.asarray(joints)[schema.ARM * arm :])
 
     def _with_shares(self, joints: ArrayLike) -> list[Array]:
-        """Return the converted joints (7,) of each arm, from recorded ones (7,) or (14,). A missing arm is zero."""
+        """Convert recorded joints, (7,) or (14,), to (7,) of each arm. A missing arm is zero."""
         rows = np.zeros((len(self._arms), schema.ARM))
         recorded = np.reshape(joints, (-1, schema.ARM))
         rows[: len(recorded)] = recorded

@@ -41,7 +41,6 @@ class RaidenOptions:
     Attributes:
         fps: frames per second; None for exactly the recorded frames.
         pictures: source of the images; ignored if `fps` is None.
-        single: whether arrays hold only the left arm; for recordings of one arm.
         hand_frame: hand frame of the poses in `action` and `actual_poses`, and its kinematics.
     """
 
@@ -68,5 +67,5 @@ def frame_name(frame: int, extension: str) -> str:
 
 
 def nearest_pictures(frames: Sequence[int], period: float) -> dict[str, Any]:
-    """Return the entry of metadata.json on images taken from the recorded `frames`, which are `period` s apart."""
+    """Return the entry of metadata.json on images of the recorded `frames`, `period` s apart."""
     return {"source": "nearest", "recorded_frames": list(frames), "recorded_period_s": period}

@@ -32,8 +32,8 @@ class ResampledEpisode:
     """An episode at another frame rate.
 
     Attributes:
-        times: times of the frames (n,), s.
-        qpos: MuJoCo `qpos` (n, nq) at these times.
+        times: of the frames (n,), s.
+        qpos: MuJoCo's positions (n, nq) at these times.
         frames: all values except images at these times.
     """
 
@@ -44,7 +44,7 @@ class ResampledEpisode:
 
 
 def frame_times(frames: int, period: float, fps: float) -> Array:
-    """Return the times k / fps (n,), s, within the duration of `frames` recorded frames that are `period` s apart."""
+    """Return the times k / fps (n,), s, within `frames` recorded frames that are `period` s apart."""
     times: Array = np.arange(math.floor(((frames - 1) * period + ROUNDING_S) * fps) + 1) / fps
     return times
 
@@ -58,8 +58,7 @@ def resample_episode(simulator: Simulator, episode: StoredEpisode, fps: float) -
     """Resample an episode to `fps` frames per second. States are simulated, not interpolated.
 
     `action_joints`, the planned joints one control tick ahead, was recorded once per frame. Between frames, it is the
-    simulated joints one tick ahead plus the difference between plan and simulation. This difference and the finger
-    opening are interpolated between frames.
+    simulated joints plus the interpolated difference between plan and simulation. The finger opening is interpolated.
     """
     recorded, record = episode.frames(), episode.record
     scene = simulator.scene

@@ -25,9 +25,9 @@ _AXIS_COLOURS = ((220, 50, 50), (50, 160, 50), (50, 80, 220))
 
 
 def export_rerun(source: ExportSource, out: Path, progress: Progress, *, overwrite: bool = False) -> ExportResult:
-    """Write `ep_NNNNNN.rrd` files into a directory. Poses are in the base of the only or left arm.
+    """Write `ep_NNNNNN.rrd` files. Poses are in the base of the only or left arm.
 
-    Real recordings are shown at their recorded times. Data that was not recorded is omitted.
+    Real recordings are shown at their recorded times, without data that was not recorded.
     """
     require_library("an .rrd file", "rerun", "rerun")
     frames = 0
@@ -70,7 +70,7 @@ def _write(path: Path, source: ExportSource, episode: RecordedEpisode) -> int:
 
 
 def _log_camera(stream: Any, source: ExportSource, camera: str, frame: Mapping[str, Any]) -> str:
-    """Log a camera, and return its rerun entity path: below `base` if K and pose are known, else below `cameras`."""
+    """Log a camera. Return its rerun entity path: below `base` if K and pose are known, else below `cameras`."""
     import rerun
 
     if not all(camera in frame.get(key, ()) for key in ("intrinsics", "extrinsics")):

@@ -1,5 +1,3 @@
-"""Sample states of a running simulation at given times, which may lie between its steps."""
-
 from __future__ import annotations
 
 import mujoco
@@ -12,13 +10,13 @@ from .export_source import ROUNDING_S
 class StateSampler:
     """Stores MuJoCo `qpos` at given times while a simulation runs, as the `on_step` callback of `core.episode.Episode`.
 
-    A sample at the time of a step equals the state of that step exactly. Between two steps, positions are interpolated.
+    A sample at the time of a step is exact. Between steps, positions are interpolated.
 
     Attributes:
         qpos: positions (n, nq) at the times; NaN for times that the simulation has not reached.
 
     Args:
-        times: sample times (n,) in ascending order, s.
+        times: (n,) in ascending order, s.
     """
 
     def __init__(self, model: mujoco.MjModel, times: Array) -> None:

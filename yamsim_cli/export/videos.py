@@ -1,5 +1,3 @@
-"""Export videos of episodes, or a contact sheet of all episodes."""
-
 from __future__ import annotations
 
 from collections.abc import Sequence
@@ -34,7 +32,7 @@ def export_mp4(
     """Write an H.264 video of each episode into a directory. The time of frame k is exactly k frame periods.
 
     Args:
-        cameras: cameras to show side by side; empty for all.
+        cameras: shown side by side; empty for all.
         speed: playback speed; 1 is real time.
     """
     chosen = _cameras(source, cameras)
@@ -66,10 +64,8 @@ def export_sheet(
     """Write a contact sheet: one JPEG in which a row shows images evenly spread over an episode.
 
     Args:
-        cameras: cameras to show, in one row per episode each; empty for the first camera.
-        columns: images in a row.
+        cameras: one row per episode each; empty for the first camera.
         width: width of each image, px.
-        overwrite: whether to rename an existing `out` to a backup.
     """
     chosen = _cameras(source, cameras or tuple(source.cameras)[:1])
     if out.suffix.lower() not in (".jpg", ".jpeg"):
@@ -102,7 +98,7 @@ def export_sheet(
 
 
 def _row(episode: RecordedEpisode, camera: str, columns: int, size: tuple[int, int]) -> Image:
-    """Return images of one episode side by side, each with width and height `size`, px."""
+    """Return images of one episode side by side, each `size` (width, height), px."""
     images = []
     for k in np.linspace(0, episode.record.frames - 1, columns).round().astype(int):
         image = decode_jpeg(episode.image(camera, int(k)))

@@ -1,6 +1,6 @@
 """Check output files before a command starts.
 
-An existing file is an error without `--overwrite`. A folder without write access is always an error.
+An existing file is an error without `--overwrite`; a folder without write access always is.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ ReportFile = Annotated[Path | None, typer.Option(help="Also write the JSON to th
 
 
 def open_mode(*, resume: bool, overwrite: bool) -> OpenMode:
-    """Return whether to create, resume or replace the output dataset. Both flags together are an error."""
+    """Return whether to create, resume or replace the output dataset."""
     from yamsim_cli.core.dataset.writing.directory_claim import OpenMode
 
     if resume and overwrite:
@@ -38,10 +38,9 @@ def open_mode(*, resume: bool, overwrite: bool) -> OpenMode:
 
 
 def require_unused(flag: str, files: Path | Iterable[Path], *, overwrite: bool) -> None:
-    """Raise an error for output files that exist or cannot be written.
+    """Refuse output files that exist or cannot be written.
 
     Args:
-        flag: the option that names the files, for the message.
         files: one file, whose folder has to exist, or several files in folders that the command creates.
     """
     one = isinstance(files, Path)
@@ -57,7 +56,7 @@ def require_unused(flag: str, files: Path | Iterable[Path], *, overwrite: bool) 
 
 
 def require_unused_reports(out: Path | None, html: Path | None, *, overwrite: bool) -> None:
-    """Raise an error if the file of --out or --html exists or cannot be written; None is an option not given."""
+    """Refuse files of --out and --html that exist or cannot be written."""
     for flag, file in (("--out", out), ("--html", html)):
         if file is not None:
             require_unused(flag, file, overwrite=overwrite)

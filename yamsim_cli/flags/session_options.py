@@ -1,4 +1,4 @@
-"""Flags for rigs, tasks and sessions that several commands share, and the object that opens sessions."""
+"""Flags for rigs, tasks and sessions, and the object that opens sessions."""
 
 from __future__ import annotations
 
@@ -109,7 +109,7 @@ _SETTINGS = (
 
 
 def session_settings(parameters: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the session settings among a command's parameters, for `opener.open`; `item` becomes `object`."""
+    """Return the session settings among a command's parameters; `item` becomes `object`."""
     return {"object": parameters["item"]} | {name: parameters[name] for name in _SETTINGS if name in parameters}
 
 

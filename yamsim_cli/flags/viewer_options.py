@@ -1,4 +1,4 @@
-"""Flags of commands that open a viewer, the choice of the viewer, and settings before the import of MuJoCo."""
+"""Flags and choice of a viewer, and settings before the import of MuJoCo."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def choose_viewer(web: bool | None, port: int | None, host: str | None) -> PageA
 
 
 def prepare_viewer(page: PageAddress | None) -> None:
-    """Select GLFW for MuJoCo's window if `page` is None, else no OpenGL. Call this before MuJoCo is imported."""
+    """Select GLFW for MuJoCo's window, or no OpenGL for a page. Call before MuJoCo is imported."""
     if page is None:
         os.environ["MUJOCO_GL"] = "glfw"
         return
@@ -71,7 +71,7 @@ def prepare_viewer(page: PageAddress | None) -> None:
 
 
 def quiet_page() -> None:
-    """Silence rich's global console, so that the web server viser does not announce itself on stdout."""
+    """Silence rich's global console, because the web server viser announces itself on stdout."""
     import rich
 
     rich.get_console().quiet = True

@@ -1,4 +1,4 @@
-"""Compare simulated arms with photos of real arms: outlines with edges, and masks with masks of the measured joints."""
+"""Compare simulated arms with photos: outlines with edges, and masks with masks of the measured joints."""
 
 from __future__ import annotations
 
@@ -40,8 +40,7 @@ class RecordedPhoto:
     """A photo from a recording of a real arm.
 
     Attributes:
-        gap: the recording's measured and simulated motion, and their differences.
-        frame: number of the photo in the recording, from 0; only samples with measured joints count.
+        frame: number of the photo, from 0; only samples with measured joints count.
         sample: index of the same time in `gap.motion`, where all samples count.
     """
 
@@ -52,10 +51,10 @@ class RecordedPhoto:
 
 
 def photos_in_parts(gaps: Sequence[MotionGap], camera: str | None) -> tuple[str, list[RecordedPhoto]]:
-    """Return a camera's name, and its photos at those times that are compared with simulation.
+    """Return a camera's name, and its photos at times that are compared with simulation.
 
     Args:
-        camera: name of the camera; None for the first that is no wrist camera.
+        camera: None for the first that is no wrist camera.
     """
     folders = {gap.name: Path(gap.name) for gap in gaps if (Path(gap.name) / "rgb").is_dir()}
     cameras = sorted({path.name for folder in folders.values() for path in (folder / "rgb").iterdir() if path.is_dir()})
@@ -80,7 +79,7 @@ def photos_in_parts(gaps: Sequence[MotionGap], camera: str | None) -> tuple[str,
 
 
 def select_photos(taken: Sequence[RecordedPhoto], maximum: int) -> list[RecordedPhoto]:
-    """Return at most `maximum` evenly spaced photos, including that with the largest simulated joint error."""
+    """Return at most `maximum` evenly spaced photos, and that with the largest simulated joint error."""
     if len(taken) <= maximum:
         return list(taken)
     worst = max(range(len(taken)), key=lambda k: _error(taken[k]))
@@ -94,7 +93,7 @@ def _error(photo: RecordedPhoto) -> float:
 
 
 def postures_at(motion: RecordedMotion, sample: int, rig: RigConfig) -> ArmPostures:
-    """Return joints and gripper opening of each arm at a sample (index) of a recorded motion."""
+    """Return joints and gripper opening of each arm at a sample (index) of a motion."""
     postures = {}
     for arm, number in zip(motion.arms, rig.recording_order, strict=True):
         config, opening = rig.arms[number], 0.0 if arm.openings is None else float(np.nan_to_num(arm.openings[sample]))
@@ -106,7 +105,7 @@ def postures_at(motion: RecordedMotion, sample: int, rig: RigConfig) -> ArmPostu
 
 
 def make_photo(recorded: RecordedPhoto, camera: str, rig: RigConfig, image: Image) -> Photo:
-    """Return a recorded photo with the simulated postures, and with camera and camera pose if the frame holds them."""
+    """Return a photo with the simulated postures, and with camera and pose if the frame holds them."""
     file = Path(recorded.gap.name) / lowdim_path(recorded.frame)
     try:
         frame = load_frame(file.read_bytes())
@@ -140,9 +139,8 @@ class PhotoRequest:
     """The photos of recordings to compare.
 
     Attributes:
-        max_photos: maximum number of photos.
         camera: calibration of all photos; None for the recorded intrinsics, or else an estimate from ArUco boards.
-        name: the camera's name in the recordings; None for the first that is no wrist camera.
+        name: of the camera in the recordings; None for the first that is no wrist camera.
     """
 
     max_photos: int
@@ -158,7 +156,6 @@ class PhotoGap:
         outline: median distance of the simulated outline to the photo's edges, px; None if no arm is visible.
         measured_outline: the same for arms rendered at the measured joints: the distance if simulation were exact.
         iou: intersection over union of the arms' masks at simulated and at measured joints, 0..1.
-        picture: the simulated arms, drawn over the photo.
     """
 
     recorded: RecordedPhoto
@@ -177,7 +174,7 @@ def compare_photos(
     locations: Locations,
     progress: Progress,
 ) -> tuple[dict[str, Any], list[CaptionedJpeg]]:
-    """Compare simulated arms with recorded photos. Return figures as JSON data, and the worst photos as pictures."""
+    """Compare simulated arms with recorded photos. Return JSON data, and the worst photos as pictures."""
     camera, taken = photos_in_parts(gaps, request.name)
     chosen = select_photos(taken, request.max_photos)
     found: list[PhotoGap] = []
@@ -201,7 +198,7 @@ def compare_photos(
 def _compare_photo(
     recorded: RecordedPhoto, camera: str, rig: RigConfig, lenses: PhotoCameras, renderers: ArmRenderers
 ) -> PhotoGap | None:
-    """Compare one photo, or return None if neither its frame nor a board gives the camera's pose."""
+    """Compare one photo; None if neither its frame nor a board gives the camera's pose."""
     image = read_image(recorded.path)
     photo = make_photo(recorded, camera, rig, image)
     lens, grey = lenses.camera_of(photo, image), to_grey(image)

@@ -1,4 +1,4 @@
-"""Object configs of KitchenBench's assets: kitchen objects and cloth, in the sizes that a scene requires."""
+"""Object configs of KitchenBench's assets, in the sizes that a scene requires."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ _THIRDS_POINTS = 12
 def object_config_of(
     item: SceneObject, conditions: Mapping[str, Any], locations: Locations, nests: bool = True
 ) -> ObjectConfig:
-    """Return the config of a blueprint's object, under the object's name.
+    """Return the config of a blueprint's object.
 
     Args:
         conditions: of the scene; `slot_width_cm` sets the width of the rack's slots.
@@ -83,7 +83,7 @@ def object_config_of(
 
 
 def _grasp_under_rim(grasp: dict[str, Any], shape: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the grasp of a cup that goes into another cup by two thirds: points just under its rim come first."""
+    """Return the grasp of a cup that goes into another cup by two thirds: first at points just under its rim."""
     height, opening = shape["height_mm"] / 1000 - _RIM_GRASP_DEPTH, shape["diameter_mm"] / 2000
     friction = grasp["friction"]
     top = [{**point, "position": [0.0, 0.0, height], "opening": opening} for point in friction["points"]]
@@ -91,7 +91,7 @@ def _grasp_under_rim(grasp: dict[str, Any], shape: Mapping[str, Any]) -> dict[st
 
 
 def _scaled_shape(item: SceneObject, shape: dict[str, Any], conditions: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a shape's plain data in the size that a scene requires; for tools, the size is the length."""
+    """Return a shape's data in the size that a scene requires; for tools, the size is the length."""
     if item.asset == "dish_rack" and "slot_width_cm" in conditions:
         slot = 10.0 * float(conditions["slot_width_cm"])
         return {**shape, "slot_mm": slot, "slots": int((shape["size_mm"][0] - _NO_SLOT_LENGTH) // slot)}
@@ -119,7 +119,7 @@ def is_folded_in_thirds(blueprint: SceneBlueprint, item: SceneObject) -> bool:
 
 
 def cloth_config_of(item: SceneObject, blueprint: SceneBlueprint, locations: Locations) -> ObjectConfig:
-    """Return the config of a blueprint's cloth, under its name. `size_cm` is the width; the length is proportional.
+    """Return the config of a blueprint's cloth. `size_cm` is the width; the length is proportional.
 
     Raises:
         LookupError: no cloth config exists for the asset.
@@ -143,7 +143,7 @@ def cloth_config_of(item: SceneObject, blueprint: SceneBlueprint, locations: Loc
 
 
 def crumpled_start(blueprint: SceneBlueprint, scene: CompiledScene, start: Array, timestep: float) -> Array:
-    """Return MuJoCo's positions (nq,) with cloths crumpled as the scene requires, the same for the same blueprint.
+    """Return MuJoCo's positions (nq,) with cloths crumpled as the scene requires, always the same for a blueprint.
 
     Args:
         start: MuJoCo's positions (nq,) with flat cloths.
@@ -159,7 +159,7 @@ def crumpled_start(blueprint: SceneBlueprint, scene: CompiledScene, start: Array
 
 
 def table_for_sheet(table: Table, item: SceneObject, middle: tuple[float, float]) -> Table:
-    """Return a table, enlarged so that a cloth with its middle (2,) in `world`, m, lies flat on it at any angle."""
+    """Return a table, enlarged so that a cloth around `middle` (2,) in `world`, m, lies flat on it at any angle."""
     asset = ASSETS[item.asset]
     factor = (item.size_cm or asset.footprint_w_cm) / asset.footprint_w_cm
     reach = math.hypot(asset.footprint_w_cm, asset.footprint_h_cm) * factor / 200 + _CLOTH_MARGIN

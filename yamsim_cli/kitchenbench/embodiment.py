@@ -1,4 +1,4 @@
-"""`YamsimEmbodiment`: the simulated two-arm YAM station as an embodiment of the framework Inspect Robots."""
+"""`YamsimEmbodiment`: the two-arm YAM station as an embodiment of the framework Inspect Robots."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ evenly from the last targets to the new ones, as far as motors' speeds let them.
 
 
 def action_space(config: RecordConfig, period: float) -> Box:
-    """Return the action space: joint targets in rad and gripper openings, 0..1, of both arms.
+    """Return the action space of both arms: joint targets in rad and gripper openings, 0..1.
 
     Args:
         period: duration of an action, s, which limits the steps of the joints.
@@ -77,12 +77,11 @@ def ticks_per_action(control_hz: float) -> int:
 
 
 class YamsimEmbodiment:
-    """The station `yam_station_linear_4310_d405` with the objects of a KitchenBench scene or of a yamsim task.
+    """The station `yam_station_linear_4310_d405` with the objects of a KitchenBench scene or yamsim task.
 
-    After each action, KitchenBench's own checker judges its scenes, and a yamsim task's own goal judges that task.
+    After each action, KitchenBench's checker judges its scenes, and a yamsim task's goal judges that task.
 
     Attributes:
-        info: the description for compatibility checks.
         world: answers checkers' queries about the KitchenBench scene that was reset last.
 
     Args:

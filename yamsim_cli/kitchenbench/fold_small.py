@@ -1,4 +1,4 @@
-"""A skill that folds cloth until its bounding box, seen from above, is as small as KitchenBench requires."""
+"""Fold cloth until its bounding box, seen from above, is as small as KitchenBench requires."""
 
 from __future__ import annotations
 
@@ -119,7 +119,7 @@ class FoldSmall(Skill):
             raise SkillFailedError(FailureCause.UNREACHABLE, f"no hands reach what would make the {thing} smaller")
 
     def _sorted_folds(self, points: Array, first: bool) -> list[CreaseFold]:
-        """Return folds of a cloth, the best first: by sufficient area, few layers, whole sides, and small area."""
+        """Return folds, the best first: by sufficient area, few layers, whole sides, and small area."""
         before = bounding_box_area(points)
         folds = [fold for fold in possible_folds(points, first) if fold.area < (1 - _MIN_REDUCTION) * before]
         if self.thirds and first:
@@ -147,13 +147,13 @@ def _first_reachable_fold(
 
 
 def _slide_turns(points: Array) -> list[float]:
-    """Return angles by which a cloth may be turned so that its bounding box shrinks, rad."""
+    """Return angles by which a turned cloth's bounding box shrinks, rad."""
     heading = _heading(points)
     return [-heading, -1.2 * heading, 0.0]
 
 
 def _pull_nearer_grasps(context: PlanningContext, thing: str) -> list[PointGrasp] | None:
-    """Return grasps that pull a cloth nearer by its nearest side; None if the cloth is near, or out of reach."""
+    """Return grasps that pull a cloth nearer by its nearest side; None if it is near, or out of reach."""
     points = context.world.cloth_points(thing)
     low, high = points.reshape(-1, 3).min(axis=0), points.reshape(-1, 3).max(axis=0)
     ends = [_corner_point(points, np.array([low[0], y]))[0] for y in (low[1], high[1])]
@@ -203,7 +203,7 @@ def bounding_box_area(points: Array) -> float:
 
 
 def possible_folds(points: Array, single: bool) -> list[CreaseFold]:
-    """Return the possible folds of a cloth: of each side and corner, over creases at several distances.
+    """Return the folds of each side and corner over creases at several distances.
 
     Args:
         points: of the cloth (along y, along x, 3), in `world`, m.
@@ -257,7 +257,7 @@ def _make_fold(points: Array, corners: Sequence[Array], normal: Array, depth: fl
 
 
 def _corner_point(points: Array, corner: Array) -> tuple[Point, int]:
-    """Return row and column of a cloth's uppermost point at a corner (2,), and the number of points under it."""
+    """Return row and column of the uppermost point at a corner (2,), and the number of points under it."""
     apart = np.linalg.norm(points[..., :2] - corner, axis=-1)
     near = np.argwhere(apart < apart.min() + _CORNER_TOLERANCE)
     row, column = max(near, key=lambda one: float(points[tuple(one)][2]))
@@ -265,14 +265,14 @@ def _corner_point(points: Array, corner: Array) -> tuple[Point, int]:
 
 
 def _heading(points: Array) -> float:
-    """Return the angle of a sheet's sides, modulo quarter turns, rad; folds along the sides do not change it."""
+    """Return the angle of a sheet's sides, modulo quarter turns, rad, which folds along the sides keep."""
     sides = np.concatenate([np.diff(points, axis=k)[..., :2].reshape(-1, 2) for k in (0, 1)])
     whole = (sides[:, 0] + 1j * sides[:, 1]) ** 4
     return float(np.angle((whole / np.maximum(np.abs(whole), 1e-12) ** 0.5).sum()) / 4)
 
 
 def required_area(blueprint: SceneBlueprint, item: SceneObject, cloth: Cloth) -> float:
-    """Return the largest bounding box of a folded cloth that KitchenBench's checker accepts, less 2 %, m2."""
+    """Return the largest bounding box that KitchenBench's checker accepts, less 2 %, m2."""
     given = blueprint.success_params
     if given.get("baseline") == "nominal":
         asset = ASSETS[item.asset]

@@ -34,7 +34,7 @@ def origin_in_world(blueprint: SceneBlueprint) -> tuple[float, float]:
 
 
 def T_in_world(item: SceneObject, blueprint: SceneBlueprint) -> Array:
-    """Return the required pose (4, 4) of a blueprint's object in `world`, with z = 0 at the height of the table.
+    """Return the required pose (4, 4) of an object in `world`, with z = 0 at the height of the table.
 
     A blueprint's frame has x to the right, y ahead and z up. Its origin is at `origin_in_world`.
     """
@@ -46,7 +46,7 @@ def T_in_world(item: SceneObject, blueprint: SceneBlueprint) -> Array:
 
 
 def feasible_poses(simulator: Simulator, blueprint: SceneBlueprint) -> dict[str, Array]:
-    """Return name -> pose (4, 4) of a blueprint's objects in `world`: the required pose where it is feasible.
+    """Return name -> pose (4, 4) of a blueprint's objects in `world`, as required where that is feasible.
 
     Objects in a rack's wire or on a tray's wall are placed beside it. Large objects come first: others may lie on them.
 
@@ -84,7 +84,7 @@ def feasible_poses(simulator: Simulator, blueprint: SceneBlueprint) -> dict[str,
 def _push_away(
     name: str, places: dict[str, Array], wanted: Mapping[str, Array], room: Mapping[str, Array], tray: str
 ) -> None:
-    """Displace the objects beside a tray that would lie under an object, unless the blueprint requires the overlap."""
+    """Displace objects beside a tray that would lie under another one, unless the blueprint requires that."""
     for other, T in places.items():
         if (
             other in (name, tray)
@@ -108,7 +108,7 @@ def _push_away(
 
 
 def _cost(T_required: Array, block: Array, others: Sequence[Array], T: Array) -> float:
-    """Return the cost of a pose (4, 4), m: its distance from the required one, and `_OVERLAP_COST` for each overlap."""
+    """Return the distance of a pose (4, 4) from the required one, m, plus `_OVERLAP_COST` for each overlap."""
     overlaps = sum(footprint_distance(footprint_corners(block, T), other) < 0 for other in others)
     return float(np.linalg.norm(T[:2, 3] - T_required[:2, 3])) + _OVERLAP_COST * overlaps
 

@@ -1,4 +1,4 @@
-"""Factories that return yamsim's tasks as tasks of the framework Inspect Robots, such as `yamsim/tower`."""
+"""yamsim's tasks as tasks of the framework Inspect Robots, such as `yamsim/tower`."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _DEFAULT_TRIALS = 5  # trials of a task without the option `--epochs`, as in Kit
 
 
 def make_task(name: str) -> Task:
-    """Return a yamsim task: one scene, whose trials differ by their seeds, with the task's own goal."""
+    """Return a yamsim task: one scene, whose trials differ by their seeds."""
     session = open_station_session("64x48", images=False, task=name)
     task = session.config.task
     return Task(

@@ -1,4 +1,4 @@
-"""`YamsimExpert`: a policy for KitchenBench's and yamsim's tasks that plans in a second simulation of the scene."""
+"""`YamsimExpert`: a policy for KitchenBench's and yamsim's tasks that plans in a second simulation."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ _LOG = logging.getLogger("yamsim")
 
 
 class YamsimExpert:
-    """Plans skills for KitchenBench's and yamsim's tasks, in a second simulation built from the observed seed.
+    """Plans skills in a second simulation of the scene, built from the observed seed.
 
     The seed is privileged: no other policy may use it. A skill that fails is tried again from the resulting state.
     After three failures the arms stay where they are.
@@ -60,12 +60,12 @@ class YamsimExpert:
         self._bind(embodiment_info.control_hz or CONTROL_HZ)
 
     def reset(self, scene: Scene) -> None:
-        """Begin a scene; its first observation has the seed from which the expert builds its simulation."""
+        """Begin a scene; its first observation has the seed."""
         self.close()
         self._scene = scene
 
     def act(self, observation: Observation) -> ActionChunk:
-        """Return the actions of the next motion; after the last motion, an action that holds the joints.
+        """Return the actions of the next motion; after the last motion, one that holds the joints.
 
         Raises:
             RuntimeError: observed and simulated joints differ, so something changed the actions.
@@ -102,16 +102,7 @@ class YamsimExpert:
 
 
 class PlanningScene:
-    """A second simulation of a scene, moved by the same actions as the first; skills plan from its state.
-
-    Attributes:
-        motion: executes the actions in this simulation.
-        context: the planning context of the skills.
-
-    Args:
-        seed: the scene's seed, from which the random path searches are seeded.
-        ticks: control ticks in an action.
-    """
+    """A second simulation of a scene, moved by the same actions; skills plan from its state."""
 
     def __init__(self, realized: BenchmarkScene | YamsimTaskScene, seed: int, ticks: int) -> None:
         self._ticks = ticks
@@ -135,7 +126,7 @@ class PlanningScene:
         self._segments = chain(run_program(program, self.context, roles, RecoveryLog()), park_free_hands(self.context))
 
     def next_actions(self) -> list[Array]:
-        """Return the actions of the next motion, after executing them in this simulation."""
+        """Return the actions of the next motion, after executing them."""
         segment = self._next_segment()
         while segment is not None and is_still(segment) and self.motion.is_at_rest():
             segment = self._next_segment()
@@ -159,13 +150,13 @@ class PlanningScene:
             return None
 
     def close(self) -> None:
-        """Free the simulation and the cache of the planning context."""
+        """Free the simulation and the planning context's cache."""
         self.context.clear_cache()
         self._simulator.close()
 
 
 def is_still(segment: MotionSegment) -> bool:
-    """Whether a segment only waits: no joint, finger opening or finger force changes in it."""
+    """Whether a segment only waits: no joint, finger opening or finger force changes."""
     return all(
         not np.ptp(row, axis=0).any() for path in segment.paths for row in (path.joints, path.gripper, path.grip_force)
     )
@@ -186,7 +177,7 @@ def _straight_until(joints: Array, first: int, last: int) -> int:
 def segment_actions(context: PlanningContext, segment: MotionSegment, ticks: int) -> Iterator[Array]:
     """Yield the actions (14,) that make the arms follow a segment.
 
-    References move on straight lines between actions. Where a path bends, actions are closer together, and the arm is
+    References move on straight lines between actions. Where a path bends, actions are closer together and the arm is
     slower.
     """
     fingers_of_both = scene_fingers([hand.arm for hand in context.hands])

@@ -1,4 +1,4 @@
-"""Conversion of KitchenBench scenes to yamsim tasks, which can be recorded without KitchenBench."""
+"""Convert KitchenBench scenes to yamsim tasks, which can be recorded without KitchenBench."""
 
 from __future__ import annotations
 
@@ -31,8 +31,8 @@ _KINDS = ("place_on", "stack", "place_in", "handoff")  # without sorting: compar
 def scene_task_data(name: str) -> dict[str, Any]:
     """Return the task of a scene, as the data of a task's YAML.
 
-    Objects, sizes, the instruction and the expert are those of one epoch of the scene, which determines its seed. The
-    arrangements are the object poses of up to 100 epochs with the same objects.
+    Objects, instruction and expert are those of one epoch, which determines the scene's seed. The arrangements are the
+    object poses of up to 100 epochs with the same objects.
 
     Args:
         name: `TASK/INSTANCE`, such as `stack/cups`; with `@K`, of the scene's epoch K instead of 0.
@@ -109,7 +109,7 @@ def _scene_requirements(blueprint: SceneBlueprint) -> tuple[object, ...]:
 
 
 def _rounded(place: tuple[str, np.ndarray]) -> tuple[str, list[float]]:
-    """Return an object's name, and its place in `world`: x and y to 0.01 mm, the heading to 0.01 degrees."""
+    """Round an object's place in `world`: x and y to 0.01 mm, the heading to 0.01 degrees."""
     name, T = place
     turn = math.degrees(math.atan2(T[1, 0], T[0, 0]))
     return name, [round(float(T[0, 3]), 5), round(float(T[1, 3]), 5), round(turn, 2)]
@@ -124,7 +124,7 @@ def _region(name: str, arrangements: list[dict[str, Any]]) -> dict[str, Any]:
 
 
 def _goal(blueprint: SceneBlueprint) -> Mapping[str, Any]:
-    """Return data of a task's YAML for a goal that is equivalent to KitchenBench's own checker."""
+    """Return data of a task's YAML for a goal that is equivalent to KitchenBench's checker."""
     roles = blueprint.roles
     match blueprint.target_kind:
         case "place_on":

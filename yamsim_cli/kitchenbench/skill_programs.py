@@ -1,4 +1,4 @@
-"""`build_scene_program`: the expert's skills for a scene of KitchenBench, by the kind of its goal."""
+"""`build_scene_program`: the expert's skills for a KitchenBench scene, by the kind of its goal."""
 
 from __future__ import annotations
 
@@ -31,7 +31,6 @@ def build_scene_program(
     """Return the skills for a scene's goal, in order.
 
     Args:
-        items: name of a blueprint's object -> its config.
         bases: positions (2,) of the arms' bases in `world`, m.
 
     Raises:
@@ -95,12 +94,12 @@ def _handover_program(blueprint: SceneBlueprint, item: str) -> list[Skill]:
 
 
 def _stack_program(blueprint: SceneBlueprint, names: Sequence[str], bases: Sequence[Array]) -> list[Skill]:
-    """Stack onto the largest object; of equal ones, onto the one with the shortest reach."""
+    """Stack onto the largest object; of equal ones, onto that with the shortest reach."""
     items = {item.name: item for item in blueprint.objects if item.name in names}
     places = {name: T_in_world(item, blueprint)[:2, 3] for name, item in items.items()}
 
     def farthest(below: str) -> float:
-        """Return the longest reach of an arm, m, if the nearer arm brings each object."""
+        """Return an arm's longest reach, m, if the nearer arm brings each object."""
         paths = ((places[name], places[below]) for name in names if name != below)
         return max(min(max(float(np.linalg.norm(end - base)) for end in path) for base in bases) for path in paths)
 

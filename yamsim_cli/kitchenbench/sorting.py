@@ -68,8 +68,6 @@ class PlaceInCompartment(PlaceSkill):
     """Place a long object along a compartment, beside other objects if there is room, else on them.
 
     Attributes:
-        thing: a role; its object is in a hand.
-        into: a compartment.
         beside: the role of objects that may be in the compartment.
     """
 
@@ -83,7 +81,7 @@ class PlaceInCompartment(PlaceSkill):
         return roles.object_of(self.into)
 
     def goals(self, context: PlanningContext, roles: RoleAssignment, thing: str) -> list[Array]:
-        """Return goal poses (4, 4) along the compartment: free places first, then the lowest ones on other objects."""
+        """Return poses (4, 4) along the compartment: free places first, then the lowest on other objects."""
         world, into, local_box = context.world, roles.object_of(self.into), context.world.local_box(thing)
         others = [
             footprint_corners(world.local_box(name), world.pose(name))
@@ -109,7 +107,7 @@ class PlaceInCompartment(PlaceSkill):
 
     @staticmethod
     def _places(context: PlanningContext, thing: str, into: str, orientation: Array) -> Iterator[tuple[float, Array]]:
-        """Yield poses (4, 4) of an object along a compartment, without height, and their distance to its middle, m."""
+        """Yield poses (4, 4) along a compartment, without height, and their distance to its middle, m."""
         world = context.world
         T, (low, high), local_box = world.pose(into), world.local_box(into), world.local_box(thing)
         for R in _rotations_along(local_box, orientation, T):
@@ -122,7 +120,7 @@ class PlaceInCompartment(PlaceSkill):
                 yield off, pose((T @ (*place, 0.0, 1.0))[:3], R)
 
     def _hover_joints(self, hand: Hand, T_pinch: Array) -> Array | None:
-        """Return joints (dof,) over the goal, if needed by a second search from the joints at the goal."""
+        """Return joints (dof,) over the goal, if needed by a search from the joints at the goal."""
         joints = super()._hover_joints(hand, T_pinch)
         if joints is not None:
             return joints
@@ -136,8 +134,8 @@ def _rotations_along(local_box: Array, orientation: Array, T: Array) -> list[Arr
     """Return rotations (3, 3) of a long object along a compartment at a pose (4, 4), in both directions.
 
     Args:
-        local_box: the object's lowest and highest corner (2, 3) in its frame, m.
-        orientation: the object's rotation (3, 3), with any heading.
+        local_box: lowest and highest corner (2, 3) of the object in its frame, m.
+        orientation: rotation (3, 3) of the object, with any heading.
     """
     longest = int(np.argmax(local_box[1] - local_box[0]))
     heading = math.atan2(T[1, 1], T[0, 1]) - math.atan2(orientation[1, longest], orientation[0, longest])
@@ -145,14 +143,14 @@ def _rotations_along(local_box: Array, orientation: Array, T: Array) -> list[Arr
 
 
 def _orientations(world: SimWorld, thing: str) -> list[Array]:
-    """Return rotations (3, 3), up to the heading, in which an object may be put down: upright and as it is now."""
+    """Return rotations (3, 3), up to the heading, to put an object down: upright and as it is now."""
     now = world.pose(thing)[:3, :3]
     upright = rotation_z(yaw(world.pose(thing)))
     return [upright] if now[2, 2] > _UPRIGHT_COSINE else [upright, now] if now[2, 2] > _TILTED_COSINE else [now]
 
 
 def _set_rest_heights(context: PlanningContext, thing: str, onto: str, goals: Sequence[Array]) -> None:
-    """Set the heights of an object's poses (4, 4) on a flat free floor; they depend on the orientation alone."""
+    """Set the heights of poses (4, 4) on a flat free floor; they depend on the orientation alone."""
     heights = dict[tuple[float, ...], float]()
     for T in goals:
         orientation = tuple(T[2, :3].round(6))
@@ -165,7 +163,6 @@ class PutBesideTray(PlaceSkill):
     """Put a long object down on a free place of the table.
 
     Attributes:
-        thing: a role; its object is in a hand.
         then: the skill that must be able to follow from the place; None for the nearest place.
     """
 
@@ -274,7 +271,7 @@ class Slide(Skill):
         raise SkillFailedError(FailureCause.UNREACHABLE, f"no arm reaches a place where it could press on the {thing}")
 
     def _press_poses(self, context: PlanningContext, hand: Hand, thing: str, shift: Array) -> Iterator[_PressPose]:
-        """Yield the poses with which a hand can slide an object without touching another one."""
+        """Yield poses with which a hand slides an object without touching another one."""
         away = shift / np.linalg.norm(shift)
         down = np.array((0.0, 0.0, -1.0))
         upright = np.column_stack([np.cross((*away, 0.0), down), (*away, 0.0), down])
@@ -315,7 +312,7 @@ def _slide_motions(context: PlanningContext, hand: Hand, press: _PressPose, shif
 
 
 def _slide_direction(context: PlanningContext, thing: str) -> Array:
-    """Return the horizontal direction (2,) in `world` at right angles to an object's longest side."""
+    """Return the horizontal direction (2,) in `world` across an object's longest side."""
     low, high = context.world.local_box(thing)
     longest = context.world.pose(thing)[:2, int(np.argmax(high - low))]
     across: Array = np.array((-longest[1], longest[0])) / np.linalg.norm(longest)
@@ -323,7 +320,7 @@ def _slide_direction(context: PlanningContext, thing: str) -> Array:
 
 
 def _flat_places(context: PlanningContext, thing: str, away: Array) -> list[Array]:
-    """Return points (3,) on top of an object's flat parts, in `world`, m, the farthest along the slide first."""
+    """Return points (3,) on top of an object's flat parts in `world`, m, the farthest along the slide first."""
     bounds = context.world.geom_aabbs(thing)
     lowest, middle = context.world.aabb(thing)[0][2], context.world.pose(thing)[:2, 3]
     low = [(*(first + last)[:2] / 2, last[2]) for first, last in bounds if last[2] < lowest + _FLAT_HEIGHT]
@@ -335,10 +332,9 @@ def _flat_places(context: PlanningContext, thing: str, away: Array) -> list[Arra
 
 
 class Sort(Skill):
-    """Put each object into the compartment of its kind. Objects that are in their compartment stay.
+    """Put each object into the compartment of its kind, unless it is there.
 
     Attributes:
-        things: a role; its objects are sorted.
         into: name of an object's config, such as `fork` -> its compartment.
     """
 
@@ -349,7 +345,7 @@ class Sort(Skill):
     def run(
         self, context: PlanningContext, roles: RoleAssignment, next_skills: Sequence[Skill]
     ) -> Iterator[MotionSegment]:
-        """Yield the motions that sort one object after the other, until all are done or one has failed four times."""
+        """Yield the motions that sort the objects in turn, until all are done or one has failed four times."""
         tries: dict[str, int] = {}
         failures: dict[str, str] = {}
 
@@ -396,8 +392,8 @@ class Sort(Skill):
     def _move_to_compartment(
         self, context: PlanningContext, roles: RoleAssignment, name: str, number: int
     ) -> Iterator[MotionSegment]:
-        """Bring an object to its compartment: 1 by one arm; 2 after sliding it free; 3 after putting it beside the
-        tray; 4 by handing it over.
+        """Bring an object to its compartment. `number` counts the tries: 1 by one arm; 2 after a slide; 3 after putting
+        it beside the tray; 4 by a handover.
         """
         pick = PickNarrow(thing=name, lift=_LIFT_HEIGHT)
         put = PlaceInCompartment(thing=name, into=self.into[roles.config_names[name]], beside=self.things)

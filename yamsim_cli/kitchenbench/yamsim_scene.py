@@ -1,5 +1,3 @@
-"""`YamsimTaskScene`: a yamsim task on the two-arm station, judged by the task's own goal."""
-
 from __future__ import annotations
 
 from dataclasses import dataclass

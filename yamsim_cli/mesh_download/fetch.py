@@ -1,4 +1,4 @@
-"""Fetching of missing asset sets into the store, each from the first source that provides the locked files."""
+"""Fetch missing asset sets into the store, each from the first source that provides the locked files."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ STORE = "store"  # `FetchedSet.source` of a set that was already in the store
 
 @dataclass(frozen=True)
 class FetchedSet:
-    """A set in the store. `source` is `"store"` if the set was already present."""
+    """A set in the store; `source` is `"store"` if it was already present."""
 
     name: str
     source: str
@@ -36,7 +36,7 @@ class FetchReport:
 
 
 def default_sources(lock: AssetLock) -> tuple[AssetSource, ...]:
-    """Return the sources of meshes in the order in which they are tried."""
+    """Return the sources of meshes in the order of trial."""
     return GeneratedMeshes(lock.made), Menagerie(), PinnedArchives(lock.archives)
 
 
@@ -51,11 +51,10 @@ def fetch(
 ) -> FetchReport:
     """Fetch the named sets that are not in the store. Each set is published in one step.
 
-    If two processes fetch at once, one does the work and the other waits.
+    Of two processes that fetch at once, one waits.
 
     Args:
         names: names of sets in `lock`; if empty, all sets that are not on demand.
-        sources: in the order in which they are tried for each set.
         stop_at_failure: whether to skip the remaining sets after one that no source provides.
     """
     wanted = lock.select(names)
@@ -90,7 +89,7 @@ def _obtain(
     staging: Path,
     progress: FetchProgress,
 ) -> FetchedSet:
-    """Publish a set from the first source that provides the locked files. Call within `store.write_lock`."""
+    """Publish a set from the first source that provides the locked files. Needs `store.write_lock`."""
     if (present := store.resolve(assets)) is not None:
         # Another process fetched the set while this one waited for the store.
         return FetchedSet(assets.name, STORE, present)
@@ -129,7 +128,7 @@ _LOCK = ".first-use"
 def fetch_missing(lock: AssetLock, names: Collection[str], store: AssetStore, progress: FetchProgress) -> None:
     """Fetch missing sets before a command renders them, and stop at the first failure.
 
-    After a failure, no source on the network is tried again for `FAILURE_VALID_S`.
+    After a failure, no network source is tried again for `FAILURE_VALID_S`.
     """
     try:
         store.root.mkdir(parents=True, exist_ok=True)

@@ -36,7 +36,7 @@ class ActClient:
 
     Args:
         url: `act://HOST:PORT`, with a path if the path is not `/act`.
-        timeout: time limit for each part of an answer, s.
+        timeout: for each part of an answer, s.
     """
 
     def __init__(self, url: str, timeout: float) -> None:
@@ -92,7 +92,7 @@ def dump_json(message: Any) -> bytes:
 
 
 def load_json(data: bytes) -> Any:
-    """Decode a JSON message whose arrays are in json_numpy's format. The arrays are read-only.
+    """Decode a JSON message with arrays in json_numpy's format, which become read-only.
 
     Raises:
         DamagedMessageError: the bytes are no JSON, hold too many values, or an array is damaged.

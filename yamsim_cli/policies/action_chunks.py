@@ -1,4 +1,4 @@
-"""Select the action of each control tick from action chunks that can overlap, arrive late, or run out."""
+"""Select each control tick's action from action chunks that can overlap, arrive late, or run out."""
 
 from __future__ import annotations
 
@@ -49,7 +49,6 @@ class ChunkStats:
     """Counts of a trial's action chunks.
 
     Attributes:
-        chunks, actions: received chunks and actions.
         stale: skipped actions, whose time had passed when their chunk arrived.
         waited: control ticks without an action, during which the last command was held.
     """
@@ -68,7 +67,7 @@ class _TimedChunk:
     per_action: float  # duration of an action, ticks
 
     def index(self, now: int) -> int:
-        """Return the index of the action at tick `now`; `actions` or more after the last action."""
+        """Return the index of the action at tick `now`; `actions` or more after the last."""
         return math.floor((now - self.requested) / self.per_action + _ROUNDING)
 
     @property
@@ -84,8 +83,8 @@ class _TimedChunk:
 class ChunkScheduler:
     """Decides when to request the next inference, and which action to execute at each tick.
 
-    The times of a chunk's actions count from the request. Actions of a late chunk whose time has passed are skipped. If
-    the time of all actions has passed, the last action is held.
+    A chunk's times count from the request. Actions of a late chunk whose time has passed are skipped. After the last
+    action of all chunks, that action is held.
 
     Args:
         tick: length of a control tick, s.
@@ -104,7 +103,7 @@ class ChunkScheduler:
         return now >= self._next and not self.has_ended
 
     def last_chunk_is_over(self, now: int) -> bool:
-        """Whether the policy is finished (`done`), and its last action is over at tick `now`."""
+        """Whether the policy is finished (`done`), and its last action is over."""
         return self.has_ended and now >= max(self._chunks[-1].ends, self._chunks[-1].arrival_tick)
 
     @property
@@ -129,7 +128,7 @@ class ChunkScheduler:
         )
 
     def next_command(self, now: int) -> tuple[Array, WeldStates]:
-        """Return the commands to drives (arms, drives) and welds (arms,) at a tick. Call it once per tick, in order."""
+        """Return commands to drives (arms, drives) and welds (arms,). Call once per tick, in order."""
         self._drop_chunks(now)
         here = [timed for timed in self._chunks if timed.arrival_tick <= now]
         acting = [timed for timed in here if timed.index(now) < timed.actions]

@@ -1,5 +1,3 @@
-"""Client that runs a LeRobot checkpoint with its processors in this process."""
-
 from __future__ import annotations
 
 from collections.abc import Mapping
@@ -17,7 +15,7 @@ _INSTALL = "LeRobot is not here: pip install lerobot (0.4 or newer) beside yamsi
 
 
 def check_rows(message: Mapping[str, Any], expected: Mapping[str, tuple[int, ...]]) -> None:
-    """Refuse vectors in a message whose lengths differ from those in training.
+    """Refuse vectors whose lengths differ from those in training.
 
     Args:
         expected: key of a vector -> shape of the checkpoint's input.
@@ -33,15 +31,13 @@ def check_rows(message: Mapping[str, Any], expected: Mapping[str, tuple[int, ...
 class LeRobotClient:
     """Loads a policy that LeRobot trained, and computes its actions in this process.
 
-    A policy that uses one observation answers with an action chunk, and a policy that uses several with one action.
+    A policy of one observation answers with an action chunk, and a policy of several with one action.
 
     Attributes:
-        input_keys: keys of all inputs, images and vectors.
         execute: executed actions of a chunk before the next inference; None for all.
 
     Args:
         checkpoint: a folder with `config.json`, weights and processors, or a repository on the hub.
-        mapping: config of the messages, with the key of the actions in an answer.
     """
 
     def __init__(self, checkpoint: str, mapping: PolicyConfig) -> None:
@@ -84,7 +80,7 @@ class LeRobotClient:
         self._policy.reset()
 
     def infer(self, message: Mapping[str, Any]) -> Mapping[str, Any]:
-        """Return the policy's actions for an observation, after its postprocessor."""
+        """Return the policy's actions, after its postprocessor."""
         check_rows(message, self._rows)
         torch = self._torch
         batch: dict[str, Any] = {}

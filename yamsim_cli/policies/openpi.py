@@ -36,7 +36,7 @@ class WebSocket:
 
     Args:
         url: `ws://HOST:PORT` with an optional path.
-        timeout: time limit for the connection and for each message, s.
+        timeout: for the connection and for each message, s.
 
     Raises:
         ResourceError: websockets is not installed.
@@ -97,8 +97,7 @@ class OpenpiClient:
     """Client of an openpi server, which connects again when the connection is lost.
 
     Args:
-        url: `ws://HOST:PORT`.
-        timeout: time limit for the connection and for each message, s.
+        timeout: for the connection and for each message, s.
     """
 
     def __init__(self, url: str, timeout: float) -> None:
@@ -156,14 +155,14 @@ class OpenpiClient:
 
 
 def pack_openpi(message: Mapping[str, Any]) -> bytes:
-    """Encode a message as msgpack with arrays as openpi's client does."""
+    """Encode a message as openpi's client does."""
     import msgpack
 
     return cast("bytes", msgpack.packb(message, default=_encode))
 
 
 def unpack_openpi(data: bytes) -> dict[str, Any]:
-    """Decode a mapping from msgpack with openpi's encoding of arrays. The arrays are read-only.
+    """Decode a mapping with openpi's encoding of arrays, which become read-only.
 
     Raises:
         DamagedMessageError: the bytes are no mapping, hold too many values, or an array is damaged.

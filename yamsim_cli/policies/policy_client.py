@@ -42,7 +42,7 @@ class RemoteError(RuntimeError):
 class ValueBudget:
     """Limits the number of values in one message. msgpack calls `spend` for each container.
 
-    Small containers take far more memory decoded than encoded, so the limit applies while msgpack decodes the message.
+    Small containers take far more memory decoded than encoded, so the limit applies during decoding.
     """
 
     def __init__(self) -> None:
@@ -57,7 +57,7 @@ class ValueBudget:
 
 
 def check_json(data: bytes) -> None:
-    """Raise DamagedMessageError for a JSON text with more than `MAX_VALUES` values, before the text is decoded."""
+    """Raise DamagedMessageError for a JSON text with too many values, before it is decoded."""
     if sum(data.count(mark) for mark in (b",", b"[", b"{")) > MAX_VALUES:
         raise DamagedMessageError(f"it holds more than {MAX_VALUES} values")
 
@@ -86,7 +86,7 @@ def plain_numbers(value: object, key: str) -> np.ndarray:
 
 
 def array_from_bytes(content: object, dtype: object, shape: object) -> np.ndarray:
-    """Return a read-only array from its bytes, the name of its dtype, and its shape.
+    """Return a read-only array from its bytes, dtype name and shape.
 
     Raises:
         DamagedMessageError: the dtype or the shape is invalid, or the number of bytes does not fit the shape.
@@ -133,7 +133,7 @@ def action_rows(value: object, key: str, width: int) -> Array:
 
 
 def action_period(value: Any, key: str) -> float | None:
-    """Return the duration of an action in s, from a server's value in ms. Return None for None or 0.
+    """Return the duration of an action, s, from a server's value in ms; None for None or 0.
 
     Raises:
         InvalidActionError: the value is no number, or outside `MIN_PERIOD` to `MAX_PERIOD`.
@@ -171,10 +171,7 @@ def no_answer_error(url: str, error: object) -> ResourceError:
 def request_context(url: str, hang_up: Callable[[], None]) -> Iterator[None]:
     """Context around one request to a policy server. An error closes the connection.
 
-    Otherwise, the late answer to a failed request could be taken for the answer to the next request.
-
-    Args:
-        hang_up: function that closes the connection.
+    Otherwise, its late answer could be taken for the answer to the next request.
 
     Raises:
         RemoteError: the server is gone.

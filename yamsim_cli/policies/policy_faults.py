@@ -1,5 +1,3 @@
-"""Describe exceptions in a policy's code by one line and the traceback."""
-
 from __future__ import annotations
 
 import sysconfig
@@ -29,7 +27,7 @@ class PolicyFault:
 
 
 def describe_fault(error: BaseException, folder: Path) -> PolicyFault:
-    """Describe an exception that a policy raised. Paths of the policy's files are shown relative to `folder`."""
+    """Describe an exception that a policy raised, with paths relative to `folder`."""
     trace = error.__traceback__
     while trace is not None and trace.tb_next is not None and _is_below(trace.tb_frame.f_code.co_filename, _YAMSIM):
         trace = trace.tb_next
@@ -49,7 +47,7 @@ def summarize_exception(error: BaseException) -> str:
 
 
 def _place(trace: TracebackType | None, folder: Path) -> str:
-    """Return the last executed line of the user's code in brackets; empty if there is none."""
+    """Return the last executed line of the user's code in brackets, if any."""
     frames = [frame for frame in traceback.extract_tb(trace) if not _is_below(frame.filename, _YAMSIM)]
     frames = [frame for frame in frames if not frame.filename.startswith("<")]
     own = [frame for frame in frames if not any(_is_below(frame.filename, place) for place in _INSTALLED)]

@@ -1,5 +1,3 @@
-"""Load policies by name: a class in a module, or in a file of the user."""
-
 from __future__ import annotations
 
 import importlib
@@ -25,7 +23,7 @@ _WITHOUT_IMAGES = ("scripted", "hold_still", "replay")  # policies that need no 
 
 
 def sees_images(name: str) -> bool:
-    """Whether the policy `name` may read images, so that the machine must be able to render."""
+    """Whether the policy may read images, so that the machine must be able to render."""
     return name.partition(":")[0] not in _WITHOUT_IMAGES
 
 
@@ -53,8 +51,6 @@ def load_policy(
     Args:
         name: `module:Class`, `file.py:Class`, or `file.py` if the file has a single callable class.
         folder: folder that is searched first for modules and files.
-        forms: text of the error message on valid names.
-        arguments: keyword arguments for the constructor of the class.
         known_only: whether to leave out keywords that the class does not accept.
     """
     place, _, attribute = name.partition(":")
@@ -80,7 +76,7 @@ def _known(function: Callable[..., Any], keywords: Mapping[str, Any]) -> dict[st
 
 
 def read_arguments(given: Sequence[str]) -> dict[str, int | float | str]:
-    """Parse texts `KEY=VALUE` to keywords for a policy's class. Numeric values become numbers."""
+    """Parse texts `KEY=VALUE` to keywords. Numeric values become numbers."""
     arguments: dict[str, int | float | str] = {}
     for text in given:
         key, equals, value = text.partition("=")
@@ -129,7 +125,7 @@ def _find(module: ModuleType, attribute: str, name: str) -> Any:
 
 
 def check_policy(policy: Any, name: str) -> Policy:
-    """Return the object if it has `reset`, is callable, and its `images`, `wants` and `ticks` are valid."""
+    """Return the object if it is callable, has `reset`, and its `images`, `wants` and `ticks` are valid."""
     if not callable(policy) or not callable(getattr(policy, "reset", None)):
         raise UsageError(
             f"--policy {name}: {type(policy).__name__} needs the methods reset() and __call__(observation)"
@@ -154,7 +150,7 @@ def wanted_images(policy: Any) -> tuple[str, ...]:
 
 
 def wanted_state(policy: Any) -> tuple[str, ...]:
-    """Return the values in addition to images that a policy requests, from `STATE`; by default none."""
+    """Return the requested values other than images, from `STATE`; by default none."""
     return tuple(getattr(policy, "wants", ()))
 
 

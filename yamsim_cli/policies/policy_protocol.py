@@ -66,7 +66,7 @@ class Policy(Protocol):
 
 
 def squeeze_single_arm(poses: Array) -> Array:
-    """Return poses (arms, 4, 4) unchanged for two arms, and without the first axis, (4, 4), for a single arm."""
+    """Return poses (arms, 4, 4) unchanged for two arms, and as (4, 4) for a single arm."""
     return poses if len(poses) > 1 else poses[0]
 
 
@@ -77,7 +77,6 @@ class ActionChunk:
     Attributes:
         ctrl: commands to each arm's drives (actions, arms, drives), rad and m.
         magnet: whether each arm's weld, which attaches an object to the hand, is commanded on (actions, arms).
-        done: whether the policy is finished after these actions.
         period: duration of each action, s; None for the policy's `ticks`.
     """
 
@@ -95,7 +94,7 @@ def read_chunk(answer: object, arms: int, each: int) -> ActionChunk:
     """Check a policy's answer and return its actions.
 
     Args:
-        each: number of drives of each arm, including the gripper.
+        each: drives of each arm, including the gripper.
 
     Raises:
         InvalidActionError: the answer is no mapping, lacks a finite number for a drive, or has an invalid value.

@@ -39,9 +39,9 @@ class PolicyServer(ThreadingHTTPServer):
     """HTTP server that answers clients until `shutdown`. As a context manager, it closes its port at the end.
 
     Args:
-        make_policy: function that makes a policy for each client, an object as `policies.policy_protocol.Policy`.
-        host: address to listen on; with an address other than 127.0.0.1, other machines can use the policy.
-        port: port to listen on; 0 selects a free port.
+        make_policy: makes a policy for each client, as `policies.policy_protocol.Policy`.
+        host: with an address other than 127.0.0.1, other machines can use the policy.
+        port: 0 selects a free port.
 
     Raises:
         ResourceError: msgpack is not installed, or the server cannot listen on the port.

@@ -35,12 +35,10 @@ class RemotePolicy:
     """Policy that requests each action from a `policy_server.PolicyServer`, which keeps a session for each client.
 
     Attributes:
-        images, wants: images and further values that the server's policy requests.
         ticks: duration of an action, control ticks.
 
     Args:
-        url: such as `http://127.0.0.1:8080`.
-        timeout: time limit for an answer, s.
+        timeout: for an answer, s.
     """
 
     def __init__(self, url: str, timeout: float) -> None:
@@ -108,7 +106,7 @@ def pack_message(message: Any) -> bytes:
 
 
 def require_sendable(answer: Any) -> dict[str, Any]:
-    """Return a policy's answer as a dictionary. Raise UnsendableError if it is no mapping or cannot be sent."""
+    """Return a policy's answer as a dictionary. Raise UnsendableError if it cannot be sent."""
     if not isinstance(answer, Mapping):
         raise UnsendableError(f"an action is a dictionary with ctrl, magnet and done, not {type(answer).__name__}")
     for key, value in answer.items():

@@ -1,12 +1,11 @@
 """Distribute attempts to workers, and write finished attempts to the dataset in order.
 
-Episode k is the k-th successful attempt in the order of attempts, regardless of which worker finishes first. The data
-therefore depends only on the configuration and the seed.
+Episode k is the k-th successful attempt in the order of attempts, whichever worker finishes first. The data therefore
+depends only on the configuration and the seed.
 
 An attempt that crashes all its workers becomes a failure with cause `worker_lost`, also after a resume, because later
-episodes are numbered without it. The crash can also be the machine's fault, so a lost attempt is uncertain until
-another attempt finishes. If none does, the recording stops without writing the uncertain attempts, and `--resume` tries
-them again.
+episodes are numbered without it. The crash can also be the machine's fault, so the attempt is uncertain until another
+one finishes. If none does, the recording stops without writing uncertain attempts, and `--resume` tries them again.
 """
 
 from __future__ import annotations
@@ -39,7 +38,6 @@ class RecordCallbacks:
 
     Attributes:
         progress: called with the numbers of finished episodes, requested episodes and attempts.
-        warn: called with a sentence for the user.
     """
 
     progress: Callable[[int, int, int], None]
@@ -47,7 +45,7 @@ class RecordCallbacks:
 
 
 class Collector:
-    """Submits attempts to an executor, and writes their results until the dataset has all requested episodes."""
+    """Submits attempts to an executor, and writes their results, until the dataset is complete."""
 
     def __init__(
         self,
@@ -111,7 +109,7 @@ class Collector:
         self._finished[job.attempt] = payload
 
     def _commit_finished(self) -> bool:
-        """Write all results that are next in the order of attempts, and return whether any was written."""
+        """Write all results that are next in the order of attempts; return whether there were any."""
         before = len(self._finished)
         for attempt in self._lost_attempts.keys() & self._finished.keys():
             self._restore(self._finished.pop(attempt))
@@ -131,7 +129,7 @@ class Collector:
         return attempt in self._finished and attempt not in self._uncertain_attempts
 
     def _can_start(self, executor: EpisodeExecutor) -> bool:
-        """Whether to submit another attempt. Limit: the missing episodes, if all running attempts succeed."""
+        """Whether to submit another attempt: at most the missing episodes, if all running attempts succeed."""
         if self._queue:
             return True
         if self._next >= self._limit.max_attempts and not self._uncertain_attempts:

@@ -1,5 +1,3 @@
-"""Estimate the size of a recording, and check the free disk space before recording."""
-
 from __future__ import annotations
 
 import math
@@ -42,12 +40,11 @@ class EpisodeSize:
     def estimate(
         cls, frames: tuple[int, int], cameras: int, image: ImageConfig, block: int, *, truth: bool = False
     ) -> EpisodeSize:
-        """Estimate the size of an episode from the recording settings, without recorded episodes.
+        """Estimate the size of an episode from the recording settings.
 
         Args:
             frames: lower bound and typical value of the frames per episode.
             block: block size of the filesystem, bytes.
-            truth: whether ground truth is recorded.
         """
         pixels = image.size_px[0] * image.size_px[1]
         qualities = list(_JPEG_PER_PIXEL)
@@ -72,7 +69,7 @@ class EpisodeSize:
         )
 
     def from_recorded(self, entries: Collection[ManifestEntry], block: int) -> EpisodeSize:
-        """Return a copy with bytes estimated from recorded episodes, `entries`; `self` if there are none."""
+        """Return a copy with bytes estimated from recorded episodes, if there are any."""
         if not entries:
             return self
         # On average, each file wastes half a block.
@@ -82,12 +79,12 @@ class EpisodeSize:
 
 
 def files_per_episode(frames: int, cameras: int, *, truth: bool) -> int:
-    """Return the number of files of an episode, without `episode.json`."""
+    """Return the number of files, without `episode.json`."""
     return frames * (cameras + 1) + (2 * frames * cameras + cameras + 1 if truth else 0)
 
 
 def check_space(place: Path, episodes: int, size: EpisodeSize) -> str | None:
-    """Return a warning if `episodes` more episodes may not fit into the free space at `place`."""
+    """Warn if `episodes` more episodes may not fit into the free space at `place`."""
     state = os.statvfs(place)
     free = max(0, state.f_bavail * state.f_frsize - _RESERVED_BYTES)
     # Filesystems that create inodes on demand report zero inodes.

@@ -1,7 +1,6 @@
 """Worker pool with actors of a Ray cluster, with the code, retries and time limits of local worker processes.
 
-If an actor is lost with its process or node, its job uses up one try. A new actor then starts where the cluster has
-capacity.
+A job whose actor is lost uses up one try. A new actor then starts where the cluster has capacity.
 """
 
 from __future__ import annotations
@@ -27,11 +26,10 @@ class RayPool(BaseWorkerPool[J, R]):
     """An `Executor` that runs jobs in the actors of a Ray cluster.
 
     Args:
-        factory: makes the runner of each worker, inside the actor.
-        workers: number of workers, each on one CPU of the cluster.
+        workers: each on one CPU of the cluster.
         address: address of a running cluster, as for `ray.init`. None starts a cluster on this machine that ends with
             the pool.
-        environ: environment variables of the actor processes.
+        environ: of the actor processes.
         job_seconds: time limit of a job, s.
     """
 
@@ -135,7 +133,7 @@ def _connect(ray: Any, address: str | None, workers: int) -> None:
 
 
 def _require_listener(address: str) -> None:
-    """Raise OSError if no server listens at a HOST:PORT. Ray itself takes minutes to report that."""
+    """Raise OSError if no server listens at a HOST:PORT, which Ray itself reports after minutes."""
     host, colon, port = address.rpartition("://")[2].rpartition(":")
     if colon and port.isdecimal():
         socket.create_connection((host, int(port)), _CONNECT_SECONDS).close()
@@ -143,7 +141,7 @@ def _require_listener(address: str) -> None:
 
 @contextlib.contextmanager
 def _restore_signal_handlers() -> Iterator[None]:
-    """Restore signal handlers after the block, because Ray replaces the SIGTERM handler when it connects."""
+    """Restore signal handlers after the block, because Ray replaces that of SIGTERM."""
     before = {number: signal.getsignal(number) for number in STOP_SIGNALS}
     try:
         yield

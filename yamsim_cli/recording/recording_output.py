@@ -1,4 +1,4 @@
-"""Output of a recording: a dataset directory, written directly or through a staging directory."""
+"""Output of a recording, written directly or through a staging directory."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ class OpenRecordingOutput:
 
     @property
     def describe_staged(self) -> str:
-        """Clause for messages on how many episodes are still in the staging directory; empty for none."""
+        """Clause for messages on how many episodes are still in the staging directory."""
         if self._staged is None or not (waiting := self._staged.pending_episodes):
             return ""
         return f" ({waiting} of them still in {self._staged.folder}: give the same --stage)"
@@ -75,7 +75,7 @@ class OpenRecordingOutput:
         self._staged.finish()
 
     def abandon(self) -> None:
-        """Write the manifest and ignore disk errors. The next --resume writes the manifest again."""
+        """Write the manifest and ignore disk errors; the next --resume writes it again."""
         with contextlib.suppress(OSError):
             (self._staged or self.writer).finish()
 
@@ -84,7 +84,7 @@ class OpenRecordingOutput:
 def open_destination(
     config: RecordConfig, output: RecordingOutput, callbacks: RecordCallbacks
 ) -> Iterator[OpenRecordingOutput]:
-    """Open an output for the `with` block. No other recorder can open the output meanwhile."""
+    """Open an output for the `with` block, exclusively."""
     # Warn before any access to the mount, which may not respond.
     mount = _check_mounts(config, output, callbacks)
     resuming = output.mode is OpenMode.RESUME
@@ -111,7 +111,7 @@ def open_destination(
 
 
 def _check_mounts(config: RecordConfig, output: RecordingOutput, callbacks: RecordCallbacks) -> Mount | None:
-    """Return the network mount of the output, and warn that writing to it is slow."""
+    """Return the output's network mount, and warn that writing to it is slow."""
     mounts = read_mounts()
     mount = network_mount(output.path, mounts)
     if output.stage is None and mount is not None:
@@ -146,7 +146,7 @@ def _check_space(
 
 
 def _frames(config: RecordConfig, entries: Mapping[int, ManifestEntry]) -> tuple[int, int]:
-    """Return lower bound and typical number of frames of an episode, from the mean of `entries` or else estimated."""
+    """Return lower bound and typical frames of an episode, from the mean of `entries` or else estimated."""
     every = config.task.timing.ticks_per_frame
     frames = math.ceil(typical_ticks(config.task) / every)
     if entries:

@@ -57,7 +57,7 @@ AllStartsFail = Callable[[FailureCause, int], bool]  # (cause, first attempt) ->
 
 
 class RetryLimit:
-    """Decides from the outcomes so far when to stop a recording. The number of workers has no effect."""
+    """Decides from the outcomes so far when to stop. The number of workers has no effect."""
 
     def __init__(self, config: RecordConfig, no_better_start: AllStartsFail) -> None:
         self._name, self._wanted = config.task.name, config.episodes
@@ -70,7 +70,7 @@ class RetryLimit:
         return max(MIN_ATTEMPTS, _ATTEMPTS_PER_EPISODE * self._wanted)
 
     def stop_error(self, attempts: Sequence[AttemptRecord], episodes: int) -> YamsimError | None:
-        """Return the error that stops a recording after `attempts` with `episodes` successes; None to continue."""
+        """Return the error that stops a recording after `attempts`; None to continue."""
         tried, last = len(attempts), attempts[-1].outcome if attempts else None
         if last is None or (episodes and tried < self.max_attempts):
             return None
@@ -119,7 +119,7 @@ def all_starts_fail(session: Session, cause: FailureCause, first: int) -> bool:
 def _start_is_feasible(simulators: Simulators, cause: FailureCause, job: AttemptJob) -> bool:
     """Whether the objects have room and, for `UNREACHABLE`, whether grippers reach all objects to be grasped.
 
-    If this check fails, the program fails too.
+    Without that, the program fails.
     """
     simulator = simulators.get(job)
     places = sample_object_placements(simulator, job)

@@ -1,5 +1,3 @@
-"""Catalog of tasks that commands accept by name, and the template of a new task's file."""
-
 from __future__ import annotations
 
 import re
@@ -57,7 +55,7 @@ expert:
 
 
 def task_entries(locations: Locations) -> list[dict[str, Any]]:
-    """Return the descriptions (see `task_entry`) of all tasks that commands accept by name, as JSON data."""
+    """Return the descriptions of all tasks that commands accept by name, as JSON data."""
     return [task_entry(name, locations) for name in locations.config_names("tasks")]
 
 

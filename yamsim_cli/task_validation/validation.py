@@ -50,7 +50,6 @@ class TaskCheck:
     Attributes:
         ok: whether the task passed; None if the check does not apply.
         value: the measured share or count; None without one.
-        detail: the figures behind the result, as text.
     """
 
     name: str
@@ -66,7 +65,7 @@ def check_program_fits(task: ProgramTask) -> TaskCheck:
 
 
 def check_reach(simulator: Simulator) -> TaskCheck:
-    """Check that a hand reaches enough points of each start region on the table, in any orientation."""
+    """Check that a hand reaches enough points of each start region on the table."""
     shares = {
         role: _reachable_share(simulator, start) for role, start in simulator.config.starts.items() if start.on == TABLE
     }
@@ -200,7 +199,7 @@ def _hold_actions(scene: CompiledScene, start: Array, ticks: int) -> ActionSeque
 
 
 def validate_task(session: Session, minimum: float, progress: Progress) -> dict[str, Any]:
-    """Run as many trials of a task as the config has `episodes`, and every check. Return a report as JSON data.
+    """Run `episodes` trials of a task, and every check. Return a report as JSON data.
 
     Args:
         minimum: share of trials in which the expert has to reach the goal.

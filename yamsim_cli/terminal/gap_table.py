@@ -1,5 +1,3 @@
-"""Tables of `yamsim gap` for a terminal of 80 columns."""
-
 from __future__ import annotations
 
 from collections.abc import Mapping

@@ -19,7 +19,7 @@ _RETRY_SECONDS = 0.02  # s by which a signal that arrives during an import is po
 
 @contextmanager
 def defer_signals() -> Iterator[Callable[[], bool]]:
-    """Yield a function that returns whether a signal has arrived. Inside the block, signals raise no exception."""
+    """Yield a function that returns whether a signal has arrived. In the block, signals raise no exception."""
     came = False
 
     def note(number: int, frame: FrameType | None) -> None:
@@ -36,11 +36,7 @@ def defer_signals() -> Iterator[Callable[[], bool]]:
 
 @contextmanager
 def stop_on_signal(message: str) -> Iterator[StopRequest]:
-    """Yield a stop request that the first signal or a closed terminal sets. A second signal raises KeyboardInterrupt.
-
-    Args:
-        message: line for stderr on the first signal.
-    """
+    """Yield a stop request that the first signal or a closed terminal sets. The second raises KeyboardInterrupt."""
     from yamsim_cli.core.workers.stop_request import StopRequest
 
     stop = StopRequest()
@@ -64,7 +60,7 @@ def stop_on_signal(message: str) -> Iterator[StopRequest]:
 
 
 def raise_signals() -> None:
-    """Make later SIGINT and SIGTERM raise KeyboardInterrupt at once, or after an import that is in progress."""
+    """Make later signals raise KeyboardInterrupt at once, or after an import that is in progress."""
     for number in (*_STOP_SIGNALS, signal.SIGALRM):
         signal.signal(number, _interrupt)
 

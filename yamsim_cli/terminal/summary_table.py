@@ -1,5 +1,3 @@
-"""Tables of `yamsim summarize` for a terminal of 80 columns."""
-
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
@@ -22,7 +20,7 @@ _STATISTIC_LABELS = {"median": "median", "p95": "95 %", "max": "most"}  # statis
 
 
 def summary_tables(report: Mapping[str, Any]) -> RenderableType:
-    """Return the tables of a dataset summary: figures, success rates by threshold, workspace, and problems by code."""
+    """Return tables of a dataset summary: figures, success rates by threshold, workspace, and problems by code."""
     parts: list[RenderableType] = [_figures(report)]
     if report["episodes"] and not report["real"]:
         parts += [*([_rates(report)] if report["success_rate"] else []), _workspace(report["workspace"])]

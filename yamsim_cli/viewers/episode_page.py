@@ -21,7 +21,7 @@ class Images(Protocol):
     cameras: tuple[str, ...]
 
     def read(self, camera: str, frame: int) -> NDArray[np.uint8]:
-        """Return an RGB image (height, width, 3), uint8. Raise DatasetError if it is missing or damaged."""
+        """Return an RGB image (height, width, 3). Raise DatasetError if it is missing or damaged."""
         ...
 
 

@@ -20,8 +20,7 @@ def run_window(
 ) -> None:
     """Show a scene in MuJoCo's window until the window is closed, or `stopped` returns True.
 
-    The window's Control sliders command the drives of a simulated rig. Space pauses. Backspace or the reset button
-    resets the scene.
+    Control sliders command the drives of a simulated rig. Space pauses. Backspace or the reset button resets the scene.
 
     Args:
         period: time between two images, s.
@@ -69,7 +68,7 @@ def _window(shown: ViewedScene) -> Iterator[Any]:
 
 
 def _check_display() -> None:
-    """Open an invisible window as a test. If that fails, MuJoCo's viewer would wait for its own window forever."""
+    """Open an invisible window as a test: without a display, MuJoCo's viewer would wait forever."""
     try:
         import glfw
     except ImportError as error:

@@ -11,7 +11,7 @@ class PageAddress:
     """Network address of a browser page.
 
     Attributes:
-        port: TCP port to listen on; 0 chooses an unused one.
+        port: to listen on; 0 chooses an unused one.
         host: an address or name of this machine; `0.0.0.0` for all addresses.
     """
 

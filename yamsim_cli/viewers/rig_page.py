@@ -1,5 +1,3 @@
-"""Browser page that shows a simulated rig, moves its joints, and shows the images of its cameras."""
-
 from __future__ import annotations
 
 import itertools
@@ -28,7 +26,7 @@ class CameraPictures(Protocol):
     """Renders images of the rig's cameras. All calls come from one thread."""
 
     def render(self, camera: str) -> NDArray[np.uint8]:
-        """Return an RGB image (height, width, 3), uint8. Raise ResourceError if nothing can be rendered here."""
+        """Return an RGB image (height, width, 3). Raise ResourceError if nothing can be rendered here."""
         ...
 
 
@@ -36,8 +34,8 @@ class RigPage(ScenePage):
     """Page of a simulated rig: a slider for each drive, check boxes for visibility, and a camera panel.
 
     Args:
-        boards: whether boards and mounts are visible at first, if the rig has them.
-        pictures: renders the images of the rig's cameras; None if nothing can be rendered.
+        boards: whether boards and mounts are visible at first.
+        pictures: None if nothing can be rendered.
     """
 
     def __init__(
@@ -61,7 +59,7 @@ class RigPage(ScenePage):
         self.update()
 
     def update(self) -> None:
-        """Send changes of scene and status, and requested camera images, to all browsers."""
+        """Send scene, status and requested camera images to all browsers."""
         super().update()
         self._cameras.update()
         self._show_status()

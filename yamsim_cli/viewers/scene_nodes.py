@@ -1,4 +1,4 @@
-"""Adds a compiled scene to a viser page: a frame with geoms for each body, and a mesh for each cloth."""
+"""Adds a compiled scene to a page of viser: a frame with geoms for each body, and a mesh for each cloth."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ Paint = dict[str, Any]
 
 @dataclass(frozen=True)
 class BodyNodes:
-    """Nodes of a scene's bodies in viser, the library of the browser page.
+    """Nodes of a scene's bodies in viser.
 
     Attributes:
         frames: body -> frame in `world`, for bodies with geoms. Frames start at the origin.
@@ -107,7 +107,7 @@ def _add_mesh(
 
 
 def textured_mesh(model: mujoco.MjModel, geom: int) -> trimesh.Trimesh | None:
-    """Return the mesh of a geom with the texture of its material; None without a texture."""
+    """Return the mesh of a geom with the texture of its material, if any."""
     from PIL import Image
 
     mesh, material = int(model.geom_dataid[geom]), int(model.geom_matid[geom])
@@ -137,7 +137,7 @@ def textured_mesh(model: mujoco.MjModel, geom: int) -> trimesh.Trimesh | None:
 
 
 def _add_plane(scene: viser.SceneApi, model: mujoco.MjModel, geom: int, name: str, placed: dict[str, Any]) -> None:
-    """Add a plane: as a printed board if the texture covers the plane once, or as a floor if the texture repeats."""
+    """Add a printed board if the texture covers the plane once, or a floor if it repeats."""
     material = int(model.geom_matid[geom])
     texture = _texture_of(model, material)
     width, height = 2 * model.geom_size[geom, :2]
@@ -164,7 +164,6 @@ def _add_plane(scene: viser.SceneApi, model: mujoco.MjModel, geom: int, name: st
 
 
 def _texture_of(model: mujoco.MjModel, material: int) -> int:
-    """Return the number of the colour texture of a material; -1 without one."""
     return int(model.mat_texid[material, mujoco.mjtTextureRole.mjTEXROLE_RGB]) if material >= 0 else -1
 
 
@@ -177,7 +176,7 @@ def _texture(model: mujoco.MjModel, texture: int) -> Array:
 
 
 class ClothNodes:
-    """Shows cloths on a page, each in the mean colour of its texture. All points start at the origin."""
+    """Cloths on a page, each in the mean colour of its texture. All points start at the origin."""
 
     def __init__(self, scene: viser.SceneApi, model: mujoco.MjModel) -> None:
         self._points = [
@@ -195,7 +194,7 @@ class ClothNodes:
         ]
 
     def show(self, points: Array) -> None:
-        """Set the positions of all points (nflexvert, 3) in `world`, m. viser sends changes only."""
+        """Set the positions of all points (nflexvert, 3) in `world`, m."""
         for node, own in zip(self._nodes, self._points, strict=True):
             node.vertices = points[own].astype(np.float32)
 

@@ -32,7 +32,7 @@ _START_LOCK = threading.Lock()
 
 
 class ScenePage:
-    """Page that shows the moving bodies and cloths of a scene. Closing the page frees its port."""
+    """Shows the moving bodies and cloths of a scene. Closing the page frees its port."""
 
     def __init__(self, shown: ViewedScene, viewpoint: Viewpoint, address: PageAddress) -> None:
         # Browsers drop connections at any time. Without a handler, each drop prints a traceback on stderr.
@@ -51,7 +51,7 @@ class ScenePage:
         self._pause_button.on_click(self._toggle_pause)
 
     def update(self) -> None:
-        """Send all changes of the scene since the last call to all browsers."""
+        """Send changes of the scene to all browsers."""
         if self._model is not self._shown.model:
             for node in self._bodies.frames.values():
                 node.remove()
@@ -87,9 +87,9 @@ class ScenePage:
 
 
 def _disconnected(beat: int) -> str:
-    """Return HTML that shows a notice on the panel and across the page, unless the next heartbeat replaces it in time.
+    """Return HTML that shows a notice on the page, unless the next heartbeat replaces it in time.
 
-    A server that is gone cannot send a notice, so each heartbeat contains the notice in advance.
+    A server that is gone cannot send a notice, so each heartbeat contains it in advance.
     """
     name = f"yamsim-gone-{beat}"
     hidden = "visibility: hidden; overflow: hidden; max-height: 0"
@@ -112,7 +112,7 @@ class _LocalServer(viser.ViserServer):
 
 
 def serve_page(address: PageAddress, title: str) -> viser.ViserServer:
-    """Serve an empty page that refuses requests of other sites. Raise if the address cannot be used."""
+    """Serve an empty page that refuses requests of other sites."""
     require_free_address(address)
     with _refusing_other_sites(address.host):
         server = _LocalServer(host=address.host, port=address.port, label=title, verbose=False)
@@ -129,7 +129,7 @@ def serve_page(address: PageAddress, title: str) -> viser.ViserServer:
 def _refusing_other_sites(host: str) -> Iterator[None]:
     """Make a WebSocket server that starts inside this block refuse requests from pages of other sites.
 
-    viser creates its server without a hook for requests, so the block wraps the function that viser calls.
+    viser has no hook for requests, so the block wraps the function that viser calls.
     """
     serve = websockets.asyncio.server.serve
 

@@ -12,16 +12,14 @@ class TeleopStatus:
     """State of a teleoperation session, for display.
 
     Attributes:
-        arm: the teleoperated arm, "left" or "right"; empty for a rig with one arm.
+        arm: "left" or "right"; empty for a rig with one arm.
         seconds: length of the recording so far, s.
-        episodes, failures, waiting: numbers of episodes in the dataset, failed attempts, and attempts not yet judged.
-        target_distance: distance from the target pose of the hand to the nearest reachable pose, m; 0 if reachable.
-        at_limit: names of the joints at a joint limit.
-        obstacle: name of the obstacle that blocks the arm; empty without one.
+        episodes, failures, waiting: numbers of attempts; `waiting` ones are not judged yet.
+        target_distance: from the target pose of the hand to the nearest reachable pose, m; 0 if reachable.
+        at_limit: joints at a joint limit.
+        obstacle: that blocks the arm; empty without one.
         gripper_open, magnet: commands of the gripper and the weld; `magnet` is None if grasps hold by friction alone.
-        is_weld_holding: whether the weld holds an object.
-        message: result of the last command.
-        prompt: instruction, if it differs between attempts.
+        prompt: empty unless it differs between attempts.
         goal: how far the goal of the task is met; empty for tasks without a goal.
     """
 
@@ -43,12 +41,12 @@ class TeleopStatus:
 
     @property
     def can_follow(self) -> bool:
-        """Whether the hand can reach its target: no distance remains, and no joint limit or obstacle blocks the arm."""
+        """Whether the hand can reach its target."""
         return not (self.target_distance or self.at_limit or self.obstacle)
 
 
 class TeleopInterface(ViewedScene):
-    """A scene with one or two arms, one of which a page teleoperates by a target pose. All methods are thread-safe."""
+    """A scene with one or two arms, one of which is teleoperated by a target pose. All methods are thread-safe."""
 
     @property
     @abc.abstractmethod
@@ -82,11 +80,11 @@ class TeleopInterface(ViewedScene):
 
     @abc.abstractmethod
     def stop(self) -> None:
-        """End the recording. Afterwards the attempt is judged as success or failure."""
+        """End the recording, which is then judged as success or failure."""
 
     @abc.abstractmethod
     def pause_unattended(self) -> None:
-        """Pause a recording because the last browser page was closed. A user can resume the recording."""
+        """Pause a recording because the last browser page was closed."""
 
     @abc.abstractmethod
     def discard(self) -> None:

@@ -193,8 +193,8 @@ def _notice(status: TeleopStatus) -> str:
 class TargetFields:
     """Input fields for position and heading of the hand's target.
 
-    The fields follow the target until a user types. They then keep the typed numbers until `take`. The class is not
-    thread-safe; only `_type` runs in the server's thread.
+    The fields follow the target until a user types, and then keep the typed numbers until `take`. Only `_type` runs in
+    the server's thread.
     """
 
     def __init__(self, gui: viser.GuiApi) -> None:
@@ -219,7 +219,7 @@ class TargetFields:
         return typed_at is not None and time.monotonic() - typed_at >= _TYPING_PAUSE
 
     def take(self, target: Array) -> Array:
-        """Return the pose `target` (4, 4) in `world` with position and heading replaced by the typed numbers."""
+        """Return the pose (4, 4) in `world` with position and heading replaced by the typed numbers."""
         self._typed_at = None
         (x, y, z), heading = self._place.value, self._heading.value
         (shown_place, shown_heading), T = self._shown, target.copy()
@@ -250,5 +250,5 @@ class TargetFields:
 
 
 def hand_heading(T: Array) -> float:
-    """Return the heading of the hand's y axis, along which the fingers close, in the xy plane of `world`, rad."""
+    """Return the heading of the hand's y axis, along which the fingers close, in `world`, rad."""
     return float(np.arctan2(T[1, 1], T[0, 1]))

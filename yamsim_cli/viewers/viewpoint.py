@@ -23,9 +23,8 @@ class Viewpoint:
 
     Attributes:
         look_at: the point (3,) in `world`, m.
-        distance: distance from the point, m.
         azimuth_deg: heading of the line of sight about world z, from +x.
-        elevation_deg: angle of the line of sight above the horizon; negative values look down.
+        elevation_deg: above the horizon; negative values look down.
     """
 
     look_at: Array
@@ -52,7 +51,7 @@ def workspace_viewpoint(x: float, y: float, z: float, span: float = 0.0) -> View
 
 
 def rig_viewpoint(rig: RigConfig) -> Viewpoint:
-    """Return a viewpoint that shows all arms and calibration boards of a rig."""
+    """Return a viewpoint that shows all arms and boards of a rig."""
     bases = [rig.T_base_in_world(arm) for arm in range(len(rig.arms))]
     centres = np.array([(T @ (*_BALL_CENTRE, 1.0))[:3] for T in bases])
     look_at: Array = centres.mean(axis=0)
@@ -60,5 +59,5 @@ def rig_viewpoint(rig: RigConfig) -> Viewpoint:
 
 
 def _framing(look_at: Array, radius: float) -> Viewpoint:
-    """Return a viewpoint that shows a whole sphere around `look_at` with this radius, m."""
+    """Return a viewpoint that shows a sphere around `look_at` with this radius, m."""
     return Viewpoint(look_at, radius / math.sin(math.radians(FOV_DEG / 2)), _AZIMUTH_DEG, _ELEVATION_DEG)

@@ -1,4 +1,4 @@
-"""Check a dataset as a whole: ledger, manifest, missing, duplicate and dissimilar episodes, incomplete files."""
+"""Check a dataset as a whole: ledger, manifest, and missing, duplicate and dissimilar episodes."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def check_dataset(
 
 
 def _missing(present: set[int], listed: set[int]) -> list[DatasetProblem]:
-    """Return a fault for each run of missing episodes: numbers start at 0 without gaps, and listed episodes existed."""
+    """Return a fault for each gap: numbers start at 0, and listed episodes existed."""
     known = sorted(present | listed)
     runs = [(low + 1, high - 1) for low, high in itertools.pairwise([-1, *known]) if high - low > 1]
     runs += [(number, number) for number in listed - present]
@@ -71,7 +71,7 @@ def _missing(present: set[int], listed: set[int]) -> list[DatasetProblem]:
 
 
 def _note_missing_numbers(names: Sequence[str], problems: ProblemCollector) -> None:
-    """Report gaps in numbering, if all directory names consist of the same word and a number."""
+    """Report gaps if all directory names consist of the same word and a number."""
     matches = [re.fullmatch(r"(.*?)([0-9]{1,18})", name) for name in names]
     parts = [(match[1], int(match[2])) for match in matches if match]
     if len(parts) < len(names) or len({word for word, _ in parts}) != 1:
@@ -84,7 +84,7 @@ def _note_missing_numbers(names: Sequence[str], problems: ProblemCollector) -> N
 
 
 def _duplicates(episodes: Sequence[EpisodeFacts]) -> list[DatasetProblem]:
-    """Return faults of episodes that equal an earlier episode in all values or in the layout."""
+    """Return faults of episodes that equal an earlier one in all values or in the layout."""
     contents: dict[str, str] = {}
     layouts: dict[tuple[tuple[str, tuple[float, ...]], ...], str] = {}
     found = []
@@ -186,7 +186,6 @@ def compare_ledger(
 
 
 def _find_difference(attempt: AttemptRecord, episode: EpisodeFacts) -> tuple[str, str] | None:
-    """Return the first differing value, in the episode and in the ledger."""
     record = episode.record
     assert record is not None
     for key in ("attempt", "seed", "outcome", "layout"):
@@ -197,7 +196,7 @@ def _find_difference(attempt: AttemptRecord, episode: EpisodeFacts) -> tuple[str
 
 
 def _shown(value: object, other: object) -> str:
-    """Return a value as text. For a record, return only the entries that differ from the other record."""
+    """Return a value as text; of a record, only the entries that differ from the other one."""
     if hasattr(value, "model_dump") and hasattr(other, "model_dump"):
         mine, theirs = value.model_dump(), other.model_dump()
         return ", ".join(f"{key} {mine[key]}" for key in mine if mine[key] != theirs.get(key))

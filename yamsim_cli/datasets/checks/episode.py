@@ -1,4 +1,4 @@
-"""Check one episode: open every file, collect faults, and collect facts for statistics."""
+"""Check the files of one episode, and collect facts for statistics."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ _SHOWN_HASH_DIGITS = 12  # leading hex digits of a SHA-256 in messages
 
 
 def check_episode(episode: EpisodeDirectory, context: CheckContext, reader: ImageReader) -> EpisodeFacts:
-    """Check every file of an episode, and return facts and faults. A fault in one file does not stop other checks."""
+    """Check every file of an episode. A fault in one file does not stop other checks."""
     return _EpisodeCheck(episode, context, reader).run()
 
 

@@ -1,4 +1,4 @@
-"""List the files of an episode, check that none is missing, and read them. Files may be huge or irregular."""
+"""List, check and read the files of an episode, which may be huge or irregular."""
 
 from __future__ import annotations
 
@@ -29,11 +29,8 @@ class EpisodeFiles:
     """Files of an episode by kind. All paths are relative to the episode.
 
     Attributes:
-        sizes: path -> bytes, for every regular file.
-        lowdim: frame number -> path.
-        images: camera -> frame number -> path.
+        sizes: path of every regular file -> bytes.
         truth: "depth" or "segmentation" -> camera -> frame number -> path; only in yamsim's recordings.
-        others: paths of all other files except episode.json.
     """
 
     sizes: dict[str, int] = field(default_factory=dict)
@@ -44,7 +41,7 @@ class EpisodeFiles:
 
 
 def list_files(directory: Path, recorded: bool, problems: ProblemCollector) -> EpisodeFiles:
-    """Return all files below an episode directory, and report entries that are neither files nor folders.
+    """Return all files below an episode directory, and report other entries than files and folders.
 
     Args:
         recorded: whether yamsim recorded the episode, so that frame numbers have at least six digits.
@@ -98,7 +95,7 @@ def _walk(top: Path, folder: Path, depth: int, files: EpisodeFiles, problems: Pr
 
 
 def read_file(directory: Path, name: str, files: EpisodeFiles, problems: ProblemCollector) -> bytes | None:
-    """Return the content of a file. Report a file that is unreadable or too large, and return None."""
+    """Return the content of a file; report one that is unreadable or too large."""
     if name not in files.sizes:
         return None
     limit = _MAX_BYTES.get(Path(name).suffix, _MAX_OTHER_BYTES)
@@ -113,7 +110,7 @@ def read_file(directory: Path, name: str, files: EpisodeFiles, problems: Problem
 
 
 def check_missing_files(files: EpisodeFiles, record: EpisodeRecord | None, problems: ProblemCollector) -> int:
-    """Report missing frames and unexpected files, and return the expected number of frames of the episode."""
+    """Report missing and unexpected files, and return the expected number of frames."""
     if record:
         _drop_unrecorded_truth(files, record)
         for name in files.others:
@@ -155,7 +152,7 @@ def _is_numbered(name: str, record: EpisodeRecord) -> bool:
 
 
 def _drop_unrecorded_truth(files: EpisodeFiles, record: EpisodeRecord) -> None:
-    """Move depth and segmentation to `files.others` if the record has no such camera or no truth."""
+    """Move depth and segmentation that the record does not list to `files.others`."""
     for cameras in files.truth.values():
         for camera in [name for name in cameras if not record.truth or name not in record.cameras]:
             files.others += cameras.pop(camera).values()

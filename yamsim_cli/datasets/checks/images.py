@@ -32,18 +32,18 @@ Read = Callable[[str], bytes | None]  # gets the path of a file, and returns its
 
 
 class ImageReader(Protocol):
-    """Image decoder. Callers inject it, because this package does not import OpenCV."""
+    """Image decoder, which callers inject because this package does not import OpenCV."""
 
     def header(self, data: bytes) -> ImageHeader | None:
-        """Return size and channels; None if `data` is not a complete image."""
+        """Return size and channels; None without a complete image."""
         ...
 
     def measure(self, data: bytes) -> ImageStats | None:
-        """Return statistics of the decoded image; None if `data` cannot be decoded."""
+        """Return statistics of the decoded image; None if it is damaged."""
         ...
 
     def labels(self, data: bytes) -> NDArray[np.uint8] | None:
-        """Return a decoded segmentation image (height, width); None if `data` is damaged."""
+        """Return a decoded segmentation image (height, width); None if it is damaged."""
         ...
 
 
@@ -51,7 +51,7 @@ class CameraChecks:
     """Checks the images of one camera, one by one.
 
     Args:
-        size: expected width and height of images; None expects the size of the first image.
+        size: expected (width, height); None expects that of the first image.
     """
 
     def __init__(
@@ -65,7 +65,7 @@ class CameraChecks:
         self.fingerprints: dict[int, int] = {}
 
     def check(self, number: int, name: str, data: bytes) -> bool:
-        """Check one image, and return False if it cannot be decoded."""
+        """Check one image; return False if it is damaged."""
         header = self._reader.header(data)
         if header is None:
             self._problems.add("image.decode", name, f"{len(data)} bytes")
@@ -105,7 +105,7 @@ def check_frozen_images(
     """Report runs of equal images during which the arm moves.
 
     Args:
-        fingerprints, names, joints: frame number -> fingerprint of the image, its path, and joint angles, rad.
+        fingerprints, names, joints: by frame number; joints in rad.
     """
     for run in _equal_runs(fingerprints):
         known = [joints[k] for k in run if k in joints]
@@ -159,7 +159,7 @@ class TruthChecks:
         return labels
 
     def check_missing(self, present: Mapping[str, int]) -> None:
-        """Report ground truth files that are neither on disk nor in the record. `present` is path -> size, bytes."""
+        """Report ground truth files that are neither in `present` (path -> bytes) nor in the record."""
         for name in (TRUTH_LABELS, *map(truth_name, self._record.cameras)):
             if name not in present and name not in self._record.files:
                 self._problems.add("truth.missing", name)
@@ -180,7 +180,7 @@ class TruthChecks:
                 self._problems.add("truth.shape", name, fault)
 
     def check_depth(self, camera: str, name: str) -> None:
-        """Check that a depth image decodes and has the recorded size and hash."""
+        """Check that a depth image decodes, with the recorded size and hash."""
         data = self._read(name)
         if data is None:
             return
@@ -193,7 +193,7 @@ class TruthChecks:
         self._hash_fits(name, data)
 
     def check_segmentation(self, camera: str, name: str) -> None:
-        """Check that a segmentation image decodes, has the recorded size and hash, and has only values with a label."""
+        """Check that a segmentation image decodes, with the recorded size and hash, and that each value has a label."""
         data = self._read(name)
         if data is None:
             return

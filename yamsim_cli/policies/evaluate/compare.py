@@ -19,8 +19,7 @@ def mcnemar(only_first: int, only_second: int) -> float:
     """Return the exact two-sided p-value of McNemar's test, or 1 without trials.
 
     Args:
-        only_first: trials in which only the first policy succeeded.
-        only_second: trials in which only the second policy succeeded.
+        only_first, only_second: trials in which only this policy succeeded.
     """
     n, fewer = only_first + only_second, min(only_first, only_second)
     # Integers, because floats overflow from about a thousand trials on.
@@ -50,11 +49,7 @@ def read_report(path: Path) -> dict[str, Any]:
 
 
 def require_same_trials(expected: Mapping[str, Any], report: Mapping[str, Any]) -> None:
-    """Refuse two evaluations whose trials cannot be paired, because task, rig, grasp, arms or seed differ.
-
-    Args:
-        expected: report of the other evaluation, or the description of its run by `describe_run`.
-    """
+    """Refuse two evaluations that differ in task, rig, grasp, arms or seed."""
     for key in _SAME:
         if expected[key] != report[key]:
             raise UsageError(
@@ -63,9 +58,9 @@ def require_same_trials(expected: Mapping[str, Any], report: Mapping[str, Any]) 
 
 
 def compare_reports(first: Mapping[str, Any], second: Mapping[str, Any]) -> dict[str, Any]:
-    """Compare two reports trial by trial. Return JSON data: counts of successes and McNemar's exact p-value.
+    """Compare two reports trial by trial. Return counts of successes and McNemar's exact p-value as JSON data.
 
-    `policy` and `success_rate` in the data are those of the second report.
+    `policy` and `success_rate` are those of the second report.
     """
     name = second["policy"]
     require_same_trials(first, second)

@@ -1,5 +1,3 @@
-"""Evaluate a policy: trials in worker processes, their statistics, and films of failures."""
-
 from __future__ import annotations
 
 import functools
@@ -54,7 +52,7 @@ class Evaluation:
 def evaluate(
     session: Session, choice: PolicyChoice, progress: Progress, trial_seconds: float = JOB_SECONDS
 ) -> Evaluation:
-    """Run `config.episodes` trials of a policy, from the same starts as `yamsim trials` with the same seed.
+    """Run `config.episodes` trials of a policy, from the same starts as `yamsim trials` with that seed.
 
     Args:
         trial_seconds: real time after which a worker with an unfinished trial is terminated, s.
@@ -71,7 +69,7 @@ def evaluate(
 
 
 def describe_objects(session: Session, job: AttemptJob) -> str:
-    """Return the objects of a trial with their roles as text, such as "object banana, plate"."""
+    """Return the objects of a trial with their roles, such as "object banana, plate"."""
     kinds = sample_roles_for(session, job).config_names
     return ", ".join(name if name == kind else f"{name} {kind}" for name, kind in sorted(kinds.items()))
 
@@ -148,7 +146,7 @@ def evaluation_report(evaluation: Evaluation, config: RecordConfig, thresholds: 
 
 
 def require_measured(report: Mapping[str, Any]) -> None:
-    """Raise PartialJobError if all trials of a report ended before they measured the policy's success."""
+    """Raise PartialJobError if all trials ended before they measured the policy's success."""
     ended = report["stats"]["ended"]
     if not any(TrialEnd(how) in MEASURED for how in ended):
         first = report["trials"][0]
@@ -180,7 +178,7 @@ class _FilmJob:
 
 
 class PolicyFilmer(TrialFilmer):
-    """Films trials of a policy: simulates the recorded actions again, and renders the frames."""
+    """Films trials of a policy by simulating the recorded actions again."""
 
     def run(self, film: _FilmJob) -> list[bytes]:
         """Return the frames of a trial as JPEGs."""
@@ -204,10 +202,9 @@ def film_evaluation(
     *,
     successes: bool = False,
 ) -> list[FilmedTrial]:
-    """Film trials that have actions: the failures, or the successes if no trial failed.
+    """Film trials with actions: failures, or successes if no trial failed.
 
     Args:
-        limit: largest number of films.
         successes: whether to film failures and successes, in the order of the trials.
     """
     config = session.config

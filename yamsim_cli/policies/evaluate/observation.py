@@ -1,5 +1,3 @@
-"""Observations of policies, whose images are rendered at the first access."""
-
 from __future__ import annotations
 
 import threading
@@ -22,7 +20,7 @@ Render = Callable[[Array, str], Image]
 
 
 def available_cameras(config: RecordConfig) -> dict[str, dict[str, str]]:
-    """Return the images that a policy can request: requested name -> {key of an observation: camera of the scene}."""
+    """Return requested name -> {key of an observation: camera of the scene}."""
     if len(config.rig.arms) == 1:
         arm = config.rig.arms[0]
         side = f"{arm.side}_wrist"
@@ -37,7 +35,7 @@ def available_cameras(config: RecordConfig) -> dict[str, dict[str, str]]:
 
 
 def policy_cameras(config: RecordConfig, images: Iterable[str]) -> dict[str, str]:
-    """Return key of an observation -> camera of the scene, for the images that a policy requests."""
+    """Return key of an observation -> camera of the scene, for the requested images."""
     there = available_cameras(config)
     cameras: dict[str, str] = {}
     for name in images:
@@ -64,7 +62,7 @@ class ObservationRenderer:
         self.failure: Exception | None = None
 
     def render(self, key: str, qpos: Array, camera: str) -> Image:
-        """Render the image of a camera at MuJoCo's positions (nq,). `key` names the image in error messages.
+        """Render a camera at MuJoCo's positions (nq,). `key` names the image in error messages.
 
         Raises:
             RuntimeError: the image is read in another thread, where OpenGL cannot render, or after its trial.
@@ -88,12 +86,11 @@ class ObservationRenderer:
 class LazyObservation(Mapping[str, Any]):
     """Observation whose images are rendered at the first access, in the state of the observation.
 
-    `dict(observation)` renders all images. Listing and counting the keys renders no image.
+    `dict(observation)` renders all images. Listing the keys renders none.
 
     Args:
         numbers: key -> value, for all keys except images.
         qpos: MuJoCo's positions (nq,), which the caller must not change.
-        cameras: key of an image -> camera.
     """
 
     def __init__(
@@ -124,12 +121,7 @@ class LazyObservation(Mapping[str, Any]):
 
 
 class ObservationBuilder:
-    """Builds the observations of a policy.
-
-    Args:
-        images: names of the requested images, from `policy_protocol.IMAGES` or the rig's cameras.
-        wants: further requested values, from `policy_protocol.STATE`.
-    """
+    """Builds the observations of a policy."""
 
     def __init__(self, simulator: Simulator, images: Iterable[str], wants: Iterable[str]) -> None:
         self._simulator = simulator
@@ -143,7 +135,7 @@ class ObservationBuilder:
         return arms, drives
 
     def observe(self, episode: Episode, attempt: Attempt, renderer: ObservationRenderer) -> LazyObservation:
-        """Return the observation of an episode's current state. `renderer` renders its images when they are read."""
+        """Return the observation of the current state. `renderer` renders its images when they are read."""
         config, scene, replica = self._simulator.config, self._simulator.scene, self._simulator.state_replay
         task = config.task
         replica.set_state(episode.data.qpos)

@@ -39,8 +39,7 @@ class PolicyCaller:
         seconds: duration of the last call, without the time in `paused` blocks, s.
 
     Args:
-        limit: time limit for one call, s.
-        folder: folder to which paths of the policy's files are shown relative.
+        limit: time limit of a call, s.
     """
 
     def __init__(self, limit: float, folder: Path) -> None:
@@ -74,7 +73,7 @@ class PolicyCaller:
 
     @contextlib.contextmanager
     def paused(self) -> Iterator[None]:
-        """Pause the time limit while the policy waits for yamsim to render an image."""
+        """Pause the time limit while yamsim renders an image."""
         began = time.monotonic()
         left = signal.setitimer(signal.ITIMER_REAL, 0)[0]
         try:

@@ -1,5 +1,3 @@
-"""Make policies by name: built-in policies, policies of the user, and policies of other programs."""
-
 from __future__ import annotations
 
 import functools
@@ -83,7 +81,7 @@ class ExpertPolicy(_ActionSequencePolicy):
     """Repeats the actions of the task's scripted expert, which `yamsim record` records."""
 
     def begin(self, trial: PrivilegedTrial) -> Array | None:
-        """Set the expert's actions, and return MuJoCo's positions (nq,) at the expert's start, or None."""
+        """Set the expert's actions, and return MuJoCo's start positions (nq,), or None."""
         states = trial.expert_attempt.states
         ctrl = np.concatenate([state.actions.ctrl for state in states])
         self._set_actions(ctrl, np.concatenate([state.actions.magnet for state in states]), trial.scene)
@@ -133,7 +131,7 @@ class ReplayPolicy(_ActionSequencePolicy):
 
 
 def make_policy(choice: PolicyChoice, session: Session) -> Policy:
-    """Construct the chosen policy: built in, a class of the user, or a client of another program."""
+    """Make the chosen policy: built in, a class of the user, or a client of another program."""
     name, folder = choice.name, choice.folder
     kind, colon, rest = name.partition(":")
     external = is_external(name)

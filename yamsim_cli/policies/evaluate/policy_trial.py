@@ -1,5 +1,3 @@
-"""Trials of a policy, with the same starts and verdicts as `yamsim trials`."""
-
 from __future__ import annotations
 
 import contextlib
@@ -60,13 +58,9 @@ class TrialResult:
     """Result of a trial.
 
     Attributes:
-        attempt: sampled start.
-        outcome: whether the trial succeeded, and why not.
-        error: description of the policy's fault; empty without a fault.
-        traceback: traceback of the policy's exception; empty without an exception.
         ticks: simulated control ticks.
         seconds: duration of each inference, s.
-        actions: executed actions; None if no tick was simulated.
+        actions: None if no tick was simulated.
     """
 
     attempt: Attempt
@@ -81,14 +75,14 @@ class TrialResult:
 
 
 def trial_rules(config: RecordConfig, choice: PolicyChoice) -> EpisodeRules:
-    """Return the rule and the time limit that end a policy's trials, from the choice or else from the task."""
+    """Return the rule and time limit that end a trial, from the choice or else the task."""
     task = config.task
     ticks = task.max_ticks if choice.time_limit is None else max(1, round(choice.time_limit / task.timing.tick))
     return EpisodeRules(choice.end, max_ticks=ticks)
 
 
 class TrialRunner(Closable):
-    """Runs trials of one policy. The caller must close the runner, for example as a context manager."""
+    """Runs trials of one policy. The caller must close the runner."""
 
     def __init__(self, session: Session, choice: PolicyChoice) -> None:
         self._config, self._choice = session.config, choice
@@ -196,5 +190,5 @@ class TrialRunner(Closable):
 
 
 def _policy_seed(job: AttemptJob) -> int:
-    """Return a seed of 32 bits for a trial, which all libraries accept."""
+    """Return a seed of 32 bits, which all libraries accept."""
     return (job.seed * 1_000_003 + job.attempt) % 2**32

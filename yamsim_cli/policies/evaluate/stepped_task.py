@@ -1,4 +1,4 @@
-"""Trials of a task for callers that step the simulation themselves, such as environments and simulated stations."""
+"""Trials for callers that step the simulation themselves, such as environments and simulated stations."""
 
 from __future__ import annotations
 
@@ -24,13 +24,9 @@ MAX_STARTS = 20  # consecutive trials without a start after which `begin` fails
 
 
 class SteppedTask(Closable):
-    """Trials of a task, with the same starts as `yamsim trials`. The caller must close the object to free renderers.
-
-    Attributes:
-        simulator, attempt, episode: simulator, sampled start and simulation of the current trial.
+    """Trials of a task, with the same starts as `yamsim trials`. The caller must close the object.
 
     Args:
-        end: rule that ends a trial, such as at the first success.
         max_ticks: time limit of a trial in control ticks; None for the task's limit.
     """
 
@@ -52,8 +48,7 @@ class SteppedTask(Closable):
         raise self._none(job, "has a start")
 
     def begin_demonstrated(self, job: AttemptJob) -> ActionSequence:
-        """Begin the trial `job`, or the next trial in which the task's scripted expert succeeds, as `yamsim record`
-        starts it.
+        """Begin the trial `job`, or the next one in which the scripted expert succeeds, as `yamsim record` starts it.
 
         Returns:
             Actions with which the expert succeeds in this trial.
@@ -80,7 +75,7 @@ class SteppedTask(Closable):
         return end is not None and end.reason is EndReason.TIME_LIMIT
 
     def failure_reason(self) -> str:
-        """Return why the trial is currently no success; empty for a success."""
+        """Return why the trial is no success; empty for a success."""
         if self.succeeded:
             return ""
         end = self.episode.end
@@ -95,7 +90,7 @@ class SteppedTask(Closable):
         self._simulators.close()
 
     def _sampled(self, job: AttemptJob) -> Iterator[Attempt]:
-        """Yield the attempts of `job` and of the following trials, and set `self.simulator` to each one's simulator."""
+        """Yield the attempts of `job` and of the following trials, and set `self.simulator`."""
         for number in range(job.attempt, job.attempt + MAX_STARTS):
             one = replace(job, attempt=number)
             self.simulator = self._simulators.get(one)

@@ -1,4 +1,4 @@
-"""Composes a rig, with or without a task, and writes the scene to a folder or a zip file for other programs."""
+"""Composes a rig, with or without a task, and writes the scene to files for other programs."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class HomeState:
 
 
 def first_attempt_start(session: Session) -> tuple[RecordConfig, HomeState]:
-    """Sample the first attempt of a session. Return the config with the attempt's objects, and its start state."""
+    """Sample a session's first attempt. Return the config with its objects, and its start state."""
     job = AttemptJob(session.config.seed, 0)
     with Simulators(session.without_meshes()) as simulators:
         simulator = simulators.get(job)
@@ -72,9 +72,7 @@ def first_attempt_start(session: Session) -> tuple[RecordConfig, HomeState]:
 def compose_at_home(
     blueprint: Blueprint, locations: Locations, home: HomeState | None = None
 ) -> tuple[mujoco.MjSpec, mujoco.MjModel]:
-    """Compose a scene with keyframe `home`, by default the home posture without objects. Return spec and compiled
-    model.
-    """
+    """Compose a scene with keyframe `home`, by default without objects. Return spec and compiled model."""
     spec, home = compose(blueprint, locations), home or HomeState()
     return spec, add_home_key(spec, blueprint.rig, home.T_in_world, home.joints, home.parts)
 
@@ -92,7 +90,7 @@ def write_scene(
 
     Args:
         overwrite: whether to replace an existing `out`, which is renamed once the new scene is on the disk.
-        reader: the oldest MuJoCo version that must read the scene.
+        reader: oldest MuJoCo version that must read the scene.
     """
     _check_stable(model)
     files = scene_files(spec, model, reader)

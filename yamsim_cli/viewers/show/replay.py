@@ -1,5 +1,3 @@
-"""Shows a recorded episode as a video or in a viewer. For a real recording, viewers show the measured motion."""
-
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
@@ -53,8 +51,8 @@ def film_recorded(
     """Make a video of the recorded images.
 
     Args:
-        cameras: cameras whose images are placed side by side; the first camera if empty.
-        frame_period: time between two frames in the video, s.
+        cameras: placed side by side; the first camera if empty.
+        frame_period: time between frames in the video, s.
     """
     if not episode.record.cameras:
         raise DatasetError(f"{episode.directory} has no pictures; without --video its arms are shown")
@@ -103,17 +101,17 @@ def _choose(wanted: Sequence[str], valid: Sequence[str]) -> tuple[str, ...]:
 
 
 def session_with_wrist_camera(session: Session, size: tuple[int, int] | None = None) -> Session:
-    """Return the session of a dataset with a wrist camera, whether or not the dataset records one.
+    """Return the session of a dataset with a wrist camera, recorded or not.
 
     Args:
-        size: width and height of images, px; by default the recorded size.
+        size: (width, height) of images, px; by default the recorded size.
     """
     image = session.config.image
     return session.with_values(wrist=True, image=image.model_copy(update={"size_px": size}) if size else image)
 
 
 def episode_positions(episode: StoredEpisode, simulator: Simulator) -> Array:
-    """Return the `qpos` of each frame (frames, nq) of a simulated episode."""
+    """Return `qpos` of each frame (frames, nq) of a simulated episode."""
     frames = episode.frames()
     if not all(map(has_simulation, frames)):
         raise DatasetError(
@@ -141,10 +139,9 @@ def play_simulated(
     ready: Callable[[str | None], None],
     stopped: Callable[[], bool],
 ) -> None:
-    """Play a simulated episode in a loop, on a browser page or in MuJoCo's window; see `viewer.show_scene`.
+    """Play a simulated episode in a loop; further arguments as in `viewer.show_scene`.
 
     Args:
-        session: a session of the dataset's config.
         speed: playback speed; 1 is real time.
     """
     record, config = episode.record, session.config
@@ -168,7 +165,7 @@ def play_real(
     """Play the measured motion of a real recording in a loop; further arguments as in `viewer.show_scene`.
 
     Args:
-        motion: motion of the arms, in the recording order of the rig.
+        motion: in the recording order of the rig.
     """
     _, model = compose_at_home(blueprint, locations)
     period = episode.record.frame_period_s
@@ -194,7 +191,7 @@ def _show(
 
 
 def _measured_positions(motion: RecordedMotion, blueprint: Blueprint, model: mujoco.MjModel, period: float) -> Array:
-    """Return `qpos` (n, nq) at multiples of `period` (s), each from the latest measurement before that time."""
+    """Return `qpos` (n, nq) at multiples of `period` (s), each from the latest earlier measurement."""
     rig = blueprint.rig
     even = np.arange(0.0, motion.duration + period / 2, period)
     rows = np.clip(np.searchsorted(motion.times, even + period / 1000, side="right") - 1, 0, None)

@@ -1,5 +1,3 @@
-"""Renders a rig from several views, and makes a montage of the images."""
-
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
@@ -33,8 +31,8 @@ class ViewScene:
     """A rig in its home posture, with a camera for each view.
 
     Attributes:
-        size: width and height of a view's image, px.
-        fine: width and height of the rendered image before it is averaged to `size`, px.
+        size: (width, height) of a view, px.
+        fine: (width, height) of the rendered image before it is averaged to `size`, px.
     """
 
     rig: RigConfig
@@ -75,7 +73,7 @@ def picture_names() -> list[str]:
 
 
 def render_views(views: ViewScene) -> dict[str, Image]:
-    """Render all views with labels, and the montage. Return file name -> RGB image (height, width, 3)."""
+    """Render all labelled views, and the montage. Return file name -> RGB image (height, width, 3)."""
     rig, images = views.rig, dict[str, Image]()
     with views.renderer() as renderer:
         for name, camera in views.cameras.items():
@@ -87,7 +85,7 @@ def render_views(views: ViewScene) -> dict[str, Image]:
 
 
 def write_views(images: dict[str, Image], out: Path) -> list[Path]:
-    """Write either all images or none into a folder, which is created if missing. Return their paths."""
+    """Write all images or none into a folder, created if missing. Return their paths."""
     write_outputs({out / name: encode_png(image) for name, image in images.items()}, make_folder=True)
     return [out / name for name in images]
 

@@ -1,5 +1,3 @@
-"""Shows a scene, or a simulated rig with movable joints, on a browser page or in MuJoCo's window."""
-
 from __future__ import annotations
 
 import time
@@ -30,7 +28,7 @@ _PICTURE = (320, 240)  # px, width and height of camera images on the page
 
 
 def make_live_rig(blueprint: Blueprint, locations: Locations, quality: RenderConfig | None = None) -> LiveRig:
-    """Compose a rig in keyframe `home`, ready to simulate. With `quality`, its cameras can be rendered."""
+    """Compose a rig in keyframe `home`. With `quality`, its cameras can be rendered."""
     _, model = compose_at_home(_with_cameras(blueprint, quality), locations)
     return LiveRig(blueprint.rig, model)
 
@@ -55,13 +53,13 @@ def _with_cameras(blueprint: Blueprint, quality: RenderConfig | None) -> Bluepri
 
 
 def task_viewpoint(config: RecordConfig) -> Viewpoint:
-    """Return the initial view of a task scene, towards a point between the arm and the middle of the table."""
+    """Return a view towards a point between the arm and the middle of the table."""
     x, y, _ = config.table.position
     return workspace_viewpoint(x - 0.15, y, config.table.top + 0.1, config.rig.span)
 
 
 class LivePictures:
-    """Renders the camera images of a live rig. The first call creates the renderer, which belongs to that thread."""
+    """Renders a live rig's cameras. The first call creates the renderer, which belongs to that thread."""
 
     def __init__(self, live: LiveRig) -> None:
         self._live = live
@@ -93,7 +91,6 @@ def view_rig(
     """Simulate a rig, and show it as `show_scene` does.
 
     Args:
-        viewpoint: the initial view; by default the whole rig.
         boards: whether a page shows boards and mounts at first.
         pictures: whether a page offers images of the rig's cameras.
     """
@@ -124,7 +121,6 @@ def show_scene(
 
     Args:
         address: address of the browser page; None for MuJoCo's window.
-        open_page: creates the page; called only if viser is installed.
         ready: called once when the viewer is open, with the URL of the page or None. Not called if `stopped` returns
             True before.
     """

@@ -29,7 +29,7 @@ _POLL_SECONDS = 0.1  # s, between two checks for a closed writer during a wait
 
 
 class TeleopAttemptRenderer(Closable):
-    """Renders teleoperated attempts that were successful. The outcomes were determined before.
+    """Renders successful teleoperated attempts.
 
     Args:
         render: whether to make images and files of successful attempts; otherwise only outcomes are returned.
@@ -77,10 +77,11 @@ class AttemptReceiver(Protocol):
 
 
 class AttemptWriter(Closable):
-    """Sends teleoperated attempts to the executor, and writes the results in order, in a separate thread.
+    """Sends teleoperated attempts to the executor, and writes the results in order, in a thread: writing can outlast a
+    tick.
 
-    Writing an episode can take longer than a control tick. Use the writer as a context manager; its exit drops
-    attempts that are not written yet. Until then, no other code may use the sink or the executor.
+    Leaving the context drops attempts that are not written yet. Until then, no other code may use the sink or the
+    executor.
 
     Args:
         written: called with the number of an attempt once the attempt is in the sink.
@@ -104,7 +105,7 @@ class AttemptWriter(Closable):
 
     @property
     def waiting(self) -> int:
-        """Number of submitted attempts that `next_written` has not returned yet."""
+        """Submitted attempts that `next_written` has not returned yet."""
         return len(self._futures)
 
     @property
@@ -118,7 +119,7 @@ class AttemptWriter(Closable):
         self._futures.append(self._thread.submit(self._process, simulated))
 
     def next_written(self, timeout: float = 0.0) -> AttemptRecord | None:
-        """Wait up to `timeout` seconds for the next written attempt. Return its record, or None if none was written.
+        """Return the record of the next written attempt, waiting up to `timeout` s; None if none was written.
 
         Raises:
             OSError: a write to the disk failed.
@@ -149,7 +150,7 @@ class AttemptWriter(Closable):
             raise
 
     def _payload(self) -> AttemptPayload | None:
-        """Wait for the result of the worker. Return None once the writer is closed."""
+        """Wait for the worker's result; None once the writer is closed."""
         while not self._ended.is_set():
             try:
                 return self._executor.result(_POLL_SECONDS)[1]

@@ -1,5 +1,3 @@
-"""An arm that a user or a leader arm teleoperates: its target, its motion, and its obstacles."""
-
 from __future__ import annotations
 
 import mujoco
@@ -21,16 +19,12 @@ _CLEARANCE = 0.012  # m, smallest height of the finger tips' target above the ta
 
 
 class TeleopArm:
-    """Moves an arm to a target with bounded speed. Stops it before a collision with the table, the other arm or itself.
+    """Moves an arm to a target with bounded speed, and stops it before a collision.
 
     Attributes:
         opening, max_opening: commanded and largest opening of each finger, m.
-        magnet: whether the weld is commanded to hold.
-        target_distance: distance from the target pose to the nearest reachable pose, m; 0 if reachable.
-        obstacle: name of the obstacle that stops the arm; empty for none.
-
-    Args:
-        number: number of the arm in the scene.
+        target_distance: from the target pose to the nearest reachable pose, m; 0 if reachable.
+        obstacle: that stops the arm; empty for none.
     """
 
     def __init__(self, config: RecordConfig, scene: CompiledScene, number: int) -> None:
@@ -49,7 +43,7 @@ class TeleopArm:
         )
 
     def reset(self, posture: ArmPosture) -> None:
-        """Set the reference (the joints at which the commands aim) to a posture, at rest."""
+        """Set the reference (the joints at which the commands aim) to a posture."""
         self._tracker.reset(posture.joints)
         self._joint_target: Array | None = None
         self._target = self._ik.pose_of(posture.joints)
@@ -70,7 +64,7 @@ class TeleopArm:
 
     @property
     def reference(self) -> Array:
-        """Present reference (drives,) of the commands: joints, rad, and, if the arm has fingers, opening, m."""
+        """Present reference (drives,): joints, rad, and, if the arm has fingers, opening, m."""
         return self._with_opening(self._tracker.joints)
 
     @property
@@ -100,7 +94,7 @@ class TeleopArm:
         self._was_commanded, self.opening = True, min(max(opening, 0.0), self.max_opening)
 
     def toggle_gripper(self) -> None:
-        """Open the gripper fully, or close it. With welds, the gripper closes to the opening around the object."""
+        """Open the gripper fully, or close it. With welds, it closes to the opening around the object."""
         self.set_gripper(self._closed if self.is_open else self.max_opening)
 
     def set_weld(self, on: bool) -> None:
@@ -119,7 +113,7 @@ class TeleopArm:
         self._joint_target = self._tracker.joints.copy()
 
     def step(self, qpos: Array) -> Array:
-        """Advance the reference by a tick, and return the commands (drives,), rad and m, at `qpos` (nq,)."""
+        """Advance the reference by a tick, and return the commands (drives,), rad and m."""
         before = self._tracker.joints
         velocity = self._step_reference(qpos)
         # As in `core.episode.commands.drive_commands`, without the inertia term, which needs the next target.
@@ -164,7 +158,7 @@ class TeleopArm:
 
 
 def _opening_around_object(config: RecordConfig) -> float:
-    """Return the opening of one finger around the first object to grasp, m, to which grippers with welds close.
+    """Return the opening of one finger around the first object, m, to which grippers with welds close.
 
     Grasps by friction give 0, since the object stops the fingers.
     """

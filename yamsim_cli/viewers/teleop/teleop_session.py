@@ -1,5 +1,3 @@
-"""Teleoperation sessions with a command stream, or with a user on a browser page."""
-
 from __future__ import annotations
 
 import contextlib
@@ -37,7 +35,6 @@ class Jitter:
     """Deviations of the time between control ticks from its nominal value, ms.
 
     Attributes:
-        rate_hz: nominal rate of ticks.
         p50, p95, max: median, 95th percentile and maximum.
         late: ticks that began more than half a tick late.
         lost: time that the loop skipped because its delay was too large, ms. The recording still has every tick.
@@ -53,7 +50,7 @@ class Jitter:
 
 
 class TickClock:
-    """Paces a loop at a fixed period (s) with the monotonic clock, and measures the jitter."""
+    """Paces a loop at a fixed period (s), and measures the jitter."""
 
     def __init__(self, period: float) -> None:
         self._period = period
@@ -90,10 +87,8 @@ class TeleopReport:
     """Result of a teleoperation session.
 
     Attributes:
-        path: directory of the dataset.
-        episodes, attempts: numbers of successful attempts and of all attempts in the dataset.
-        discarded: recordings that the user discarded.
-        trials: records of the attempts of this session, in order.
+        episodes, attempts: in the whole dataset.
+        trials: attempts of this session, in order.
         jitter: jitter of the control ticks; None if ticks did not follow the clock.
     """
 
@@ -107,14 +102,14 @@ class TeleopReport:
 
 @dataclass(frozen=True)
 class TeleopSession:
-    """An open teleoperation session: the scene, the writer of its attempts, and the dataset."""
+    """Scene, writer of attempts, and dataset of an open session."""
 
     scene: TeleopScene
     attempts: AttemptWriter
     dataset: DatasetWriter
 
     def update(self, timeout: float = 0.0) -> None:
-        """Show the next written attempt, if one is written within `timeout` s, in the scene's counts and message."""
+        """Update the scene's counts and message from the next attempt that is written within `timeout` s."""
         scene, attempts = self.scene, self.attempts
         attempt = attempts.next_written(timeout)
         scene.episodes, scene.waiting = attempts.episodes, attempts.waiting
@@ -133,7 +128,7 @@ class TeleopSession:
 
 
 def check_page(address: PageAddress) -> None:
-    """Raise unless a page can be served, before the dataset is created."""
+    """Raise unless a page can be served."""
     require_viser()
     from ..scene_page import require_free_address
 
@@ -152,8 +147,7 @@ def open_teleop(
     """Open a dataset and a scene for teleoperation. Recordings of killed sessions are judged first.
 
     Args:
-        warn: called with each warning.
-        time_limit: time limit of a recording, s. At the limit, the recording is stopped and judged.
+        time_limit: of a recording, s. At the limit, the recording is stopped and judged.
     """
     session = with_mesh_descriptions(session)
     config = session.config
@@ -190,7 +184,7 @@ def open_teleop(
 def _submit_unfinished(
     scene: TeleopScene, attempts: AttemptWriter, journal: RecordingJournal, warn: Callable[[str], None]
 ) -> None:
-    """Submit the recordings of killed sessions that continue the dataset without a gap."""
+    """Submit recordings of killed sessions that continue the dataset without a gap."""
     for left in journal.unfinished():
         attempt = left.job.attempt
         if attempt < attempts.next_attempt or not left.ticks:
@@ -207,7 +201,7 @@ def _submit_unfinished(
 def run_stream(
     session: TeleopSession, commands: Sequence[TeleopCommand], stop: StopRequest, *, realtime: bool
 ) -> TeleopReport:
-    """Teleoperate the arms with a command stream. Its end stops a recording; a stop request discards the recording.
+    """Teleoperate by a command stream. Its end stops a recording; a stop request discards it.
 
     Args:
         realtime: whether ticks follow the clock; otherwise they run as fast as possible, with the same result.
@@ -238,7 +232,7 @@ def _end_recording(scene: TeleopScene) -> None:
 def run_page(
     session: TeleopSession, config: RecordConfig, address: PageAddress, ready: Callable[[str], None], stop: StopRequest
 ) -> TeleopReport:
-    """Serve a browser page until the user ends the session, then discard an unfinished recording.
+    """Serve a page until the user ends the session, then discard an unfinished recording.
 
     Args:
         ready: called with the URL once the page is served.
