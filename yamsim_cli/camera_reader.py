@@ -28,7 +28,7 @@ from .real.serve.socket_servers import CAMERA_SOCKET, default_folder
 
 __all__ = ["CameraForm", "CameraReader", "Picture", "served_cameras"]
 
-_MAX_HEADER_BYTES, _MAX_PICTURE_BYTES = 65_536, 3 * 4096**2  # bytes, limits of an answer; longer ones are refused
+_MAX_HEADER_BYTES, _MAX_PICTURE_BYTES = 65_536, 3 * 4096**2  # bytes, limits of an answer
 
 
 @dataclass(frozen=True)

@@ -45,15 +45,15 @@ EXTRAS = {
 _WORKER_BYTES = 300_000_000  # of a worker process that renders
 _RECORDER_BYTES = 150_000_000  # of the recording process
 
-# of an episode with one camera at 640x480, roughly
+# Typical episode with one camera at 640x480.
 _FRAMES = 57  # frames per episode
-_IMAGE_BYTES = 22_000  # bytes of the image of a frame
-_LOWDIM_BYTES = 2_000  # bytes of the lowdim file of a frame
-_BLOCK_BYTES = 4096  # bytes, block size to which a filesystem rounds file sizes up
+_IMAGE_BYTES = 22_000
+_LOWDIM_BYTES = 2_000
+_BLOCK_BYTES = 4096  # bytes to which a filesystem rounds file sizes up
 
-_EPISODES_WRITTEN = 3  # episodes that are written to measure the speed of the disk
+_EPISODES_WRITTEN = 3  # to measure the speed of the disk
 _SLOW_S = 1.0  # s to write an episode; a slower disk keeps up with one worker at most
-_FEW_EPISODES = 500  # episodes; free space for fewer gives a warning
+_FEW_EPISODES = 500  # free space for fewer gives a warning
 
 _GPUS = ("/dev/nvidia0", "/dev/dri/renderD128", "/dev/kfd")  # device files that exist if the machine has a GPU
 

@@ -14,7 +14,7 @@ from .core.config.session import Session
 
 ENV_ID = "yamsim/PickPlace-v0"
 
-_BOUND = 10.0  # rad and m, bound of the observation space; larger than any joint value or position
+_BOUND = 10.0  # rad and m, of the observation space; larger than any joint value or position
 
 
 class PickPlaceEnv(gymnasium.Env[dict[str, NDArray[Any]], NDArray[np.float32]]):

@@ -32,7 +32,7 @@ __all__ = ["Kinematics", "OutOfReachError", "Site"]
 
 Site = Literal["pinch_site", "grasp_site"]
 
-# searches from random start joints, for an arm without analytic inverse kinematics. Source: 1,000 poses of uniformly
+# Searches from random start joints, for an arm without analytic inverse kinematics. Source: 1,000 poses of uniformly
 # sampled joints needed at most 29 searches.
 _RESTARTS = 50
 # The same after analytic inverse kinematics. Source: for 25 poses out of reach, 50 searches solved no more than 10 did.
@@ -40,8 +40,8 @@ _RESTARTS_ANALYTIC = 10
 # Cost of a rotation error of 1 rad about each axis. 1 m costs 10, so 1 rad counts as 0.1 m, about the length of the
 # hand. If the arm cannot reach the whole pose, the position decides.
 _ROTATION_COSTS = (1.0, 1.0, 1.0)
-_LIMIT_TOLERANCE = 0.1  # rad, how far beyond the joint limits real and simulated arms may report joints
-_ORTHONORMAL_TOLERANCE = 1e-4  # largest element of |R^T R - 1| that is accepted of a rotation matrix R
+_LIMIT_TOLERANCE = 0.1  # rad, by which real and simulated arms may exceed joint limits
+_ORTHONORMAL_TOLERANCE = 1e-4  # largest accepted element of |R^T R - 1|
 
 
 class Kinematics:

@@ -16,7 +16,7 @@ from .station import Row, Station, StationForm, StationSettings
 
 __all__ = ["LiveStation"]
 
-_MAX_CATCH_UP = 0.1  # s, largest delay that the simulation catches up with; the rest of a larger delay is skipped
+_MAX_CATCH_UP = 0.1  # s, largest delay that the simulation catches up with; the rest is skipped
 
 
 class LiveStation(Closable):
@@ -59,7 +59,7 @@ class LiveStation(Closable):
         """Reset to the start of a trial, and return its number. Time is paused meanwhile."""
         with self._pause():
             begun = self._station.begin(seed, trial)
-            self._station.pictures()  # The first call sets up the renderer, which takes about 1 s.
+            self._station.pictures()  # sets up the renderer, which takes about 1 s
         return begun
 
     def begin_demonstrated(self, seed: int = 0, trial: int = 0) -> NDArray[np.float32]:

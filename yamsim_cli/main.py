@@ -71,7 +71,7 @@ app.add_typer(robots.app, name="robots")
 app.add_typer(tasks.app, name="tasks")
 app.add_typer(assets.app, name="assets")
 
-# whose versions affect recorded data; `yamsim doctor` shows all packages
+# Packages whose versions affect recorded data; `yamsim doctor` shows all.
 _VERSIONS = ("mujoco", "mink", "numpy", "opencv-python-headless")
 
 
@@ -92,7 +92,7 @@ def _root(
     """Simulation toolkit for the I2RT YAM arm: recorded demonstrations on MuJoCo."""
 
 
-_INTERRUPTED = 130  # exit code of a command that a signal interrupted
+_INTERRUPTED = 130  # exit code after a signal
 # commands that run until a signal, which gives exit code 0
 _ENDED_BY_SIGNAL = ("view", "serve-policy")
 

@@ -26,7 +26,7 @@ __all__ = ["YamsimCamera"]
 
 # Mounted upside down on a real station, so raiden rotates its pictures. Source: TRI-ML/raiden 2353b10, server.py.
 _UPSIDE_DOWN = ("right_wrist_camera",)
-_GRAB_S = 5.0  # s, longest wait of `grab` for a picture
+_GRAB_S = 5.0  # s, longest wait of `grab`
 
 
 class YamsimCamera(Camera):

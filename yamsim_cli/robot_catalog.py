@@ -23,8 +23,8 @@ from .core.scene.build import build_rig_scene
 from .core.scene.compose import rig_mesh_sets
 
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
-_HOLD_S = 1.0  # s, simulated time for which the arm holds its home posture: long enough for the drives to settle
-_MAX_SAG = 0.1  # rad, largest accepted deviation of a joint from home after `_HOLD_S`; a weak drive exceeds it
+_HOLD_S = 1.0  # s, for which the arm holds its home posture: the drives settle
+_MAX_SAG = 0.1  # rad, deviation of a joint after `_HOLD_S`; a weak drive exceeds it
 
 _YAML = """\
 # The arm {name}: check it with `yamsim robots check {name}`; `--rig {name}+linear_4310` then means it in every command.

@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from .core.files.resources import Locations
     from .core.scene.assets import AssetLock, AssetStore, FetchProgress
 
-_SIZES = range(16, 4097)  # px, valid width and height of images
-_NO_GL = "off"  # MUJOCO_GL without OpenGL. `use_gl` may replace this value, but not a user's "disabled"
+_SIZES = range(16, 4097)  # px, of images
+_NO_GL = "off"  # MUJOCO_GL without OpenGL; `use_gl` may replace it, but not a user's "disabled"
 _OFFLINE = "YAMSIM_OFFLINE"  # environment variable that prevents downloads of meshes, unless empty or 0
 
 

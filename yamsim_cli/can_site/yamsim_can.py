@@ -14,9 +14,9 @@ from pathlib import Path
 import can
 from can.interfaces.socketcan import SocketcanBus
 
-_FRAME = struct.Struct("=IB3x8s")  # Linux `struct can_frame`: identifier with flags, data length, 8 data bytes
-_EXTENDED, _REMOTE, _ERROR = 0x80000000, 0x40000000, 0x20000000  # flags in the identifier of a `struct can_frame`
-_FOLDER = "YAMSIM_CAN_FOLDER"  # environment variable: folder with one Unix socket per served channel
+_FRAME = struct.Struct("=IB3x8s")  # Linux `struct can_frame`: identifier with flags, length, 8 data bytes
+_EXTENDED, _REMOTE, _ERROR = 0x80000000, 0x40000000, 0x20000000  # flags in the identifier
+_FOLDER = "YAMSIM_CAN_FOLDER"  # environment variable: folder with a Unix socket per channel
 
 
 def _place(channel):

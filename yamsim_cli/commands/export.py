@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from yamsim_cli.export.output_directory import ExportResult
     from yamsim_cli.export.raiden_schema import RaidenOptions
 
-_MAX_FPS = 500  # frames/s, largest --fps: the rate of physics steps
+_MAX_FPS = 500  # frames/s: the rate of physics steps
 
 app = typer.Typer(help="Write a dataset in the formats of other programs.", no_args_is_help=True)
 

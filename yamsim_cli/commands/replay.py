@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from yamsim_cli.core.files.resources import Locations
     from yamsim_cli.viewers.page_address import PageAddress
 
-# of an episode whose actions cannot be simulated again
+# For an episode whose actions cannot be simulated again.
 _NO_PHYSICS: dict[str, Any] = {"max_error": None, "first_divergence": None}
 
 

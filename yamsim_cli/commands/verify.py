@@ -22,7 +22,7 @@ _METHODS = {"seed": "made again from its seed", "actions": "from its actions", "
 # 1.5e-4, and the worst by 1.4e-3 (the tilt of a rolling banana).
 _MAX_ROUNDING = 0.005
 
-_MAX_LINES = 10  # printed lines of differences, and of problems; --json has no limit
+_MAX_LINES = 10  # of differences, and of problems; --json has all
 
 
 def verify(

@@ -17,7 +17,7 @@ from ..core.statistics import Coverage, compute_coverage, histogram, summarize_v
 from .checks.dataset_checks import check_dataset, read_ledger
 from .checks.episode_facts import EpisodeFacts
 
-CELL_M = 0.05  # m, largest cell width for workspace coverage: about the width of a banana
+CELL_M = 0.05  # m, largest cell width: about the width of a banana
 
 
 @dataclass(frozen=True)

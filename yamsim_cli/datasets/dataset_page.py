@@ -26,10 +26,10 @@ from ..core.plots import ObjectPlaces, Point, plot_workspace
 from .check_summary import CheckResults, is_within_threshold, workspace_coverage
 from .checks.episode_facts import EpisodeFacts
 
-_MAX_CAUSES = 12  # failure causes in the plot, the most frequent ones
-_MAX_EXAMPLES = 5  # examples per problem code; --json lists all
-_MAX_OBJECTS = 4  # objects with a plot of their positions
-_MIN_MOTION = 0.02  # m; end positions are plotted only for objects that moved by more in some episode
+_MAX_CAUSES = 12  # the most frequent ones
+_MAX_EXAMPLES = 5  # per problem code; --json lists all
+_MAX_OBJECTS = 4  # with a plot of their positions
+_MIN_MOTION = 0.02  # m; objects that never move more have no plot of end positions
 _WILSON = "Wilson's 95\N{NO-BREAK SPACE}% intervals"
 _SPREAD_LABELS = {"median": "median", "p95": "95 %", "max": "largest"}
 

@@ -27,7 +27,7 @@ from .dataset_page import FrameStrip, dataset_page
 from .leaderboard_page import leaderboard_page
 from .trials_page import start_boxes, trials_page
 
-_MAX_STRIPS = 6  # episodes of which a report page shows images
+_MAX_STRIPS = 6  # episodes with images on a report page
 _THUMBNAIL_PX = 240  # px, longer side of these images
 
 

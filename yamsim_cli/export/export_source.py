@@ -33,13 +33,13 @@ from ..core.errors import DatasetError
 from ..core.files.resources import Locations
 from ..core.geometry.se3 import Array
 
-# of exported actions: recorded commands, joints measured one frame later, or no actions
+# Exported actions: recorded commands, joints measured one frame later, or none.
 ActionSource = Literal["recorded", "measured", "none"]
-Frames = Sequence[Mapping[str, Any]]  # low-dimensional data of the frames of an episode
+Frames = Sequence[Mapping[str, Any]]  # low-dimensional data of an episode
 
-_FPS_TOLERANCE = 0.01  # largest relative difference of a frame rate from an integer to which it is rounded
-_MAX_UNEVENNESS = 0.1  # deviation of the time between frames, as a share of the period, above which times are uneven
-ROUNDING_S = 1e-9  # s, tolerance for comparing times; without it, rounding could drop the last frame
+_FPS_TOLERANCE = 0.01  # relative distance from an integer, below which a frame rate is rounded
+_MAX_UNEVENNESS = 0.1  # deviation of the time between frames as a share of the period; above, times are uneven
+ROUNDING_S = 1e-9  # s; without this tolerance, rounding could drop the last frame
 
 
 @dataclass(frozen=True)

@@ -19,9 +19,9 @@ from ..core.images.video import H264_OPTIONS
 
 VERSION = "v3.0"  # format version in `meta/info.json`
 CHUNK_FILES = 1000  # files per `chunk-NNN` folder
-DATA_FILE_MB = 100  # MB, size at which a new Parquet file begins
+DATA_FILE_MB = 100  # MB, at which a new Parquet file begins
 VIDEO_FILE_MB = 200  # MB, up to which lerobot's tools join videos; this export writes one file per episode
-KEY_FRAME_INTERVAL = 2  # frames, as in lerobot's own encoding: training reads single frames at random
+KEY_FRAME_INTERVAL = 2  # frames, as lerobot encodes: training reads single frames at random
 
 INFO = "meta/info.json"
 STATS = "meta/stats.json"
@@ -38,12 +38,12 @@ STATE = "observation.state"
 # object poses; lerobot gives this key to policies that use no images
 ENVIRONMENT_STATE = "observation.environment_state"
 ACTION = "action"
-# Of real recordings: measured joint velocities, rad/s, and recorded frame times, s. Other programs ignore both, because
+# Keys of real recordings: measured joint velocities, rad/s, and recorded frame times, s. Other programs ignore both, because
 # the names begin neither with `observation` nor with `action`.
 VELOCITIES = "joint_velocities"
 RECORDED_TIME = "recorded_time"
 
-_BIMANUAL_PREFIX = "bi_"  # of the robot type of two arms, as in lerobot's own names
+_BIMANUAL_PREFIX = "bi_"  # as in lerobot's own robot types
 
 
 @dataclass(frozen=True)

@@ -27,10 +27,10 @@ from .raiden_episode import ConvertedEpisode, EpisodeConverter, copy_images
 from .raiden_frames import FrameConverter, calibration_json, camera_names, hand_frame
 from .raiden_schema import RaidenOptions
 
-_CONTROL_BY_SOURCE = {"record": "plan"}  # `source` of an episode -> `control` entry in metadata.json, where they differ
-_REAL_CONTROL = "unknown"  # `control` entry of real recordings, which do not state how the arm was controlled
+_CONTROL_BY_SOURCE = {"record": "plan"}  # `source` of an episode -> `control` in metadata.json, where they differ
+_REAL_CONTROL = "unknown"  # `control` of real recordings, which do not state how the arm was controlled
 
-Job = tuple[Path, Path]  # episode directory, and directory to export it to
+Job = tuple[Path, Path]  # episode directory, and output directory
 
 
 def export_raiden(

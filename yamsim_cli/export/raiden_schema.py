@@ -15,7 +15,7 @@ PictureSource = Literal["draw", "nearest"]
 ImageFormat = Literal["png", "jpg"]  # raiden's code reads only PNG
 HandFrameName = Literal["yamsim", "i2rt"]  # kinematics for hand poses, see `raiden_frames.hand_frame`
 
-FPS = 30.0  # frames per second that raiden's commands `rd replay` and `rd shardify` assume
+FPS = 30.0  # that raiden's commands `rd replay` and `rd shardify` assume
 
 JOINTS = 6  # joints per arm in the layout
 ARM = JOINTS + 1  # values per arm: joints and gripper
@@ -26,7 +26,7 @@ TIMESTAMP_DTYPE = "int64"  # dtype of capture times, ns
 DEPTH_DTYPE = "uint16"  # dtype of depth images, mm
 DEPTH_KEY = "depth"  # array name in a depth `.npz`
 
-# of the dataset, of an episode, and of an episode's camera
+# Files of the dataset, of an episode, and of an episode's camera.
 SHARED_METADATA = "metadata_shared.json"
 SPLIT = "split_all.json"
 CALIBRATION = "calibration_results.json"

@@ -19,8 +19,8 @@ from ..core.progress import Progress
 from .export_source import ExportSource, depth_cameras
 from .output_directory import ExportResult, export_directory
 
-_IMAGE_DISTANCE = 0.15  # m, distance of an image in front of its camera
-_AXIS_LENGTH = 0.05  # m, length of the axes that show a pose
+_IMAGE_DISTANCE = 0.15  # m, of an image in front of its camera
+_AXIS_LENGTH = 0.05  # m, of the axes that show a pose
 _AXIS_COLOURS = ((220, 50, 50), (50, 160, 50), (50, 80, 220))
 
 

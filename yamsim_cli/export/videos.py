@@ -16,8 +16,8 @@ from ..core.rendering.view_cameras import draw_labels, resize_area
 from .export_source import ExportSource, RealSource
 from .output_directory import ExportResult, export_directory, require_parent
 
-_SHEET_QUALITY = 90  # JPEG quality (1 to 100) of a contact sheet
-_MAX_SIDE_PX = 16_000  # px, largest side of a contact sheet: some programs cannot open a larger JPEG
+_SHEET_QUALITY = 90  # JPEG quality (1 to 100)
+_MAX_SIDE_PX = 16_000  # px of a contact sheet: some programs cannot open a larger JPEG
 
 
 def export_mp4(

@@ -20,7 +20,7 @@ from yamsim_cli.terminal.console import print_note
 if TYPE_CHECKING:
     from yamsim_cli.core.dataset.writing.directory_claim import OpenMode
 
-MIN_FREE_BYTES = 1 << 16  # bytes of free space, below which no command starts; reports and pictures are larger
+MIN_FREE_BYTES = 1 << 16  # no command starts with less; reports and pictures are larger
 
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace files that exist.")]
 Rename = Annotated[bool, typer.Option("--overwrite", help="Rename an existing output.")]

@@ -129,7 +129,7 @@ def make_photo(recorded: RecordedPhoto, camera: str, rig: RigConfig, image: Imag
     )
 
 
-_SHOWN_PHOTOS = 2  # photos with the largest errors, which are returned as pictures
+_SHOWN_PHOTOS = 2  # with the largest errors
 _OPACITY = 0.4  # of the simulated arms over a photo, 0..1
 _JPEG_QUALITY = 85  # 0..100
 

@@ -32,11 +32,11 @@ _OBJECT_CONFIGS = {
 #: The asset whose objects are parts of the tray.
 COMPARTMENT = "compartment"
 
-_COURGETTE_WIDTH = 55.0  # mm, width and height of long produce; fingers could not hold a tomato of that length
+_COURGETTE_WIDTH = 55.0  # mm, of long produce; fingers could not hold a tomato of that length
 _COURGETTE_BODY = {"stuff": "fruit", "rgba": [0.24, 0.42, 0.16, 1], "specular": 0.3, "shininess": 0.4}
 
-_RIM_GRASP_DEPTH = 0.012  # m, distance below a cup's rim of the grasp for nesting the cup into another one
-_NO_SLOT_LENGTH = 40.0  # mm, part of a rack's length that has no slots
+_RIM_GRASP_DEPTH = 0.012  # m below a cup's rim, of the grasp for nesting the cup
+_NO_SLOT_LENGTH = 40.0  # mm of a rack's length without slots
 _SCALED_KEYS = ("diameter_mm", "height_mm", "foot_mm", "fillet_mm", "stalk_mm", "mass_g")  # all sizes except the walls
 
 #: The kind of KitchenBench's goals in which cloth is folded.
@@ -47,8 +47,8 @@ SHEETS = {"napkin": "soft_napkin", "cloth": "soft_cloth", "dish_towel": "soft_di
 CRUMPLED = "crumple_level"
 _CRUMPLES = {"light": 0.2, "moderate": 0.4}  # level -> height and distance of the pull, as shares of half the length
 
-_CLOTH_MARGIN = 0.05  # m, width of the table's border around flat cloth
-_REFINEMENT = 2  # cells along a side of crumpled cloth for each cell of flat cloth: larger cells stand up in tents
+_CLOTH_MARGIN = 0.05  # m, border of the table around flat cloth
+_REFINEMENT = 2  # cells of crumpled cloth per cell of flat cloth, along a side: larger cells stand up in tents
 # Points along the side of a towel that is folded in thirds: three cells, four and four. A sheet bends only along lines
 # of points, and the inner third has to be the shorter one.
 _THIRDS_POINTS = 12

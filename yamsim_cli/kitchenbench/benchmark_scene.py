@@ -45,16 +45,16 @@ TICK_HZ = 30  # Hz, control ticks
 
 #: Kinds of KitchenBench's goals whose scenes can be built.
 KINDS = frozenset({"place_on", "stack", "place_in", "handoff", "sort", FOLD})
-_HANDED_OVER = "handoff"  # kind of goal for which a cup is not put into another object
+_HANDED_OVER = "handoff"  # a cup is not put into another object
 
-_PLACEHOLDER_TASK = "tower"  # task of the session, which a scene of KitchenBench replaces
-_PHYSICS_STEPS, _CLOTH_PHYSICS_STEPS = 16, 8  # physics steps in a control tick, without and with cloth
+_PLACEHOLDER_TASK = "tower"  # replaced by a scene of KitchenBench
+_PHYSICS_STEPS, _CLOTH_PHYSICS_STEPS = 16, 8  # per control tick, without and with cloth
 
-_TABLE_MARGIN = 0.10  # m, from a scene's objects to the edge of a table that is widened for them
-_DROP_HEIGHT = 0.5  # m over the table, where the search for the resting height of each object starts
-_SPARE_HEIGHT = 2.0  # m, between objects that wait above the table until they are placed
+_TABLE_MARGIN = 0.10  # m, from objects to the edge of a widened table
+_DROP_HEIGHT = 0.5  # m over the table, where the search for the resting height starts
+_SPARE_HEIGHT = 2.0  # m, between objects that wait above the table
 _SPAWN_GAP = 0.001  # m, between a placed object and its support
-_TRAY_FLOOR = 0.005  # m, thickness of the floor of the tray's compartments
+_TRAY_FLOOR = 0.005  # m, of the tray's compartments
 _MAX_OFFSET_MM = 5.0  # mm; an object that rests farther from its required place is reported in `unrealized`
 
 # Conditions of a blueprint that depend on how a policy acts, and conditions that built scenes fulfil.

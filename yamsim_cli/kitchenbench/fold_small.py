@@ -26,34 +26,34 @@ from ..core.geometry.cloth_flattening import Point
 from ..core.geometry.se3 import Array
 from .object_poses import T_in_world
 
-_AREA_MARGIN = 0.96  # share of the required area at which the predicted area of a fold is sufficient
+_AREA_MARGIN = 0.96  # predicted area as a share of the required one, at which a fold suffices
 
-_MIN_CREASE, _MAX_CREASE = 0.15, 0.52  # limits of a crease's distance from a side or corner, as shares of the cloth
-_LINE_GAP = 0.008  # m, points farther apart across a crease belong to different lines of points
+_MIN_CREASE, _MAX_CREASE = 0.15, 0.52  # from a side or corner, as shares of the cloth
+_LINE_GAP = 0.008  # m, between lines of points across a crease
 
-_MIN_REDUCTION = 0.06  # share by which a fold must reduce the area
-_MAX_FOLDS = 5  # folds in a run of the skill
-_MAX_SLIDES = 2  # slides of crumpled cloth before the first fold
+_MIN_REDUCTION = 0.06  # share of the area, by a fold
+_MAX_FOLDS = 5  # per run of the skill
+_MAX_SLIDES = 2  # of crumpled cloth before the first fold
 _MAX_MISSES = 2  # failed grasps, after each of which other points are grasped
 
 # Cloth is laid beyond its target: several layers since outer ones have a longer path, a single one to stretch wrinkles.
-_LAYERED_OVERSHOOT = 2.0  # overshoot with several layers, as a multiple of the folded part's height
-_MAX_OVERSHOOT = 0.08  # share of the path, limits the overshoot
-_SINGLE_OVERSHOOT = 1.0  # overshoot with a single layer, as a multiple of the folded part's height
+_LAYERED_OVERSHOOT = 2.0  # multiple of the folded part's height
+_MAX_OVERSHOOT = 0.08  # share of the path
+_SINGLE_OVERSHOOT = 1.0  # multiple of the folded part's height
 
-_SPEED = 0.2  # m/s, speed of hands that carry cloth: the number of actions is limited
-_SLOW_SPEED = 0.08  # m/s, speed of hands that carry several layers, which slip at a higher speed
+_SPEED = 0.2  # m/s, of hands with cloth: the number of actions is limited
+_SLOW_SPEED = 0.08  # m/s; several layers slip at a higher speed
 
-_MAX_THIRD = 0.36  # share of the cloth, largest first third
-_FAR_LIMIT, _NEAR_LIMIT = 0.60, 0.16  # m ahead of the bases, goal of a pulled cloth's far edge, limit of its near edge
+_MAX_THIRD = 0.36  # share of the cloth
+_FAR_LIMIT, _NEAR_LIMIT = 0.60, 0.16  # m ahead of the bases, of a pulled cloth's far and near edges
 
-_FLAT_LAYERS = 8.0  # layer thicknesses, largest height of cloth that counts as flat
+_FLAT_LAYERS = 8.0  # layer thicknesses, largest height of flat cloth
 _FLAT_DISPLACEMENT = 0.2  # share of the side, largest distance of a point from its place in flat cloth
-_FIRST_PULLS, _LATER_PULLS = 4, 2  # largest numbers of flattening pulls, at first and after a slide
+_FIRST_PULLS, _LATER_PULLS = 4, 2  # flattening pulls, at first and after a slide
 
-_LAYER_HEIGHT = 0.005  # m, height that counts as one layer of cloth
+_LAYER_HEIGHT = 0.005  # m, that counts as one layer
 _CORNER_TOLERANCE = (
-    0.006  # m; of the points at most this much farther from a corner than the nearest, the uppermost is grasped
+    0.006  # m; the uppermost point that is at most this much farther from a corner than the nearest is grasped
 )
 
 

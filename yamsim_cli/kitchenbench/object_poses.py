@@ -21,11 +21,11 @@ AHEAD, BESIDE = 0.35, 0.25
 #: Position of that origin, m, for scenes with cloth, which lies around the origin and needs both arms.
 CLOTH_AHEAD, CLOTH_BESIDE = 0.45, 0.0
 
-_STEP = 0.002  # m, steps in which an object is displaced
+_STEP = 0.002  # m, of displacements
 _RACK_GAP = 0.005  # m, between a rack and a displaced object
 _WALL_THICKNESS = 0.005  # m, thickness of a tray's walls
-_FINGER_ROOMS = (0.010, 0.003)  # m, room for fingers between a wall and a displaced object, in the order tried
-_OVERLAP_COST = 0.02  # m, further displacement that is accepted to avoid an overlap with another object
+_FINGER_ROOMS = (0.010, 0.003)  # m, between a wall and a displaced object, in the order tried
+_OVERLAP_COST = 0.02  # m, accepted displacement to avoid an overlap with another object
 
 
 def origin_in_world(blueprint: SceneBlueprint) -> tuple[float, float]:

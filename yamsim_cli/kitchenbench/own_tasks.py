@@ -10,7 +10,7 @@ from inspect_robots import Epochs, Scene, Target, Task
 from .benchmark_scene import open_station_session
 from .yamsim_scene import BENCHMARK, GOAL_KIND
 
-_DEFAULT_TRIALS = 5  # trials of a task without the option `--epochs`, as in KitchenBench's scenes
+_DEFAULT_TRIALS = 5  # without the option `--epochs`, as in KitchenBench's scenes
 
 
 def make_task(name: str) -> Task:

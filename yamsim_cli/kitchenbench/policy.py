@@ -34,9 +34,9 @@ from .scene_stepper import SceneStepper, commanded_share, scene_fingers
 from .skill_programs import build_scene_program
 from .yamsim_scene import BENCHMARK, YamsimTaskScene, build_task_scene
 
-_STATE_TOLERANCE = 1e-6  # rad and gripper shares, largest difference of observed and simulated state: rounding
-_MAX_PATH_ERROR = 0.01  # rad, largest distance of a joint from its path between two actions: 5 mm at an arm's length
-_MAX_WAITS = 2  # largest number of waiting actions after a motion, until everything is at rest
+_STATE_TOLERANCE = 1e-6  # rad and gripper shares, between observed and simulated state: rounding
+_MAX_PATH_ERROR = 0.01  # rad, of a joint from its path between two actions: 5 mm at an arm's length
+_MAX_WAITS = 2  # actions after a motion, until everything is at rest
 
 _LOG = logging.getLogger("yamsim")
 

@@ -18,10 +18,10 @@ ARM_JOINTS = 6
 _ARM_DIM = ARM_JOINTS + 1
 ACTION_DIM = 2 * _ARM_DIM
 
-CLOSING = 0.35  # s, least time in which fingers move through their whole range
+CLOSING = 0.35  # s, shortest motion of fingers through their whole range
 _REST_SPEED = 0.15  # rad/s and m/s; slower joints and objects are at rest
 _FINGER_REST_SPEED = 0.01  # m/s; slower fingers are at rest
-_PRESS_SHARE = 0.05  # gripper share below which the gripper presses; at 0 it presses with its drive's full force
+_PRESS_SHARE = 0.05  # gripper share; at 0 the gripper presses with its drive's full force
 
 
 class RealizedScene(Protocol):

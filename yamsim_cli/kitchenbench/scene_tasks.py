@@ -23,8 +23,8 @@ from .benchmark_scene import STATION, build_benchmark_scene, open_station_sessio
 from .object_poses import feasible_poses
 from .skill_programs import build_scene_program
 
-_MAX_ARRANGEMENTS, _EPOCHS = 100, 600  # arrangements in a task, and epochs searched for them
-_HOLD_SECONDS = 0.5  # s, hold time of the goal; KitchenBench's checkers require a single state
+_MAX_ARRANGEMENTS, _EPOCHS = 100, 600
+_HOLD_SECONDS = 0.5  # s; KitchenBench's checkers require a single state
 _KINDS = ("place_on", "stack", "place_in", "handoff")  # without sorting: compartments are not objects of a task
 
 

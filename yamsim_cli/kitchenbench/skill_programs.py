@@ -20,9 +20,9 @@ from .object_poses import T_in_world
 from .sorting import Sort
 
 _BOW_CLEARANCE = 0.008  # m, between a dish and the bow at an end of the rack
-_STACK_DROP = 0.02  # m, height of the release of a stacked object: the fingers around its rim reach below it
-_PLATE_DROP = 0.015  # m, height over a plate at which cutlery is released: KitchenBench takes the rim as the top
-_COMPARTMENT_PREFIX = "compartment_"  # start of a compartment's name; the kind of its cutlery follows
+_STACK_DROP = 0.02  # m, height of release: the fingers around the rim reach below it
+_PLATE_DROP = 0.015  # m over a plate, height of cutlery's release: KitchenBench takes the rim as the top
+_COMPARTMENT_PREFIX = "compartment_"  # the kind of cutlery follows
 
 
 def build_scene_program(

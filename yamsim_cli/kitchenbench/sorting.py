@@ -29,36 +29,36 @@ from ..core.sim.sim_world import SimWorld
 
 _LOG = logging.getLogger("yamsim")
 
-_MIN_SHARE_INSIDE = 0.85  # share of an object's volume in its compartment; KitchenBench requires a little less
-_MAX_TRIES = 4  # tries to bring each object to its compartment
-_OUTSIDE_PENALTY = 1.5  # tries that are added for objects outside the tray, so that those inside come first
-_PARKED_TOLERANCE = 1e-6  # rad; an arm this near to its ready joints is out of the other arm's way
-_LIFT_HEIGHT = 0.06  # m, height at which cutlery that hangs in the fingers clears the tray's wall
-_HANDOVER_HEIGHT = 0.25  # m over the table, height of the object's origin at a handover
+_MIN_SHARE_INSIDE = 0.85  # of an object's volume; KitchenBench requires a little less
+_MAX_TRIES = 4  # per object
+_OUTSIDE_PENALTY = 1.5  # tries added for objects outside the tray, so that those inside come first
+_PARKED_TOLERANCE = 1e-6  # rad; an arm this near to its ready joints is out of the way
+_LIFT_HEIGHT = 0.06  # m; cutlery that hangs in the fingers clears the tray's wall
+_HANDOVER_HEIGHT = 0.25  # m over the table, of the object's origin
 
-_GRID_STEP = 0.02  # m, largest step between the places that are tried in a compartment
-_HEIGHT_STEP = 0.001  # m, resolution of heights: a place that is lower by this is better
-_FREE_DISTANCE = 0.003  # m, a place at least this far from all other objects is free, and preferred
-_MAX_PLACES = 12  # free places tried for each orientation, and occupied places
-_DROP_HEIGHT = 0.010  # m, height of the release where fingers would touch the tray; the only value that was tried
-_TABLE_GRID_STEP = 0.04  # m, between the places on the table that are tried
-_MAX_ASIDE_DISTANCE = 0.30  # m, largest distance of a place on the table from the object
-_ASIDE_GAP = 0.015  # m, least distance of an object on the table from other objects
-_ASIDE_HEADINGS = (0.0, math.pi / 2, math.pi, -math.pi / 2)  # rad, headings of an object on the table
-_MAX_GRASPS = 8  # grasps of each hand that are tested at the places on the table: each costs an IK call per place
+_GRID_STEP = 0.02  # m, largest step between places in a compartment
+_HEIGHT_STEP = 0.001  # m; a place that is lower by this is better
+_FREE_DISTANCE = 0.003  # m from all other objects; a free place is preferred
+_MAX_PLACES = 12  # free places for each orientation, and occupied places
+_DROP_HEIGHT = 0.010  # m, height of release where fingers would touch the tray; no other value was tried
+_TABLE_GRID_STEP = 0.04  # m, between places on the table
+_MAX_ASIDE_DISTANCE = 0.30  # m, of a place on the table from the object
+_ASIDE_GAP = 0.015  # m, least distance from other objects
+_ASIDE_HEADINGS = (0.0, math.pi / 2, math.pi, -math.pi / 2)  # rad, of an object on the table
+_MAX_GRASPS = 8  # of each hand, tested at the places on the table: each costs an IK call per place
 
-_UPRIGHT_COSINE = math.cos(math.radians(3.0))  # cosine of the tilt; an object with a larger one stays upright
-_TILTED_COSINE = 0.6  # cosine of the tilt; an object with a smaller one stays on its side or on its head
+_UPRIGHT_COSINE = math.cos(math.radians(3.0))  # of the tilt; an object with a larger cosine stays upright
+_TILTED_COSINE = 0.6  # of the tilt; an object with a smaller cosine stays on its side or head
 
-_REACH = 0.040  # m, largest free distance that is measured on each side of an object before a slide
+_REACH = 0.040  # m, largest measured free distance on each side before a slide
 _MIN_SLIDE = 0.005  # m, shorter slides are not tried
 _MIN_MOTION = 0.002  # m; an object that moved less has not slid
-_FLAT_HEIGHT = 0.006  # m, largest height of a pressed top over the object's lowest point; a higher part would roll
+_FLAT_HEIGHT = 0.006  # m, pressed top over the object's lowest point; a higher part would roll
 _PRESS_SPACING = 0.012  # m, between places to press
-_APPROACH_HEIGHT = 0.07  # m, height over the pressing pose from which the hand comes down
-_CHECK_HEIGHT = 0.012  # m, height over the pressing pose at which contacts with other objects are checked
+_APPROACH_HEIGHT = 0.07  # m over the pressing pose, where the descent starts
+_CHECK_HEIGHT = 0.012  # m over the pressing pose, where contacts with other objects are checked
 _SLIDE_SPEED = 0.10  # m/s, speed of a pressing hand
-_OVERTRAVEL = 0.006  # m, extra path of the hand, because friction shortens a slide
+_OVERTRAVEL = 0.006  # m, extra path, because friction shortens a slide
 
 _SIDE_TILTS = tuple(math.radians(angle) for angle in (0, 20, -20, 35, -35))  # rad, of the hand to the side
 _LONG_TILTS = tuple(math.radians(angle) for angle in (0, 20, -20, 40, -40))  # rad, of the hand along the object

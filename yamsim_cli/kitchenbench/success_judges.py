@@ -16,7 +16,7 @@ from .benchmark_scene import BenchmarkScene
 from .scene_stepper import SceneStepper
 from .yamsim_scene import YamsimTaskScene
 
-_GRIPPER_PREFIX = "gripper_"  # prefix of a side: the name of that arm's two fingers in the checkers' queries
+_GRIPPER_PREFIX = "gripper_"  # before a side: that arm's two fingers in the checkers' queries
 
 
 class Judge(Protocol):

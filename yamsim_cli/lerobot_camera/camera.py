@@ -13,7 +13,7 @@ from ..camera_reader import CameraReader, Picture, served_cameras
 from ..core.errors import ResourceError, YamsimError
 from .config import YamsimCameraConfig
 
-_READ_S = 5.0  # s, longest wait of `read` for a picture
+_READ_S = 5.0  # s, longest wait of `read`
 
 
 class YamsimCamera(Camera):
@@ -23,7 +23,7 @@ class YamsimCamera(Camera):
         super().__init__(config)
         self.config = config
         self._reader: CameraReader | None = None
-        self._last = -1  # number of the last picture that was read
+        self._last = -1  # number of the last read picture
 
     def __str__(self) -> str:
         return f"YamsimCamera({self.config.camera})"

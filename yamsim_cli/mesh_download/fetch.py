@@ -16,7 +16,7 @@ from ..core.scene.assets.asset_store import AssetStore, MismatchError
 from ..core.scene.assets.sources import AssetSource, FetchProgress, SourceError, no_progress
 from .downloads import GeneratedMeshes, Menagerie, PinnedArchives
 
-STORE = "store"  # `FetchedSet.source` of a set that was already in the store
+STORE = "store"  # `FetchedSet.source` of a set that was already present
 
 
 @dataclass(frozen=True)
@@ -117,10 +117,10 @@ def _read(source: AssetSource, assets: AssetSet, scratch: Path, progress: FetchP
         shutil.rmtree(scratch, ignore_errors=True)
 
 
-FAILURE_VALID_S = 3600.0  # s, time after a failed download in which commands do not try again
-IDLE_S = 7.0  # s, longest time without progress; with Menagerie's probe of 2 s, a fetch without network ends in 10 s
-ARCHIVE_S = 300.0  # s, longest time for one archive of at most 33 MB, which requires 110 kB/s
-MENAGERIE_S = 30.0  # s, longest time for Menagerie's model of 5 MB; then the pinned archive is tried
+FAILURE_VALID_S = 3600.0  # s after a failed download, in which commands do not try again
+IDLE_S = 7.0  # s without progress; with Menagerie's probe of 2 s, a fetch without network ends in 10 s
+ARCHIVE_S = 300.0  # s, for an archive of at most 33 MB, which requires 110 kB/s
+MENAGERIE_S = 30.0  # s, for a model of 5 MB; then the pinned archive is tried
 
 _LOCK = ".first-use"
 
@@ -159,7 +159,7 @@ def _download(lock: AssetLock, names: Collection[str], store: AssetStore, progre
 def _failed_lately(store: AssetStore) -> bool:
     lock = store.root / _LOCK
     try:
-        # By the file system's clock, which can differ from the machine's.
+        # Both times are by the file system's clock, which can differ from the machine's.
         lock.touch()
         age_s = lock.stat().st_mtime - store.failure_mark.stat().st_mtime
     except OSError:

@@ -28,7 +28,7 @@ from .policy_client import (
 
 SCHEME = "act"
 _PATH = "/act"
-_ARRAY_KEY = "__numpy__"  # key that marks a JSON object as an array of json_numpy
+_ARRAY_KEY = "__numpy__"  # marks a JSON object as an array
 
 
 class ActClient:

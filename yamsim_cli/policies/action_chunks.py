@@ -13,7 +13,7 @@ from ..core.errors import UsageError
 from ..core.geometry.se3 import Array
 from .policy_protocol import ActionChunk
 
-_ROUNDING = 1e-6  # ticks; smaller fractions of a control tick count as rounding errors
+_ROUNDING = 1e-6  # ticks; smaller fractions are rounding errors
 _MAX_LATENCY = 60.0  # s, largest simulated latency
 
 
@@ -62,8 +62,8 @@ class ChunkStats:
 @dataclass(frozen=True)
 class _TimedChunk:
     chunk: ActionChunk
-    requested: int  # control tick of the request, from which the times of the actions count
-    arrival_tick: int  # control tick from which the chunk can be used
+    requested: int  # control tick from which the times of the actions count
+    arrival_tick: int  # control tick from which the chunk acts
     per_action: float  # duration of an action, ticks
 
     def index(self, now: int) -> int:

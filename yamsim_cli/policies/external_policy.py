@@ -79,7 +79,7 @@ class MappedPolicy:
             raise self._unfit("arms", f"there is no {missing[0]} arm; there is {' and '.join(station.sides)}")
         if unused := [side for side in station.sides if side not in sides]:
             raise self._unfit("arms", f"nobody drives the {unused[0]} arm")
-        # reorder arms from the station to the client, and back
+        # Indices that reorder arms from the station to the client, and back.
         self._to_client = [station.sides.index(side) for side in sides]
         self._to_station = [sides.index(side) for side in station.sides]
         self._scale = np.ones((len(sides), station.drives))

@@ -23,8 +23,8 @@ from .policy_client import (
 )
 
 SCHEME = "ws"  # scheme of an openpi server's URL
-_CLOSE_S = 0.5  # s, time limit of a connection's closing handshake
-_MESSAGE_TOO_BIG = 1009  # WebSocket close code for a message that is too long. Source: RFC 6455, section 7.4.1
+_CLOSE_S = 0.5  # s, for a connection's closing handshake
+_MESSAGE_TOO_BIG = 1009  # WebSocket close code. Source: RFC 6455, section 7.4.1
 
 
 class WebSocketError(ConnectionError):

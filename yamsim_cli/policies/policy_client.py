@@ -16,14 +16,14 @@ from ..core.geometry.se3 import Array
 from .policy_faults import PolicyFault
 from .policy_protocol import MAX_ACTIONS, MAX_PERIOD, MIN_PERIOD, InvalidActionError
 
-MAX_ANSWER_BYTES = 4_000_000  # largest answer of a server; 1000 actions of two arms take 150,000 bytes as JSON
-MAX_VALUES = 100_000  # most values and containers in a message: seven times 1000 actions of two arms
-MAX_TEXT = 2_000  # kept characters of an error text in the result of a trial
-_MAX_TRACEBACK = 50_000  # kept characters of a traceback, from its end
+MAX_ANSWER_BYTES = 4_000_000  # 1000 actions of two arms take 150,000 bytes as JSON
+MAX_VALUES = 100_000  # values and containers in a message: seven times 1000 actions of two arms
+MAX_TEXT = 2_000  # kept characters of an error text
+_MAX_TRACEBACK = 50_000  # kept characters, from the end
 
 _MAX_AXES = 8
-_DTYPE_KINDS = "biuf"  # accepted kinds of NumPy dtypes: booleans, integers and floating-point numbers
-_MAX_ITEM_BYTES = 8  # largest size of one number in an array
+_DTYPE_KINDS = "biuf"  # booleans, integers and floating-point numbers
+_MAX_ITEM_BYTES = 8  # bytes of a number in an array
 
 
 class DamagedMessageError(ValueError):

@@ -21,10 +21,10 @@ IMAGES = (SCENE, WRIST, "left_wrist", "right_wrist")
 OBJECTS, VELOCITIES = "objects", "velocities"
 STATE = (OBJECTS, VELOCITIES)
 
-MAX_ACTIONS = 1000  # largest number of actions in one answer
-MIN_PERIOD, MAX_PERIOD = 1e-3, 10.0  # s, limits of the duration of one action
-_ANGLE = QuantityBounds("rad", -2 * math.pi, 2 * math.pi)  # rad, largest turn of any joint; larger values are degrees
-_MAX_CHUNK_S = 100.0  # s, longest chunk: 1000 actions at 10 Hz; chunks are in memory until they run out
+MAX_ACTIONS = 1000  # in one answer
+MIN_PERIOD, MAX_PERIOD = 1e-3, 10.0  # s, of one action
+_ANGLE = QuantityBounds("rad", -2 * math.pi, 2 * math.pi)  # rad; larger values are degrees
+_MAX_CHUNK_S = 100.0  # s: 1000 actions at 10 Hz; chunks are in memory until they run out
 
 # Keys of an observation. Values of two arms have the left arm's first.
 # - `scene_rgb` (height, width, 3), uint8, and `wrist_rgb`, or for two arms `left_wrist_rgb` and `right_wrist_rgb`:

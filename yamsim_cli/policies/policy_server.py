@@ -31,8 +31,8 @@ from .remote_policy import PROTOCOL, MessageError, UnsendableError, pack_message
 
 LOOPBACK = "127.0.0.1"
 
-_MAX_BYTES = 64_000_000  # largest accepted message; two images of 1920 x 1080 take a fifth
-_MAX_SESSIONS = 256  # clients with a policy; a further client replaces the oldest
+_MAX_BYTES = 64_000_000  # of a message; two images of 1920 x 1080 take a fifth
+_MAX_SESSIONS = 256  # a further client replaces the oldest
 
 
 class PolicyServer(ThreadingHTTPServer):

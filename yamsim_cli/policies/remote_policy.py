@@ -17,10 +17,10 @@ from ..core.errors import ResourceError, UsageError
 from .policy_client import MAX_TEXT, RemoteError, ValueBudget, plain_numbers, read_body, request_context
 from .policy_protocol import InvalidActionError, Observation
 
-PROTOCOL = 1  # version of the protocol; a server refuses clients with another version
+PROTOCOL = 1  # a server refuses clients with another version
 
 _ARRAY = 1  # msgpack's extension type of an array
-_DTYPE_KINDS = "biuf"  # accepted kinds of NumPy dtypes: booleans, integers and floating-point numbers
+_DTYPE_KINDS = "biuf"  # booleans, integers and floating-point numbers
 
 
 class MessageError(ValueError):

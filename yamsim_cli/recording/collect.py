@@ -24,10 +24,10 @@ from ..core.workers.executors import Executor, LostJobError
 from ..core.workers.stop_request import StopRequest
 from .retry_limit import AllStartsFail, RetryLimit
 
-_LOOKAHEAD = 4  # attempts per worker beyond the oldest unwritten attempt; limits the episodes in memory
-_MAX_LOST_IN_A_ROW = 3  # consecutive lost attempts after which the machine is considered at fault
-_STOP_SECONDS = 60.0  # s, how long running attempts may continue after a stop request
-_POLL_SECONDS = 0.5  # s, wait for a result before the stop request is checked again
+_LOOKAHEAD = 4  # attempts per worker beyond the oldest unwritten one; limits the episodes in memory
+_MAX_LOST_IN_A_ROW = 3  # lost attempts, after which the machine is considered at fault
+_STOP_SECONDS = 60.0  # s, for running attempts after a stop request
+_POLL_SECONDS = 0.5  # s between checks of the stop request
 
 EpisodeExecutor = Executor[AttemptJob, AttemptPayload]
 

@@ -12,19 +12,19 @@ from ..core.config.rendering import ImageConfig
 from ..core.dataset.records import ManifestEntry
 from ..core.errors import ResourceError, count_noun
 
-_MIN_JPEG_PER_PIXEL = 0.03  # lower bound: plain scenes at low quality
+_MIN_JPEG_PER_PIXEL = 0.03  # plain scenes at low quality
 # JPEG quality -> bytes per pixel of a typical image. Source: the images of docs/images and tests/golden, 300 to 720
 # pixels wide. Noise (`--randomize`) doubles these values.
 _JPEG_PER_PIXEL = {1: 0.03, 50: 0.055, 70: 0.072, 85: 0.1, 95: 0.18, 100: 0.32}
-_JPEG_OVERHEAD = 600  # bytes of a JPEG for headers and tables
-_LOWDIM_BYTES = 2200  # of the lowdim pickle of a frame; measured: 1600 to 2200
-_HASH_BYTES = 85  # in the record of an episode for each of its files; measured: 85 to 95
+_JPEG_OVERHEAD = 600  # for headers and tables
+_LOWDIM_BYTES = 2200  # of a frame; measured: 1600 to 2200
+_HASH_BYTES = 85  # in an episode's record for each file; measured: 85 to 95
 # Bytes of depth and segmentation together per pixel: lower bound and typical value. Source: at 640x480, 0.09 in the
 # scene camera and 0.12 in the wrist camera.
 _MIN_TRUTH_PER_PIXEL, _LIKELY_TRUTH_PER_PIXEL = 0.04, 0.11
-_TRUTH_ARRAY_BYTES = 1000  # of ground truth arrays per frame and camera; measured: 600
-_RESERVED_BYTES = 1_000_000  # kept free for the ledger, the manifest and other programs
-_MIN_SHARE_OF_MEAN = 0.9  # smallest size of an episode as a share of the mean size, at equal numbers of frames
+_TRUTH_ARRAY_BYTES = 1000  # per frame and camera; measured: 600
+_RESERVED_BYTES = 1_000_000  # for the ledger, the manifest and other programs
+_MIN_SHARE_OF_MEAN = 0.9  # smallest size of an episode, as a share of the mean at equal numbers of frames
 
 
 @dataclass(frozen=True)

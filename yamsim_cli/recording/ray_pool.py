@@ -19,7 +19,7 @@ from ..core.workers.executors import Factory, J, R
 from ..core.workers.job_server import STOP_SIGNALS, WorkerJobRunner
 from ..core.workers.worker_pool import JOB_SECONDS, BaseWorkerPool, Event, Worker, WorkerDied
 
-_CONNECT_SECONDS = 5.0  # s, timeout for a connection to the head of a cluster
+_CONNECT_SECONDS = 5.0  # s, to the head of a cluster
 
 
 class RayPool(BaseWorkerPool[J, R]):

@@ -23,10 +23,10 @@ from ..core.workers.stop_request import StopRequest
 from .collect import RecordCallbacks
 from .disk_space import EpisodeSize, check_space, files_per_episode
 
-_ROUND_TRIPS_PER_FILE = 6  # network round trips to write one file; over sshfs: 60 ms at 10 ms per round trip
-_ROUND_TRIP = 0.01  # s, duration of a network round trip that warnings assume
-_POLL_SECONDS = 0.5  # s, wait before the stop request is checked again
-_MIN_DURATION = 0.5  # lower bound of the frames of a successful episode, as a share of the typical number
+_ROUND_TRIPS_PER_FILE = 6  # over sshfs: 60 ms at 10 ms per round trip
+_ROUND_TRIP = 0.01  # s, that warnings assume
+_POLL_SECONDS = 0.5  # s between checks of the stop request
+_MIN_DURATION = 0.5  # frames of a successful episode, as a share of the typical number
 
 
 @dataclass(frozen=True)

@@ -24,12 +24,10 @@ from ..core.episode.simulator import Simulators
 from ..core.errors import PartialJobError, SimulationError, YamsimError
 from ..core.expert.skills.program import build_program
 
-SAME_CAUSE_LIMIT = (
-    10  # first attempts; if all fail for one cause, the starts of `STARTS_TO_CHECK` further attempts are checked
-)
-STARTS_TO_CHECK = 100  # attempts whose start layouts are checked without physics after `SAME_CAUSE_LIMIT` failures
-MIN_ATTEMPTS = 100  # a task without a success among these attempts is considered impossible
-_ATTEMPTS_PER_EPISODE = 20  # per requested episode; a task that needs more succeeds too rarely
+SAME_CAUSE_LIMIT = 10  # first attempts; if all fail for one cause, the starts of `STARTS_TO_CHECK` more are checked
+STARTS_TO_CHECK = 100  # attempts, after `SAME_CAUSE_LIMIT` failures
+MIN_ATTEMPTS = 100  # a task without a success among these is considered impossible
+_ATTEMPTS_PER_EPISODE = 20  # a task that needs more per episode succeeds too rarely
 
 HAND_HEIGHT = 0.05  # m above the table, assumed height of grasps
 

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 console = Console(stderr=True)
 
-_LOG_SECONDS = 30.0  # s before and between progress lines without a terminal; a shorter job writes none
+_LOG_SECONDS = 30.0  # s between progress lines without a terminal; a shorter job writes none
 
 _end_notes = list[str]()  # for stderr at the end of the command
 

@@ -11,8 +11,8 @@ from yamsim_cli.real.gap.report import display_name
 
 from .tables import FactTable, ItemTable
 
-_WIDTH = 80  # terminal columns, maximum width of the tables
-_MAX_RECORDINGS = 10  # recordings in the table, those with the largest errors; --json has all
+_WIDTH = 80  # terminal columns
+_MAX_RECORDINGS = 10  # those with the largest errors; --json has all
 
 
 def gap_tables(report: Mapping[str, Any]) -> RenderableType:

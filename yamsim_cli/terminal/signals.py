@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 _STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM)
 _STDERR = 2  # file descriptor of stderr
-_RETRY_SECONDS = 0.02  # s by which a signal that arrives during an import is postponed
+_RETRY_SECONDS = 0.02  # s by which a signal during an import is postponed
 
 
 @contextmanager

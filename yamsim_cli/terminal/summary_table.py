@@ -13,10 +13,10 @@ from yamsim_cli.datasets.dataset_page import group_by_code, problem_counts
 
 from .tables import FactTable, ItemTable
 
-_WIDTH = 80  # terminal columns, maximum width of the tables
-_MAX_EXAMPLES = 2  # problems shown for each problem code; --json has all problems
-_MAX_EXAMPLE_LENGTH = 200  # characters of a problem's description; longer ones are cut
-_STATISTIC_LABELS = {"median": "median", "p95": "95 %", "max": "most"}  # statistic in the report -> label in the table
+_WIDTH = 80  # terminal columns
+_MAX_EXAMPLES = 2  # for each problem code; --json has all
+_MAX_EXAMPLE_LENGTH = 200  # characters
+_STATISTIC_LABELS = {"median": "median", "p95": "95 %", "max": "most"}  # statistic in the report -> label
 
 
 def summary_tables(report: Mapping[str, Any]) -> RenderableType:

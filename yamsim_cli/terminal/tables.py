@@ -11,8 +11,8 @@ if TYPE_CHECKING:
     from rich.table import Table
     from rich.text import Text
 
-_MIN_WIDE_COLUMNS = 60  # characters, width of a terminal below which the cells of a row may be stacked
-_MAX_NAME_SHARE = 0.4  # share of a narrow terminal's width; longer names have their values below
+_MIN_WIDE_COLUMNS = 60  # characters; the cells of a row may be stacked in a narrower terminal
+_MAX_NAME_SHARE = 0.4  # of a narrow terminal's width; longer names have their values below
 
 Item = Mapping[str, Any]
 

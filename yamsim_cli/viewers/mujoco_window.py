@@ -12,7 +12,7 @@ from .viewed_scene import ViewedScene
 from .viewpoint import Viewpoint
 
 _KEY_SPACE = 32  # key code in GLFW
-_CLOSE_SECONDS = 5.0  # s, longest wait at the end for the window's thread, which renders at most one more image
+_CLOSE_SECONDS = 5.0  # s, longest wait for the window's thread, which renders at most one more image
 
 
 def run_window(

@@ -17,9 +17,9 @@ from .scene_page import ScenePage
 from .viewed_scene import DriveControl, LiveRig
 from .viewpoint import Viewpoint
 
-_STATUS_PERIOD = 1.0  # s, between two updates of the status
-_STEP = 0.001  # rad or m, step of the sliders
-_MARGINS = (0.2, 1.2)  # m, range of the slider for the distance between two arm bases, which touch below 0.2
+_STATUS_PERIOD = 1.0  # s, between updates
+_STEP = 0.001  # rad or m, of the sliders
+_MARGINS = (0.2, 1.2)  # m, range of the slider for the distance between two bases, which touch below 0.2
 
 
 class CameraPictures(Protocol):

@@ -12,8 +12,8 @@ import viser
 
 from ..core.geometry.se3 import Array
 
-_FIRST_HIDDEN_GROUP = 3  # first geom group that MuJoCo's viewer hides; holds the collision primitives
-_DEFAULT_RGBA = (0.5, 0.5, 0.5, 1.0)  # MuJoCo's default colour of geoms; any other value overrides the material
+_FIRST_HIDDEN_GROUP = 3  # of geoms in MuJoCo's viewer; holds the collision primitives
+_DEFAULT_RGBA = (0.5, 0.5, 0.5, 1.0)  # MuJoCo's default; any other colour overrides the material
 _IMAGE_IN_PLANE = (0.0, 1.0, 0.0, 0.0)  # quaternion wxyz; y points down in viser's images, and up in MuJoCo's planes
 
 # Transparent, so that the meshes inside collision primitives stay visible.

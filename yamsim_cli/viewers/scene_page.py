@@ -23,9 +23,9 @@ from .scene_nodes import ClothNodes, add_bodies
 from .viewed_scene import ViewedScene
 from .viewpoint import FOV_DEG, Viewpoint
 
-_DECIMALS = 5  # decimals of sent positions (m) and quaternions; an arm at rest moves by less, so nothing is sent
-_HEARTBEAT_PERIOD = 1.0  # s, between two heartbeats to a page
-_HEARTBEAT_TIMEOUT = 5.0  # s without a heartbeat, after which a page shows that it is disconnected
+_DECIMALS = 5  # of sent positions (m) and quaternions; an arm at rest moves by less, so nothing is sent
+_HEARTBEAT_PERIOD = 1.0  # s
+_HEARTBEAT_TIMEOUT = 5.0  # s, after which a page shows that it is disconnected
 
 # Held while a server starts, since `_refusing_other_sites` then replaces a function of `websockets`.
 _START_LOCK = threading.Lock()
@@ -61,7 +61,7 @@ class ScenePage:
         points = np.round(self._shown.cloth_points(), _DECIMALS)
         with self._server.atomic():
             if len(positions) != self._model.nbody or len(points) != self._model.nflexvert:
-                return  # The model was replaced meanwhile; the next call shows the new one.
+                return  # the next call shows the new model
             for body, frame in self._bodies.frames.items():
                 # viser sends changed poses only.
                 frame.position, frame.wxyz = positions[body], quaternions[body]

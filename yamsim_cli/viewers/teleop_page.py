@@ -17,9 +17,9 @@ from .teleop_interface import TeleopInterface, TeleopStatus
 from .viewpoint import Viewpoint
 
 _GREEN, _RED = (46, 139, 87), (200, 40, 40)  # RGB, 0 to 255
-_STEP = 0.01  # m, translation of the target by one key press
-_TURN = np.radians(5.0)  # rad, rotation of the target about the vertical by one key press
-_TYPING_PAUSE = 1.0  # s from the last key press until typed numbers act; typing 0.15 must not move the target to 0
+_STEP = 0.01  # m, by one key press
+_TURN = np.radians(5.0)  # rad, about the vertical, by one key press
+_TYPING_PAUSE = 1.0  # s after the last key press; typing 0.15 must not move the target to 0
 
 # key, description, translation of the target in `world` (m), and rotation about the vertical (rad)
 _MOVES = (

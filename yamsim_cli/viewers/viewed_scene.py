@@ -10,7 +10,7 @@ from ..core.config.rig import ArmConfig, RigConfig
 from ..core.geometry.se3 import Array, quat_from_rotation
 from ..core.scene.fiducials import BOARD_BODY, MOUNT_BODY
 
-_MAX_CATCH_UP = 0.1  # s, longest delay that the simulation catches up with; after a longer stall, the rest is skipped
+_MAX_CATCH_UP = 0.1  # s, largest delay that the simulation catches up with; the rest is skipped
 
 
 class ViewedScene(abc.ABC):

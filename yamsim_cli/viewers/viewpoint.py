@@ -9,12 +9,12 @@ from ..core.config.rig import RigConfig
 from ..core.geometry.se3 import Array
 
 FOV_DEG = 45.0  # deg, vertical field of view
-_AZIMUTH_DEG, _ELEVATION_DEG = 150.0, -32.0  # deg, a view from the front, to one side and above
+_AZIMUTH_DEG, _ELEVATION_DEG = 150.0, -32.0  # deg, from the front, to one side and above
 
 # Sphere around an arm in its rest posture and its calibration board; the view must contain the sphere.
 _BALL_CENTRE = (0.12, 0.0, 0.17)  # m, in the arm's base frame
 _BALL_RADIUS = 0.34  # m
-_TABLE_MARGIN = 0.12  # m, added to the radius for the table of a task
+_TABLE_MARGIN = 0.12  # m, added to the radius for a task's table
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ from yamsim_cli.core.errors import DatasetError
 
 from .episode_facts import EpisodeFacts
 
-_LAYOUT_DIGITS = 6  # decimals of compared layouts (m, rad); independent samples never agree so closely
+_LAYOUT_DIGITS = 6  # decimals of m and rad; independent samples never agree so closely
 _MAX_MANIFEST_BYTES = 2**30  # bytes, largest manifest that is read
 _PART = re.compile(r"\..+\.part")  # temporary file that a crash left
 

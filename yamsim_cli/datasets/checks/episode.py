@@ -45,7 +45,7 @@ from .images import CameraChecks, ImageReader, TruthChecks, check_frozen_images
 # m, largest difference between the object-target distance in the recorded outcome and in the last frame. The outcome is
 # measured shortly after that frame; a resting object moves by less than 0.1 mm until then.
 _OUTCOME_TOLERANCE = 0.005
-_SHOWN_HASH_DIGITS = 12  # leading hex digits of a SHA-256 in messages
+_SHOWN_HASH_DIGITS = 12  # of a SHA-256 in messages
 
 
 def check_episode(episode: EpisodeDirectory, context: CheckContext, reader: ImageReader) -> EpisodeFacts:

@@ -15,7 +15,7 @@ from yamsim_cli.core.geometry.se3 import Array, yaw
 # frame number -> flat key, such as `intrinsics[camera]` -> value, for values that passed `lowdim.LowdimChecks`
 Values = Mapping[int, Mapping[str, Any]]
 
-POSE = "_pose"  # end of the keys of object poses and of `ee_pose`
+POSE = "_pose"  # end of the keys of poses
 _HAND = "ee_pose"
 
 

@@ -13,10 +13,10 @@ from yamsim_cli.core.dataset.checks.problem import ProblemCollector
 from yamsim_cli.core.dataset.dataset_paths import EPISODE, depth_name, image_path, lowdim_path, segmentation_name
 from yamsim_cli.core.dataset.records import EpisodeRecord
 
-_MAX_DEPTH = 4  # searched folder levels: the format has no deeper folders, and a link may form a loop
+_MAX_DEPTH = 4  # folder levels: a link may form a loop
 # file extension -> largest file that is read, bytes
 _MAX_BYTES = {".pkl": 2**20, ".jpg": 2**26, ".jpeg": 2**26, ".json": 2**26, ".png": 2**26, ".npz": 2**27}
-_MAX_OTHER_BYTES = 2**28  # bytes, largest file with any other extension that is read
+_MAX_OTHER_BYTES = 2**28  # bytes, largest read file with another extension
 
 _IMAGE = re.compile(r"rgb/([^/]+)/([0-9]{1,12})\.jpe?g")
 _LOWDIM = re.compile(r"lowdim/([0-9]{1,12})\.pkl")

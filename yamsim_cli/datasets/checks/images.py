@@ -16,11 +16,11 @@ from yamsim_cli.core.errors import DatasetError
 from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.core.images.image import ImageHeader, ImageStats
 
-_MAX_PIXELS = 2**26  # pixels, largest image that is decoded: a header can declare gigabytes
+_MAX_PIXELS = 2**26  # a header can declare gigabytes
 
 # Both are measured on a downscaled image, which suppresses noise and single bad pixels.
-_UNIFORM_CONTRAST = 2.0  # 0 to 255, contrast below which an image is uniform
-_BLACK_BRIGHTNESS = 16.0  # 0 to 255, brightness below which a uniform image is black
+_UNIFORM_CONTRAST = 2.0  # 0 to 255, largest contrast of a uniform image
+_BLACK_BRIGHTNESS = 16.0  # 0 to 255, largest brightness of a black image
 
 # A camera is frozen if `_MIN_FROZEN_RUN` images are equal while a joint moves by `_MIN_FROZEN_MOTION`. That moves the
 # hand, half a metre away, by 10 mm or 5 pixels in the task's camera.
@@ -28,7 +28,7 @@ _MIN_FROZEN_RUN = 3  # images
 _MIN_FROZEN_MOTION = 0.02  # rad; images of a slower arm may be equal
 
 HashCheck = Callable[[str, bytes], object]  # gets path and content of a file, and reports a wrong hash
-Read = Callable[[str], bytes | None]  # gets the path of a file, and returns its content or None
+Read = Callable[[str], bytes | None]  # path of a file -> content, or None
 
 
 class ImageReader(Protocol):

@@ -11,7 +11,7 @@ from typing import Any
 
 from yamsim_cli.core.errors import UsageError
 
-_SAME = ("task", "rig", "grasp", "arms", "seed")  # keys of a report that must be equal for a comparison
+_SAME = ("task", "rig", "grasp", "arms", "seed")  # keys of a report that must be equal
 _MAX_BYTES = 500_000_000  # largest size of a report's file
 
 

@@ -20,7 +20,7 @@ from yamsim_cli.core.errors import SimulationError
 from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.core.images.image import Image
 
-MAX_STARTS = 20  # consecutive trials without a start after which `begin` fails
+MAX_STARTS = 20  # consecutive trials without a start, after which `begin` fails
 
 
 class SteppedTask(Closable):

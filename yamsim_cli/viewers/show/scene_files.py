@@ -21,10 +21,10 @@ from yamsim_cli.core.geometry.se3 import Array
 
 from .mjcf_3_3 import ATTRIBUTES, CLASS_ELEMENTS, OPTIONAL, VALUES
 
-Reader = Literal["3.3", "4"]  # the oldest MuJoCo version that must read the scene
+Reader = Literal["3.3", "4"]  # oldest MuJoCo version that must read the scene
 Element = ElementTree.Element
 
-_ZIP_DATE = (1980, 1, 1, 0, 0, 0)  # earliest date of a zip file; constant, so that equal scenes give equal bytes
+_ZIP_DATE = (1980, 1, 1, 0, 0, 0)  # constant, so that equal scenes give equal bytes
 
 
 def scene_files(spec: mujoco.MjSpec, model: mujoco.MjModel, reader: Reader = "3.3") -> dict[str, bytes]:

@@ -23,8 +23,8 @@ from .compose import compose_at_home, first_attempt_start
 if TYPE_CHECKING:
     from ..scene_page import ScenePage
 
-PERIOD = 1 / 30  # s, between two images; physics takes as many steps in between as real time needs
-_PICTURE = (320, 240)  # px, width and height of camera images on the page
+PERIOD = 1 / 30  # s, between two images
+_PICTURE = (320, 240)  # px, (width, height) of camera images on the page
 
 
 def make_live_rig(blueprint: Blueprint, locations: Locations, quality: RenderConfig | None = None) -> LiveRig:

@@ -25,7 +25,7 @@ from yamsim_cli.core.workers.process_pool import ProcessPool
 
 SOURCE = "teleop"
 
-_POLL_SECONDS = 0.1  # s, between two checks for a closed writer during a wait
+_POLL_SECONDS = 0.1  # s, between checks for a closed writer
 
 
 class TeleopAttemptRenderer(Closable):

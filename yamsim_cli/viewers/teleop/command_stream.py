@@ -19,8 +19,8 @@ from .teleop_scene import TeleopScene
 
 Row = tuple[FiniteFloat, FiniteFloat, FiniteFloat, Place]
 
-_LIMIT_TOLERANCE = math.radians(30)  # rad, by which a leader arm may exceed the joint limits of the follower
-_OPENING = QuantityBounds("m", -0.02, 0.1)  # valid finger openings; drives report values slightly outside the range
+_LIMIT_TOLERANCE = math.radians(30)  # rad, by which a leader arm may exceed the follower's joint limits
+_OPENING = QuantityBounds("m", -0.02, 0.1)  # drives report values slightly outside the valid range
 
 
 class PoseTarget(Config):

@@ -12,9 +12,9 @@ from yamsim_cli.core.scene.arm_model import kinematic_model
 from yamsim_cli.core.scene.compiled import CompiledScene
 from yamsim_cli.core.sim.placement import ArmCollisionCheck
 
-_IK_ITERATIONS = 12  # iterations of inverse kinematics in a control tick
-_REACH_TOLERANCE = 0.003  # m, position error up to which a target of inverse kinematics counts as reachable
-_LIMIT_DISTANCE = 0.005  # rad, distance below which a joint counts as at its limit
+_IK_ITERATIONS = 12  # in a control tick
+_REACH_TOLERANCE = 0.003  # m, position error up to which a target counts as reachable
+_LIMIT_DISTANCE = 0.005  # rad, below which a joint counts as at its limit
 _CLEARANCE = 0.012  # m, smallest height of the finger tips' target above the table
 
 

@@ -25,7 +25,7 @@ from .attempt_writer import AttemptReceiver
 from .recording_journal import CommandTick, RecordingJournal, UnfinishedRecording
 from .teleop_arm import TeleopArm
 
-TIME_LIMIT = 600.0  # s, default time limit of a recording
+TIME_LIMIT = 600.0  # s, default of a recording
 
 
 class TeleopAttemptScene:

@@ -26,8 +26,8 @@ from .command_stream import StreamPlayer, TeleopCommand
 from .recording_journal import RecordingJournal
 from .teleop_scene import TIME_LIMIT, TeleopScene
 
-_MAX_CATCH_UP = 0.25  # s, largest delay that the loop catches up with; the rest of a larger delay is skipped
-_POLL_SECONDS = 0.5  # s, longest single wait for an attempt at the end of a session
+_MAX_CATCH_UP = 0.25  # s, largest delay that the loop catches up with; the rest is skipped
+_POLL_SECONDS = 0.5  # s, longest single wait at the end of a session
 
 
 @dataclass(frozen=True)
