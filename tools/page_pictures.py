@@ -72,7 +72,7 @@ def _finray(opener: SessionOpener, where: Locations) -> np.ndarray:
 
 
 def _fold_napkin(opener: SessionOpener, where: Locations) -> np.ndarray:
-    """A napkin that is folded: what the camera above sees of the table, and what the right wrist's sees."""
+    """A folded napkin: the views of the table of the camera above and of the right wrist."""
     session = _session(opener, where, task="fold_napkin", size="600x450")
     with first_success(session) as success:
         seen = pictures(*success, (0.1, 0.2, 0.4, 0.6, 0.8), ("top", "right"))
@@ -104,7 +104,7 @@ _DRAWN: dict[str, Callable[[SessionOpener, Locations], np.ndarray]] = {
 def main(names: list[str]) -> None:
     """Draw and write."""
     opener = SessionOpener(os.environ, sys.stderr.write, str)
-    # What draws is settled before anything imports MuJoCo.
+    # Before anything imports MuJoCo.
     where = opener.use_gl(opener.locations())
     from yamsim_cli.core.images.jpeg import encode_jpeg
 

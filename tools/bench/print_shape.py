@@ -1,8 +1,8 @@
-"""How many flat and bent prints are located, and whether the stated covariance holds their true pose.
+"""Located flat and bent prints, and whether the stated covariance contains their true pose.
 
 `python -m tools.bench.print_shape --flat 400 --creased 180 --bent 60`: one board at 640 x 480 pixels, 0.4 to 0.8 m, 5
-to 60 degrees, a blur of sigma 0.6 px and noise of sigma 2. Flat prints are drawn by yamsim and by OpenCV, in turn. The
-constants of the model were chosen with the seeds below 200; `--first` gives others.
+to 60 degrees, a blur of sigma 0.6 px and noise of sigma 2. yamsim and OpenCV draw the flat prints in turn. The model's
+constants were chosen with the seeds below 200; `--first` gives others.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from yamsim_cli.photos.fiducials.board_localization import locate_boards
 
 CAMERA = CameraModel.pinhole(640, 480, 600.0)
 BOARD = Board("one", 217, 3, 3, "DICT_6X6_250", 0.02923077, 0.002923077)
-# Quantiles of squared distances of three degrees of freedom.
+# quantiles of squared distances of three degrees of freedom
 CHI_68, CHI_95, CHI_997 = 3.506, 7.815, 13.931
 
 

@@ -38,8 +38,8 @@ STATE = "observation.state"
 # object poses; lerobot gives this key to policies that use no images
 ENVIRONMENT_STATE = "observation.environment_state"
 ACTION = "action"
-# Keys of real recordings: measured joint velocities, rad/s, and recorded frame times, s. Other programs ignore both, because
-# the names begin neither with `observation` nor with `action`.
+# Keys of real recordings: measured joint velocities, rad/s, and recorded frame times, s. Other programs ignore both,
+# because the names begin neither with `observation` nor with `action`.
 VELOCITIES = "joint_velocities"
 RECORDED_TIME = "recorded_time"
 
