@@ -115,5 +115,5 @@ def _lay(picture: NDArray[np.float32], field: NDArray[np.float32], board: Board,
     # 0 beside the print and its white border.
     printed = cv2.remap(image.astype(np.float32) + 1, *maps, cv2.INTER_LINEAR, borderValue=0)
     on = (printed >= 1) & (depth > 0)
-    # levels of black ink and white paper
+    # Levels of black ink and white paper.
     picture[on] = 30 + (printed[on] - 1) * (200 / 255)

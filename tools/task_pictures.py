@@ -28,7 +28,7 @@ _SIZE, _ROWS, _COLUMNS = "480x360", slice(96, 276), slice(115, 365)
 _COLOURS = 256
 _FOLDER = Path(__file__).resolve().parents[1] / "docs" / "images" / "tasks"
 
-# attempts of seed 0, in which a success is searched
+# Attempts of seed 0, in which a success is searched.
 _TRIES = 10
 
 

@@ -23,9 +23,9 @@ from .core.scene.assets.asset_store import FileStatus
 from .cpu_limits import usable_cores, usable_memory
 from .gl import INSTALL_GL, LINUX_BACKENDS, GlBackend, probe_backend
 
-# packages that every command needs
+# Packages that every command needs.
 PACKAGES = ("mujoco", "mink", "daqp", "numpy", "opencv-python-headless", "pydantic", "pyyaml", "rich", "typer")
-# optional extra, as in `yamsim[extra]` -> package that it installs, and its purpose
+# Optional extra, as in `yamsim[extra]` -> package that it installs, and its purpose.
 EXTRAS = {
     "view": ("viser", "the browser page of view and replay"),
     "video": ("av", "MP4"),

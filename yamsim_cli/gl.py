@@ -16,7 +16,7 @@ from .core.errors import ResourceError
 
 LINUX_BACKENDS = ("egl", "osmesa")  # EGL finds a GPU or Mesa's software renderer; newer Mesa has no OSMesa
 _PROBE_SECONDS = 60.0  # s, time limit of a backend's test
-# renderer names of OpenGL implementations without a GPU: Mesa's llvmpipe, softpipe, lavapipe and swrast, and others
+# Renderer names of OpenGL implementations without a GPU: Mesa's llvmpipe, softpipe, lavapipe and swrast, and others.
 _SOFTWARE = re.compile("llvmpipe|softpipe|lavapipe|swrast|software|swiftshader", re.IGNORECASE)
 # Tests a backend. It reads a rendered image back, since some backends render nothing.
 _PROBE = """

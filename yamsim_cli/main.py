@@ -93,7 +93,7 @@ def _root(
 
 
 _INTERRUPTED = 130  # exit code after a signal
-# commands that run until a signal, which gives exit code 0
+# Commands that run until a signal, which gives exit code 0.
 _ENDED_BY_SIGNAL = ("view", "serve-policy")
 
 

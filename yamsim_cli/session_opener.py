@@ -30,7 +30,7 @@ def _show_no_progress() -> AbstractContextManager[FetchProgress]:
     return nullcontext(lambda label, done, total: None)
 
 
-# setting (flag or keyword) -> key path in a record config; the task comes before the settings within it
+# Setting (flag or keyword) -> key path in a record config; the task comes before the settings within it.
 _PATHS: dict[str, tuple[str, ...]] = {
     "rig": ("rig",),
     "revision": ("rig", "revision"),
@@ -57,7 +57,7 @@ _PATHS: dict[str, tuple[str, ...]] = {
     "randomize": ("randomization",),
 }
 
-# settings whose key path depends on the task; see `_within`
+# Settings whose key path depends on the task; see `_within`.
 _WITHIN_TASK = ("object", "target", "threshold")
 
 

@@ -13,7 +13,7 @@ from .session_opener import SessionOpener
 if TYPE_CHECKING:
     from .core.config.recording import RecordConfig
 
-# name in `SessionOpener` -> name in `StationSettings`, where they differ
+# Name in `SessionOpener` -> name in `StationSettings`, where they differ.
 _FIELDS = {"camera": "cameras"}
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from tests.cli.run_cli import yamsim
 
-# command line without its output -> option that names the output, and its file
+# Command line without its output -> option that names the output, and its file.
 WRITERS = {
     "excite": (("excite", "--rig", "single"), "--out", "motion.csv"),
     "excite --log": (("excite", "--rig", "single", "--out", "other.csv"), "--log", "log.csv"),

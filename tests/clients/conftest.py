@@ -11,7 +11,7 @@ import pytest
 from tests.clients.environments import Interpreter, UnavailableError, checkout, commit
 from tests.clients.rows import ROWS
 
-# row -> tested version
+# Row -> tested version.
 _VERSIONS = pytest.StashKey[dict[str, str]]()
 
 

@@ -35,7 +35,7 @@ _LEROBOT = (
     "`export lerobot`: all frames read; episodes deleted, split and merged; features removed; training starts on both"
 )
 
-# key of the fixture `client` -> row
+# Key of the fixture `client` -> row.
 ROWS: dict[str, ClientRow] = {
     "mujoco-3.3": ClientRow("MuJoCo 3.3", "mujoco", _SCENES, Environment("mujoco-3.3")),
     "mujoco-3.11": ClientRow("MuJoCo 3.11", "mujoco", _SCENES, Environment("mujoco-3.11"), heavy=True),

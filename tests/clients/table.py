@@ -21,7 +21,7 @@ _HEAD = "| client | version | tested use | passed |\n|---|---|---|---|\n"
 _TABLE = re.compile(re.escape(_HEAD) + r"(?:\|.*\n)*")
 _ROW = re.compile(r"^\| (.*?) \| (.*?) \| (.*?) \| (.*?) \|$", re.MULTILINE)
 
-# version of a row, and day of its last success
+# Version of a row, and day of its last success.
 Passed = Mapping[str, tuple[str, str]]
 
 
@@ -33,7 +33,7 @@ def shown(text: str) -> dict[str, tuple[str, str]]:
 
 
 def rendered(passed: Passed) -> str:
-    """Return the table of all rows in order. `passed` is client -> version and date; missing clients have never passed."""
+    """Return the table of all rows in order. `passed` is client -> version and date, if it has passed."""
     lines = []
     for row in ROWS.values():
         version, date = passed.get(row.client, ("-", "never"))

@@ -31,7 +31,7 @@ KINDS: Mapping[str, dict[tuple[str, ...], Any]] = {
     "two": {("rig",): "russet", ("task",): "handover", ("wrist",): True},
 }
 EPISODES = 3
-# flag that names the output of a merge
+# Flag that names the output of a merge.
 MERGED = {"lerobot": "--new_repo_id", "lerobot-0.4": "--repo_id"}
 # s; the machine may be busy
 PATIENCE = 1800

@@ -28,7 +28,7 @@ OLDER = (
     pytest.param("mujoco-3.17", marks=pytest.mark.client),
 )
 
-# name -> rig, task and grasp, boards
+# Name -> rig, task and grasp, boards.
 SCENES: dict[str, tuple[str, str | None, str, bool]] = {
     **{rig: (rig, None, "weld", True) for rig in ("single", "single_linear", "bimanual", "russet")},
     **{f"{rig}-bare": (rig, None, "weld", False) for rig in ("single", "single_linear", "russet")},
@@ -36,7 +36,7 @@ SCENES: dict[str, tuple[str, str | None, str, bool]] = {
     "friction": ("single_linear", "pickplace", "contact", True),
     "handover": ("bimanual", "handover", "weld", True),
 }
-# the replayed ones: a weld, pads that press, and two arms
+# The replayed ones: a weld, pads that press, and two arms.
 EPISODES = ("pickplace", "friction", "handover")
 SEED = 8
 

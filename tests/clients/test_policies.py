@@ -29,7 +29,7 @@ pytest.importorskip("msgpack", reason="yamsim[remote] is not installed")
 
 HERE = Path(__file__).parent
 TRIALS = 2
-# mapping with further values for the served expert, whose plan has one action per control tick
+# Mapping with further values for the served expert, whose plan has one action per control tick.
 TELLS_ALL = "time: time\nseed: seed\n"
 MAPPINGS = {"act": ("molmoact2_yam", "hz: 30"), "ws": ("openpi_aloha", "hz: 50")}
 

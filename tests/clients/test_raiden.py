@@ -23,7 +23,7 @@ from yamsim_cli.export.raiden_schema import RaidenOptions
 
 pytestmark = [pytest.mark.client_heavy, pytest.mark.render]
 
-# frames at an episode's end that `rd shardify` omits, because they lack future frames
+# Frames at an episode's end that `rd shardify` omits, because they lack future frames.
 LEFT_OUT = 12
 
 Read = Callable[..., dict[str, Any]]

@@ -13,7 +13,7 @@ from tests.clients.environments import Interpreter, yamsim_beside
 
 pytestmark = pytest.mark.render
 
-# enough to learn one demonstration
+# Enough to learn one demonstration.
 STEPS = 600
 # s; the machine may be busy
 PATIENCE = 1800

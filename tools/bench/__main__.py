@@ -22,7 +22,7 @@ from tools.bench.setting import use_gl
 if TYPE_CHECKING:
     from tools.bench.pipeline import PipelineFigures
 
-# width of the widest table, characters
+# Width of the widest table, characters.
 _WIDTH = 122
 
 

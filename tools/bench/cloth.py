@@ -32,7 +32,7 @@ from yamsim_cli.core.scene.cloth import add_cloth, flat_points, grid_edges, grid
 from yamsim_cli.core.sim.cloth import ClothConstraints
 from yamsim_cli.session_opener import SessionOpener
 
-# steps of a drop or pull, their length (s), and the step that releases the pulled point
+# Steps of a drop or pull, their length (s), and the step that releases the pulled point.
 _STEPS, _STEP, _LET_GO = 300, 0.004, 225
 # m/s; faster points are no motion of cloth
 _TOO_FAST = 20.0

@@ -28,7 +28,7 @@ from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.real.identify.excitation import Excitation, excite
 from yamsim_cli.real.identify.identification import IdentificationResult, identify
 
-# name -> largest error, as a share of the true value, or in its own unit
+# Name -> largest error, as a share of the true value, or in its own unit.
 _GOALS = {
     "delay_s": (0.002, False),
     "friction_nm": (0.05, True),

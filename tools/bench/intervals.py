@@ -34,7 +34,7 @@ from yamsim_cli.photos.overlay.photos import Photo
 
 TILTS = ((0, 10), (10, 20), (20, 30), (30, 45), (45, 60), (60, 70))
 PINHOLE = LensSpread()
-# relative error of a calibrated camera's focal length
+# Relative error of a calibrated camera's focal length.
 FOCAL_SIGMA = 0.003
 
 
@@ -157,7 +157,7 @@ def _squared(off: Array, covariance: Array) -> float:
     return float(off @ np.linalg.solve(covariance, off))
 
 
-# 95 % quantiles: squared distance of three degrees of freedom, and distance of one, in standard deviations
+# 95 % quantiles: squared distance of three degrees of freedom, and distance of one, in standard deviations.
 CHI_3, SIGMAS = 7.815, 1.96
 
 

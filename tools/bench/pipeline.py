@@ -35,9 +35,9 @@ T = TypeVar("T")
 
 QUALITIES = ("fast", "balanced")
 WORKERS = (1, 2, 4)
-# every eighth frame is compared
+# Every eighth frame is compared.
 _COMPARED = 8
-# on the disk of datasets
+# On the disk of datasets.
 _PLACE = "."
 
 

@@ -27,7 +27,7 @@ from yamsim_cli.photos.fiducials.board_localization import locate_boards
 
 CAMERA = CameraModel.pinhole(640, 480, 600.0)
 BOARD = Board("one", 217, 3, 3, "DICT_6X6_250", 0.02923077, 0.002923077)
-# quantiles of squared distances of three degrees of freedom
+# Quantiles of squared distances of three degrees of freedom.
 CHI_68, CHI_95, CHI_997 = 3.506, 7.815, 13.931
 
 

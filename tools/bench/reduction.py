@@ -12,7 +12,7 @@ import sys
 
 from yamsim_cli.gl import find_backend
 
-# targets, a little stricter than the tests' limits (0.5 mm and 0.995)
+# Targets, a little stricter than the tests' limits (0.5 mm and 0.995).
 FARTHEST_MM = 0.475
 LEAST_OVERLAP = 0.9952
 SLIVERS_MM = (0.0, 0.05, 0.08, 0.1)

@@ -28,7 +28,7 @@ from tools.bench.training_plot import plot_training
 # `lerobot-train` logs `step:1K smpl:16K ... loss:0.123 ...`, which rounds the step.
 _LOGGED = re.compile(r"ot_train\.py:\d+ step:\S+ smpl:.* loss:([0-9.]+) ")
 _LOG_EVERY = 100
-# module of `lerobot-train`
+# Module of `lerobot-train`.
 _UNMODIFIED = ["-m", "lerobot.scripts.lerobot_train"]
 _REMEMBERING = Path(__file__).with_name("remembering_train.py")
 _RUNS = "weld:200:6000,weld:25:3000,weld:50:3000,weld:100:3000,weld:200:3000,contact:100:3000,randomized:100:3000"

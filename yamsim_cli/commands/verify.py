@@ -14,7 +14,7 @@ from yamsim_cli.terminal.tables import FactTable
 if TYPE_CHECKING:
     from rich.text import Text
 
-# check -> label in the report
+# Check -> label in the report.
 _METHODS = {"seed": "made again from its seed", "actions": "from its actions", "images": "rendered again"}
 
 # Largest difference that rounding alone explains: m, rad, or relative for numbers above 1. Another processor rounds the

@@ -5,7 +5,7 @@ from typing import Any
 
 from ..core.markup import Markup, html_page, html_table, html_tag, percent, section
 
-# which policies of a pair succeeded on a trial, in table order
+# Which policies of a pair succeeded on a trial, in table order.
 _OUTCOMES = ("both", "only_first", "only_second", "neither")
 
 

@@ -44,7 +44,7 @@ from ..core.workers.executors import run_all
 from ..core.workers.process_pool import ProcessPool
 from .compare import Difference, EpisodeComparison, compare_frames, compare_values
 
-# checks, in the order in which their differences are reported
+# Checks, in the order in which their differences are reported.
 SEED, ACTIONS, IMAGES = "seed", "actions", "images"
 CHECKS = (SEED, ACTIONS, IMAGES)
 
@@ -327,7 +327,7 @@ def _report(verdicts: Sequence[EpisodeVerdict], tolerances: Tolerances) -> dict[
     return {
         "episodes": len(verdicts),
         "agree": sum(verdict.agrees for verdict in verdicts),
-        # without images, whose differences have another unit
+        # Without images, whose differences have another unit.
         "max_error": max(remade, default=0.0),
         "first_divergence": divergences[0] if divergences else None,
         "divergences": divergences,

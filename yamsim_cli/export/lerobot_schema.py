@@ -26,7 +26,7 @@ KEY_FRAME_INTERVAL = 2  # frames, as lerobot encodes: training reads single fram
 INFO = "meta/info.json"
 STATS = "meta/stats.json"
 TASKS = "meta/tasks.parquet"
-# extra file outside the format: source episode and seed of each exported episode
+# Extra file outside the format: source episode and seed of each exported episode.
 PROVENANCE = "meta/yamsim.json"
 
 _FILE = "chunk-{chunk_index:03d}/file-{file_index:03d}"
@@ -35,7 +35,7 @@ EPISODES = f"meta/episodes/{_FILE}.parquet"
 VIDEO = "videos/{video_key}/" + _FILE + ".mp4"
 
 STATE = "observation.state"
-# object poses; lerobot gives this key to policies that use no images
+# Object poses; lerobot gives this key to policies that use no images.
 ENVIRONMENT_STATE = "observation.environment_state"
 ACTION = "action"
 # Keys of real recordings: measured joint velocities, rad/s, and recorded frame times, s. Other programs ignore both,
@@ -80,7 +80,7 @@ class LeRobotFeature:
         return {"dtype": self.dtype, "shape": list(self.shape), "names": list(self.names) if self.names else None}
 
 
-# features that every dataset of the format has
+# Features that every dataset of the format has.
 INDEX_FEATURES: Mapping[str, LeRobotFeature] = {
     "timestamp": LeRobotFeature("float32", (1,)),
     "frame_index": LeRobotFeature("int64", (1,)),

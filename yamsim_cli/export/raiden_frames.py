@@ -28,7 +28,7 @@ from .export_source import Frames, SimulatedSource
 from .raiden_schema import HandFrameName, RaidenOptions
 
 _SIDES = ("left", "right")  # in the order of raiden's arrays
-# in the order of `_SIDES`; a single arm is the left one
+# In the order of `_SIDES`; a single arm is the left one.
 _WRIST_CAMERAS = ("left_wrist_camera", "right_wrist_camera")
 
 _KINEMATICS_FILES = {"i2rt": "raiden_kinematics.xml"}  # hand frame -> MJCF file with its kinematics

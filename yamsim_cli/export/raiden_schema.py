@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
-# "draw" renders at the time of each frame; "nearest" takes the recorded image nearest in time
+# "draw" renders at the time of each frame; "nearest" takes the recorded image nearest in time.
 PictureSource = Literal["draw", "nearest"]
 ImageFormat = Literal["png", "jpg"]  # raiden's code reads only PNG
 HandFrameName = Literal["yamsim", "i2rt"]  # kinematics for hand poses, see `raiden_frames.hand_frame`

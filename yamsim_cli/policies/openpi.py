@@ -54,7 +54,7 @@ class WebSocket:
             self._connection = connect(
                 url,
                 compression=None,
-                # even if the environment names a proxy
+                # Even if the environment names a proxy.
                 proxy=None,
                 # openpi answers no ping while it computes an action.
                 ping_interval=None,
@@ -136,7 +136,7 @@ class OpenpiClient:
             return self._socket
         with request_context(self._url, self.close):
             made = self._socket = WebSocket(self._address, self._timeout)
-        # the metadata, which the server sends first
+        # The metadata, which the server sends first.
         self._receive(made)
         return made
 

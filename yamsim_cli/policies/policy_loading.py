@@ -15,7 +15,7 @@ from .policy_faults import describe_fault
 from .policy_protocol import IMAGES, SCENE, STATE, WRIST, Policy
 
 _OWN = "module:Class or file.py:Class"
-# policies of other programs: MolmoAct2's and GR00T's servers, openpi's, and LeRobot's checkpoints
+# Policies of other programs: MolmoAct2's and GR00T's servers, openpi's, and LeRobot's checkpoints.
 EXTERNAL_FORMS = ("act://HOST:PORT", "ws://HOST:PORT", "lerobot:CHECKPOINT")
 FORMS = f"give scripted, hold_still, replay:DATASET, {', '.join(EXTERNAL_FORMS)}, http://HOST:PORT, {_OWN}"
 

@@ -13,11 +13,11 @@ from ..core.attempt_data import WeldStates
 from ..core.files.documents.units import QuantityBounds
 from ..core.geometry.se3 import Array
 
-# images that a policy can request; "wrist" stands for all wrist cameras
+# Images that a policy can request; "wrist" stands for all wrist cameras.
 SCENE, WRIST = "scene", "wrist"
 IMAGES = (SCENE, WRIST, "left_wrist", "right_wrist")
 
-# further values that a policy can request: poses of objects, which only a simulation knows, and joint velocities
+# Further values that a policy can request: poses of objects, which only a simulation knows, and joint velocities.
 OBJECTS, VELOCITIES = "objects", "velocities"
 STATE = (OBJECTS, VELOCITIES)
 

@@ -50,7 +50,7 @@ class _Actor(Generic[J]):
         self._ray = ray
         self._handle = handle
         self.name = name
-        # Ray reference to the pending answer; None while the actor is idle
+        # Ray reference to the pending answer; None while the actor is idle.
         self.answer: Any = opened
 
     def send(self, job: J) -> None:

@@ -31,7 +31,7 @@ _ATTEMPTS_PER_EPISODE = 20  # a task that needs more per episode succeeds too ra
 
 HAND_HEIGHT = 0.05  # m above the table, assumed height of grasps
 
-# failure cause -> parts of a task to inspect
+# Failure cause -> parts of a task to inspect.
 _TASK_PARTS: Mapping[str, str] = {
     FailureCause.NO_LAYOUT: "`starts` (their regions and `apart`), and how large the things are",
     FailureCause.UNREACHABLE: "`starts`, the steps of `expert`, and where the rig's arms stand",

@@ -36,7 +36,7 @@ _MIN_MOTION = 0.05  # m from the start, above which an object counts as moved
 _STILL_SECONDS = 2.0  # s, besides the hold time
 _MAX_ATTEMPTS = 3  # of each check in which the goal must not be reached
 
-# keys of a batch report that are also in a validation report
+# Keys of a batch report that are also in a validation report.
 _BATCH_KEYS = (
     "task", "rig", "seed", "n", "n_success", "success_rate", "wilson95", "causes", "recovered", "seconds",
     "core_seconds_per_trial",

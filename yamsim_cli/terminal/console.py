@@ -159,7 +159,7 @@ class _ProgressLog:
     def __init__(self, label: str, unit: str, seconds: float) -> None:
         self._label, self._unit, self._seconds = label, unit, seconds
         self._written = time.monotonic()
-        # time (s) and finished items at the first call; the rate excludes these items: a resumed job has many
+        # Time (s) and finished items at the first call; the rate excludes these items: a resumed job has many.
         self._first: tuple[float, int] | None = None
 
     def __call__(self, done: int, total: int, remark: str = "") -> None:

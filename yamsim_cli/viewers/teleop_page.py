@@ -21,7 +21,7 @@ _STEP = 0.01  # m, by one key press
 _TURN = np.radians(5.0)  # rad, about the vertical, by one key press
 _TYPING_PAUSE = 1.0  # s after the last key press; typing 0.15 must not move the target to 0
 
-# key, description, translation of the target in `world` (m), and rotation about the vertical (rad)
+# Key, description, translation of the target in `world` (m), and rotation about the vertical (rad).
 _MOVES = (
     ("I", "Target away from the base", (_STEP, 0, 0), 0.0),
     ("K", "Target towards the base", (-_STEP, 0, 0), 0.0),
@@ -201,7 +201,7 @@ class TargetFields:
         self._place = gui.add_vector3("target (m)", (0.0, 0.0, 0.0), step=0.001)
         self._heading = gui.add_number("heading (deg)", 0.0, min=-180.0, max=180.0, step=0.1)
         self._shown: tuple[tuple[float, ...], float] = ((0.0, 0.0, 0.0), 0.0)
-        # time of the last key press by `time.monotonic`, s; None without typed numbers
+        # Time of the last key press by `time.monotonic`, s; None without typed numbers.
         self._typed_at: float | None = None
         # Coroutines run in the server's loop, so that typing is registered before any later action.
         self._place.on_update(self._type)

@@ -13,7 +13,7 @@ import numpy as np
 from chiral import PolicyClient
 
 SIDES = ("left", "right")
-# actions a second, as raiden's robot takes
+# Actions a second, as raiden's robot takes.
 HZ = 9.0
 
 

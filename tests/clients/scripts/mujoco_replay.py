@@ -9,7 +9,7 @@ import sys
 import mujoco
 import numpy as np
 
-# all model arrays on which its motion depends
+# All model arrays on which its motion depends.
 FIELDS = """
 body_parentid body_pos body_quat body_ipos body_iquat body_mass body_inertia body_gravcomp body_mocapid
 jnt_type jnt_pos jnt_axis jnt_range jnt_limited jnt_stiffness jnt_margin jnt_solref jnt_solimp jnt_actfrclimited

@@ -122,7 +122,7 @@ def replayed(episode: Path) -> dict[str, Any]:
     return {
         "commands": len(told[0]),
         "peak": [(np.abs(np.diff(rows[:, :6], axis=0)).max(axis=0) * rate).tolist() for rows in told],
-        # distance of the result of inverse kinematics from the recorded joints
+        # Distance of the result of inverse kinematics from the recorded joints.
         "off": [rows.max(axis=1).tolist() for rows in off],
     }
 

@@ -120,9 +120,9 @@ def test_the_focal_lengths_uncertainty_is_kept_from_any_file(locations: Location
         ("610.5, 0.0,", "610.5, 3.0,", None, "[[fx, 0, cx], [0, fy, cy], [0, 0, 1]]"),
         ("[0.0, 0.0, 1.0]", "[0.0, 0.0, 2.0]", None, "[[fx, 0, cx], [0, fy, cy], [0, 0, 1]]"),
         (", [0.0, 0.0, 1.0]", "", 3, "K must have 3 x 3 numbers"),
-        # in millimetres
+        # In millimetres.
         ("610.5", "3.6", None, "does not fit images of 640 x 480: its focal length is 3.6 px"),
-        # of images twice or half as large, or of an offset crop
+        # Of images twice or half as large, or of an offset crop.
         ("width: 640\nheight: 480", "width: 1280\nheight: 960", None, "middle of images of about 644 x 474"),
         ("width: 640\nheight: 480", "width: 320\nheight: 240", None, "principal point is (322.25, 236.75)"),
         ("width: 640\nheight: 480", "width: 400\nheight: 300", None, "middle of images of about 644 x 474"),
@@ -238,7 +238,7 @@ def test_plain_json_however_it_is_laid_out(locations: Locations) -> None:
     assert refusal("c.json", locations) == "c.json: the top level must be a mapping of keys to values"
 
 
-# fields of sensor_msgs/msg/CameraInfo, in order
+# Fields of sensor_msgs/msg/CameraInfo, in order.
 MESSAGE = OrderedDict(
     header=OrderedDict(stamp=OrderedDict(sec=12, nanosec=5), frame_id="head"),
     height=480,

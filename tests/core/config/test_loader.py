@@ -16,7 +16,7 @@ SHIPPED = [(kind, name) for kind in KINDS for name in Locations.find({}).config_
 # Robots are files beside each other, recorded by name.
 BY_NAME = ("robots", "grippers")
 
-# key paths of `--object`, `--target` and `--threshold` in a pickplace recording
+# Key paths of `--object`, `--target` and `--threshold` in a pickplace recording.
 OBJECT, TARGET = (("task", "things", role, "of") for role in ("object", "target"))
 RADIUS = ("task", "goal", "on", "radius")
 

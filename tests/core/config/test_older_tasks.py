@@ -19,7 +19,7 @@ from yamsim_cli.core.files.resources import Locations
 
 TIMING = {"physics_steps_per_tick": 16, "timestep": 0.002, "ticks_per_frame": 2}
 
-# `pickplace` as shipped with version 1 of the engine
+# `pickplace` as shipped with version 1 of the engine.
 PICKPLACE: dict[str, Any] = {
     "kind": "pickplace",
     "object": "011_banana",
@@ -39,7 +39,7 @@ PICKPLACE: dict[str, Any] = {
     "success": {"threshold": 0.05, "max_height": 0.10, "max_speed": 0.05},
 }
 
-# `handover`, likewise
+# `handover`, likewise.
 HANDOVER: dict[str, Any] = PICKPLACE | {
     "kind": "handover",
     "language_task": "hand_over_{object}",

@@ -22,7 +22,7 @@ from yamsim_cli.core.files.resources import Locations
 
 Replace = Callable[[str, str, str], str]
 
-# kind/name, original text, text in another unit, and expected message
+# kind/name, original text, text in another unit, and expected message.
 SLIPS = [
     ("tasks/pickplace", "x: [0.30, 0.55]", "x: [300, 550]", ("starts.object.x[0]: 300", "in mm? Then give 0.3")),
     ("tasks/pickplace", "x: [0.30, 0.55]", "x: [30, 55]", ("starts.object.x[0]: 30", "in cm? Then give 0.3")),
@@ -136,7 +136,7 @@ def _inside(annotation: Any) -> Iterator[Any]:
         yield from _inside(part)
 
 
-# numbers without a unit, or with bounds of another form
+# Numbers without a unit, or with bounds of another form.
 PLAIN = {
     "rgba", "quat", "x_axis", "y_axis", "direction", "diffuse", "specular", "shininess", "reflectance", "ambient",
     "sky", "axis", "approach",
@@ -147,7 +147,7 @@ PLAIN = {
 }  # fmt: skip
 
 
-# bounded by the object whose parts they are
+# Bounded by the object whose parts they are.
 PARTS = (Box, Capsule, Cylinder, HullPart, Ring, SdfPart, Sphere)
 
 

@@ -251,7 +251,7 @@ def test_a_flat_frame_names_what_its_dictionaries_hold():
 
 
 OBJECTS = ("banana", "plate")
-# no two values are equal in float32
+# No two values are equal in float32.
 QPOS = 0.1 + np.arange(22) * 1e-12
 CTRL = 0.2 + np.arange(14).reshape(2, 7) * 1e-12
 

@@ -70,12 +70,12 @@ BOMBS = {
     # An index into the memo: the C unpickler allocates a table of that many entries.
     "memo": frame(pickle.NONE + pickle.LONG_BINPUT + struct.pack("<I", 2**31)),
     "memo in text": frame(pickle.NONE + b"p2147483648\n"),
-    # missing bytes
+    # Missing bytes.
     "bytes": frame(pickle.BINBYTES8 + struct.pack("<Q", 2**40)),
     "bytearray": frame(pickle.BYTEARRAY8 + struct.pack("<Q", 2**33)),
     "text": frame(pickle.BINUNICODE8 + struct.pack("<Q", 2**40)),
     "pickle frame": PROTO + pickle.FRAME + struct.pack("<Q", 2**40) + b"}.",
-    # shapes beyond their bytes
+    # Shapes beyond their bytes.
     "reconstruct": frame(empty(2**33)),
     "ndarray itself": frame(named("numpy", "ndarray") + shape(2**33) + pickle.TUPLE1 + pickle.REDUCE),
     "shape": frame(state(shape(2**20, 2**20), FOUR_BYTES)),
@@ -84,7 +84,7 @@ BOMBS = {
     "endless shape": frame(state(shape(*[1] * 2000), FOUR_BYTES)),
     "wide type": frame(dtype("V2147483647")),
     "array of arrays": frame(dtype("(9999,9999)f4")),
-    # one long value, many times
+    # One long value, many times.
     "shared bytes": frame(
         pickle.BINBYTES
         + struct.pack("<I", 2**19)
@@ -97,7 +97,7 @@ BOMBS = {
         + (pickle.BINGET + b"\x01") * 10_000
         + pickle.APPENDS
     ),
-    # 2^60 values in 200 bytes: as a value, as a dictionary's key, as a shape
+    # 2^60 values in 200 bytes: as a value, as a dictionary's key, as a shape.
     "doubled tuples": frame(DOUBLED),
     "doubled key": PROTO + pickle.EMPTY_DICT + DOUBLED + pickle.NONE + pickle.SETITEM + b".",
     "doubled shape": frame(state(DOUBLED, FOUR_BYTES)),
@@ -109,7 +109,7 @@ BOMBS = {
 }
 
 
-# read as their small content: only the C unpickler is affected
+# Read as their small content: only the C unpickler is affected.
 HARMLESS = {"memo", "memo in text", "pickle frame"}
 
 

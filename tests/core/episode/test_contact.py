@@ -32,7 +32,7 @@ HELD_SLIP = 0.0075  # m, how far a thing that a hand holds may move in it
 FRICTION = {("rig",): "single_linear", ("grasp",): "contact", ("image", "size_px"): SIZE, ("seed",): 5}
 
 
-# attempt and actions
+# Attempt and actions.
 Succeeded = tuple[Attempt, ActionSequence]
 
 

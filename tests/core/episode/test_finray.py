@@ -20,7 +20,7 @@ from yamsim_cli.core.geometry.se3 import pose
 from yamsim_cli.core.scene.compilation import physics_failure
 from yamsim_cli.core.scene.compiled import GeomOwner
 
-# both on the table, away from the hand
+# Both on the table, away from the hand.
 _ASIDE = Layout({"strawberry": pose([0.60, -0.25, 0.0213]), "plate": pose([0.58, 0.20, 0.001])})
 
 
@@ -81,6 +81,6 @@ def test_an_attempt_comes_out_the_same_from_its_actions(simulator: Simulator) ->
     assert done.outcome.success, done.outcome.detail
     again = run_actions(simulator, done.attempt, all_actions(done.states), EXPERT_RULES)
     for one, other in zip(done.states, again.states, strict=True):
-        # including the fingers' bending joints
+        # Including the fingers' bending joints.
         assert len(one.qpos) == 6 + 2 * (1 + 8) + 2 * 7
         np.testing.assert_array_equal(one.qpos, other.qpos)

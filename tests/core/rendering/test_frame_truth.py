@@ -28,7 +28,7 @@ pytestmark = pytest.mark.render
 
 CAMERA, WRIST = "scene_camera", "right_wrist_camera"
 SIZE = (640, 480)
-# turned, so that each link is seen from many sides
+# Turned, so that each link is seen from many sides.
 POSES = ([0, 1.92, 2.22, -1.55, 0, 0], [0.9, 1.2, 1.5, -0.5, 0.4, 1.0], [-1.2, 1.6, 1.2, 0.8, -0.6, -1.5])
 
 

@@ -25,7 +25,7 @@ from yamsim_cli.core.geometry.se3 import Array, pose, pose_from_quat, quat_from_
 
 Element = ElementTree.Element
 
-# yamsim's model -> the manufacturer's arm and its version
+# yamsim's model -> the manufacturer's arm and its version.
 ARMS: Mapping[str, tuple[str, int]] = {
     "yam_v1": ("yam", 1),
     "yam_pro_v1": ("yam_pro", 1),
@@ -59,10 +59,10 @@ GRIPPERS: Mapping[str, Fingers | None] = {
     "no_gripper": None,
 }
 
-# half a turn about z from the manufacturer's flange to yamsim's
+# Half a turn about z from the manufacturer's flange to yamsim's.
 T_FLANGE = pose_from_quat((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
 
-# poses in the file; the test with the wheel takes 200
+# Poses in the file; the test with the wheel takes 200.
 _STORED = 6
 
 

@@ -8,7 +8,7 @@ import re
 import mujoco
 import numpy as np
 
-# all arrays of physics, rendering and recording; sizes follow from these
+# All arrays of physics, rendering and recording; sizes follow from these.
 ARRAYS = (
     *("body_parentid", "body_pos", "body_quat", "body_mass", "body_inertia", "body_ipos", "body_iquat"),
     *("body_gravcomp", "jnt_type", "jnt_bodyid", "jnt_axis", "jnt_range", "dof_armature", "dof_frictionloss"),
@@ -20,7 +20,7 @@ ARRAYS = (
 )
 
 
-# shadow casters of the table, the posts and the banana; the banana's first two looks are its brown ends
+# Shadow casters of the table, the posts and the banana; the banana's first two looks are its brown ends.
 SHADOW_CASTER = re.compile(r".*_core|banana_look_[2-9]")
 
 

@@ -99,7 +99,7 @@ def strawberry(body: mujoco.MjsBody) -> None:
     body.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=(0.0215, 0, 0), mass=0.018)
 
 
-# closes each pad of a linear_4310 onto 60 mm with 15 N: half of 2000 N/m over 15 mm
+# Closes each pad of a linear_4310 onto 60 mm with 15 N: half of 2000 N/m over 15 mm.
 CLOSE = 0.030 - 0.015
 
 
@@ -132,7 +132,7 @@ def test_at_15_newtons_it_stands_still() -> None:
     """On an object of 50 mm, with a command for at least 15 N per finger."""
     held = grip("finray", strawberry, -0.012, start=0.0375)
     assert held.forces[-1] > 15
-    # in the second half of the time
+    # In the second half of the time.
     assert np.ptp(held.forces[250:]) < 0.2
     assert np.abs(held.data.qvel).max() < 0.01
 

@@ -28,7 +28,7 @@ STATIONS = {
     "yam_station_crank_4310_d405": (_GANTRY, _CRANK),
     "yambox_linear_4310_d405_decxin": (((0.027, -0.305, 0.627), (0.265, -0.656, 0.656, -0.265)), _LINEAR),
 }
-# half a turn about z from the manufacturer's flange to yamsim's
+# Half a turn about z from the manufacturer's flange to yamsim's.
 _T_FLANGE = pose_from_quat((0, 0, 0), (0, 0, 0, 1))
 
 

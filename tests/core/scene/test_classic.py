@@ -24,7 +24,7 @@ from yamsim_cli.viewers.show.scene_files import classic_xml, scene_files
 
 Composed = tuple[mujoco.MjSpec, mujoco.MjModel]
 
-# rig, task and grasp of all composed scenes
+# Rig, task and grasp of all composed scenes.
 SCENES = [
     *((rig, None, "weld") for rig in ("single", "single_linear", "bimanual", "russet")),
     *((rig, "pickplace", "weld") for rig in ("single", "single_linear", "bimanual", "russet")),
@@ -32,7 +32,7 @@ SCENES = [
     ("single_linear", "pickplace", "contact"),
 ]
 
-# allowed differences: looks, file names, and the name of an actuator's only control
+# Allowed differences: looks, file names, and the name of an actuator's only control.
 NOT_PHYSICS = {"geom_castshadow", "tex_colorspace", "actuator_ctrlspec", "npaths", "nbuffer", "paths", "signature"}
 
 

@@ -12,7 +12,7 @@ from yamsim_cli.core.dataset.lowdim import BETWEEN_BASES
 from yamsim_cli.core.dataset.records import EpisodeRecord, OutcomeRecord
 from yamsim_cli.core.geometry.se3 import Array, yaw
 
-# frame number -> flat key, such as `intrinsics[camera]` -> value, for values that passed `lowdim.LowdimChecks`
+# Frame number -> flat key, such as `intrinsics[camera]` -> value, for values that passed `lowdim.LowdimChecks`.
 Values = Mapping[int, Mapping[str, Any]]
 
 POSE = "_pose"  # end of the keys of poses

@@ -14,7 +14,7 @@ from yamsim_cli.core.dataset.dataset_paths import EPISODE, depth_name, image_pat
 from yamsim_cli.core.dataset.records import EpisodeRecord
 
 _MAX_DEPTH = 4  # folder levels: a link may form a loop
-# file extension -> largest file that is read, bytes
+# File extension -> largest file that is read, bytes.
 _MAX_BYTES = {".pkl": 2**20, ".jpg": 2**26, ".jpeg": 2**26, ".json": 2**26, ".png": 2**26, ".npz": 2**27}
 _MAX_OTHER_BYTES = 2**28  # bytes, largest read file with another extension
 

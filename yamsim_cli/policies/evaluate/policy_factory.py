@@ -30,7 +30,7 @@ from ..remote_policy import RemotePolicy
 from .observation import available_cameras
 from .policy_choice import PolicyChoice
 
-# scheme of a policy's name -> default config in `configs/policies/`, which describes its messages
+# Scheme of a policy's name -> default config in `configs/policies/`, which describes its messages.
 _CONFIGS = {act.SCHEME: "molmoact2_yam", openpi.SCHEME: "openpi_aloha", lerobot.SCHEME: "lerobot_export"}
 
 

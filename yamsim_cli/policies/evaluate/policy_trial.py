@@ -47,7 +47,7 @@ class TrialEnd(StrEnum):
 
 
 FAULTS = (TrialEnd.RAISED, TrialEnd.INVALID, TrialEnd.SLOW, TrialEnd.LOST)
-# ends that measure the policy's success
+# Ends that measure the policy's success.
 MEASURED = (TrialEnd.SUCCESS, TrialEnd.DONE, TrialEnd.TIME_LIMIT, TrialEnd.UNSTABLE)
 
 _NO_FAULT = PolicyFault("")

@@ -119,7 +119,7 @@ class TeleopScene(TeleopInterface):
         self.episodes = self.failures = self.waiting = 0
         self.discarded = 0
         self._ticks = 0
-        # remaining ticks until a stopped recording is submitted
+        # Remaining ticks until a stopped recording is submitted.
         self._settling: int = 0
         self._begin()
 

@@ -21,7 +21,7 @@ CAST = RoleAssignment(
 ON_PLATE = StillWorld({"cup": (0.3, 0.01, 0.06), "plate": (0.3, 0.0, 0.02)}, touches=[("cup", "plate")])
 IN_AIR = StillWorld({"cup": (0.3, 0.0, 0.20), "plate": (0.3, 0.0, 0.02)}, held={"cup": frozenset({"left"})})
 
-# predicate in a goal, a world in which it holds, its margin there, and a near miss
+# Predicate in a goal, a world in which it holds, its margin there, and a near miss.
 CASES = {
     "on": (
         {"thing": "cup", "surface": "plate"},

@@ -49,7 +49,7 @@ HUNG_HERE = {
 CABINET = {"cube": None, "cabinet": {"of": "drawer_cabinet"}}
 CABINET_HERE = {"cube": None, "cabinet": {"x": [0.52, 0.53], "y": [-0.01, 0.01], "yaw_deg": [-3, 3]}}
 
-# skill -> task that needs it
+# Skill -> task that needs it.
 TASKS: dict[str, dict[str, Any]] = {
     "pick": _task(
         [PICK], {"all": [{"held_by": {"thing": "cube"}}, {"above": {"thing": "cube", "other": "table", "by": 0.03}}]}
@@ -142,7 +142,7 @@ TASKS: dict[str, dict[str, Any]] = {
     },
 }
 
-# slower than two seconds
+# Slower than two seconds.
 SLOW = ("set_upright", "turn", "fold", "flatten")
 
 

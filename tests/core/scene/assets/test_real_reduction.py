@@ -21,7 +21,7 @@ FILES = [(name, file) for name, assets in LOCK.sets.items() if assets.archive is
 # The largest file of each set: distances to all of them would take minutes.
 LARGEST = {name: max(LOCK.sets[name].files.items(), key=lambda file: file[1].size)[0] for name, _ in FILES}
 
-# most faces of a whole set: the crank arm has 104,574, the big arm 199,418, banana and plate 16,384 each
+# Most faces of a whole set: the crank arm has 104,574, the big arm 199,418, banana and plate 16,384 each.
 MOST = {
     "i2rt_yam_crank": 15_000,
     "i2rt_yam_linear_4310": 5_600,
@@ -38,7 +38,7 @@ MOST = {
 }
 
 
-# with fewer faces, thin parts of these deviate by more than half a millimetre
+# With fewer faces, thin parts of these deviate by more than half a millimetre.
 LARGE_SHARES = {
     ("i2rt_gripper_crank_4310", "tip_left.stl"): 0.66,
     ("i2rt_gripper_crank_4310", "tip_right.stl"): 0.56,
