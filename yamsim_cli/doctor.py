@@ -68,12 +68,7 @@ class Health(StrEnum):
 
 @dataclass(frozen=True)
 class HealthCheck:
-    """One check of the machine.
-
-    Attributes:
-        fix: recommended action; empty if none is needed.
-        figures: measured values by name, in SI units and bytes.
-    """
+    """One check of the machine: a result in words, the recommended action, and figures in SI units and bytes."""
 
     name: str
     health: Health
@@ -88,11 +83,7 @@ def run_health_checks(
     out: Path,
     on_check: Callable[[HealthCheck], None] = lambda check: None,
 ) -> list[HealthCheck]:
-    """Run all checks. The machine is left unchanged, and every wait has a time limit.
-
-    Args:
-        out: directory of future datasets, which need not exist.
-    """
+    """Run all checks. The machine is left unchanged, and every wait has a time limit. `out` need not exist."""
     checks: list[HealthCheck] = []
     for part in (_packages(), _gl(environ), _meshes(locations), _disk(out), _workers()):
         for check in part:

@@ -228,13 +228,10 @@ class SessionOpener:
         return load_config(RigConfig, "rigs", name, locations, overrides)
 
     def use_gl(self, locations: Locations, *, workers: bool = False) -> Locations:
-        """Find an OpenGL backend for this process and its workers, and set `MUJOCO_GL`.
+        """Find an OpenGL backend, set `MUJOCO_GL`, and return `locations` with the quality that `auto` stands for
+        there.
 
-        Args:
-            workers: whether several processes render; Mesa's software renderer then uses one core in each.
-
-        Returns:
-            `locations`, with the render quality that the setting `auto` stands for on this backend.
+        With several `workers`, Mesa's software renderer uses one core in each.
         """
         from .gl import bind_backend, find_backend
 
@@ -275,8 +272,7 @@ class SessionOpener:
     ) -> Locations:
         """Return `locations` with the folder of each asset set. Fetch missing sets; failures are only a note.
 
-        Args:
-            quality: render quality, which decides whether meshes are reduced. Missing reduced meshes are made.
+        The render quality decides whether meshes are reduced, now if necessary.
         """
         from .core.files.resources import IMPORTED
         from .core.scene.assets import AssetStore, is_user_set, load_lock, resolve_user_set

@@ -27,7 +27,7 @@ class Bus(can.BusABC):
     """Connection to a CAN bus that yamsim simulates."""
 
     def __new__(cls, channel, **kwargs):
-        """Connect to the channel if yamsim serves it, else return python-can's `SocketcanBus`."""
+        """Return a connection if yamsim serves the channel, else python-can's `SocketcanBus`."""
         if not _place(channel).is_socket():
             return SocketcanBus(channel, **kwargs)
         return super().__new__(cls)

@@ -136,7 +136,6 @@ def _things(lock: AssetLock) -> list[dict[str, Any]]:
 def _fetch_with_progress(
     lock: AssetLock, store: AssetStore, names: list[str]
 ) -> tuple[FetchReport, dict[str, ReducedSet]]:
-    """Download and reduce mesh sets. The mapping has only the sets that were reduced."""
     from yamsim_cli.core.scene.assets import make_reduced
     from yamsim_cli.mesh_download.fetch import default_sources, fetch
     from yamsim_cli.terminal.fetch_bar import fetch_bar
@@ -331,7 +330,7 @@ def _import_ycb(name: str, mass: float | None, out: Path | None) -> tuple[dict[s
 def _import_file(
     file: Path, units: UnitOptions, options: ImportOptions, out: Path | None
 ) -> tuple[dict[str, Any], list[str]]:
-    """Return the JSON report and the lines to print. Notes about guesses go to stderr."""
+    """Notes about guesses go to stderr."""
     from yamsim_cli.objects.importing.file_import import import_file
 
     with progress_bar(f"importing {file.name}", "%") as advance:

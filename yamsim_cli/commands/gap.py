@@ -117,7 +117,7 @@ def gap(
 def _read(
     recordings: Sequence[Path], rig: RigConfig, locations: Locations, mapping: str | None
 ) -> tuple[list[RecordedMotion], list[dict[str, Any]]]:
-    """Return the recorded motions, and their faults as JSON data, which also go to stderr."""
+    """Return motions, and faults as JSON data, which also go to stderr."""
     from yamsim_cli.real.recordings.motion_faults import find_faults, require_units
     from yamsim_cli.real.recordings.motion_reading import read_motions
 

@@ -183,7 +183,7 @@ def _file(out: Path, side: str, arms: int) -> Path:
 
 
 def _plain(found: Sequence[IdentificationResult], rig: str, files: Sequence[Path]) -> dict[str, Any]:
-    """Return the JSON report. Two arms are listed by side, and their joints also in one list."""
+    """Two arms are listed by side, and their joints also in one list."""
     arms = [{**_plain_arm(one), "out": str(file)} for one, file in zip(found, files, strict=True)]
     data: dict[str, Any] = {"rig": rig, "out": [str(file) for file in files]}
     if len(arms) == 1:

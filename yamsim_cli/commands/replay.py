@@ -162,9 +162,7 @@ def _session(stored: StoredEpisode, locations: Locations) -> Session:
 
 
 def _physics(stored: StoredEpisode, locations: Locations) -> dict[str, Any]:
-    """Return error and first difference after the recorded actions; None if they cannot be simulated, or nothing
-    differs.
-    """
+    """Return largest error and first difference, or None for both if the actions cannot be simulated."""
     from yamsim_cli.datasets.verify import reproduce_episode
 
     try:

@@ -49,8 +49,7 @@ def combine_checks(
 def summarize(results: CheckResults, thresholds: Sequence[float]) -> dict[str, Any]:
     """Return counts, success rates and distributions of a dataset as JSON data; see docs/checking.md.
 
-    Args:
-        thresholds: success distances from the target, m; ignored for real recordings and for tasks with a goal.
+    `thresholds` are success distances from the target, m; real recordings and tasks with a goal ignore them.
     """
     episodes, problems = results.episodes, list(results.problems)
     outcomes = [episode.outcome for episode in episodes if episode.outcome]

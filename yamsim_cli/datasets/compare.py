@@ -52,11 +52,7 @@ class EpisodeComparison:
 def compare_frames(
     stored: Sequence[Mapping[str, Any]], made: Sequence[Mapping[str, Any]], tolerance: float
 ) -> EpisodeComparison:
-    """Compare the low-dimensional data of two episodes, value by value.
-
-    Args:
-        tolerance: largest accepted difference of numbers, see `EpisodeComparison.largest`. Other values must be equal.
-    """
+    """Compare the data of two episodes, except images. `tolerance` is as in `EpisodeComparison.largest`."""
     result = EpisodeComparison()
     for k, (old, new) in enumerate(zip(stored, made, strict=False)):
         time = old.get("timestamp")

@@ -115,7 +115,6 @@ def _strip(dataset: Path, episode: EpisodeFacts) -> FrameStrip:
 
 
 def _picture(path: Path) -> bytes | None:
-    """Return a JPEG thumbnail; None if the file is no image any more."""
     try:
         return thumbnail(path.read_bytes(), _THUMBNAIL_PX) if stat.S_ISREG(path.stat().st_mode) else None
     except OSError:

@@ -57,7 +57,7 @@ class Tolerances:
 
     Attributes:
         values: of a number: absolute in rad and m, relative for values above 1.
-        images: mean pixel difference, 0 to 255. At 0, image files must be equal byte for byte. None skips images.
+        images: mean pixel difference, 0 to 255. At 0, files must be equal byte for byte. None skips images.
     """
 
     values: float
@@ -194,11 +194,7 @@ def reproduce_frames(
 ) -> EpisodeComparison | None:
     """Replay an episode's actions in physics from its recorded start, and compare with the stored frames.
 
-    Args:
-        tolerance: largest accepted difference of numbers: absolute up to a stored value of 1, relative above.
-
-    Returns:
-        The comparison; None if the episode has no actions that physics can replay.
+    Return None without actions that physics can replay. `tolerance` is as in `Tolerances.values`.
     """
     model = simulator.scene.model
     recorded = recorded_actions(frames, model.nq, model.nu)
@@ -283,7 +279,7 @@ def _first_other_truth(episode: StoredEpisode, images: Mapping[str, bytes]) -> D
 
 
 def _pixels_apart(stored: bytes, made: bytes) -> float | None:
-    """Return the mean pixel difference of two JPEGs, 0 to 255; None if they do not compare."""
+    """Return the mean pixel difference of two JPEGs, 0 to 255; None if one is damaged or the sizes differ."""
     one, other = decode_jpeg(stored), decode_jpeg(made)
     if one is None or other is None or one.shape != other.shape:
         return None
@@ -293,11 +289,7 @@ def _pixels_apart(stored: bytes, made: bytes) -> float | None:
 def verify(
     episodes: Sequence[tuple[int, Path]], session: Session, tolerances: Tolerances, workers: int, progress: Progress
 ) -> dict[str, Any]:
-    """Verify episodes of one dataset, and return a report as JSON data.
-
-    Args:
-        session: session of the dataset's config. Its meshes affect only images.
-    """
+    """Verify episodes of one dataset, and return a report as JSON data. The session's meshes affect only images."""
     began = time.monotonic()
     factory = functools.partial(EpisodeVerifier, session, tolerances)
     verdicts: list[EpisodeVerdict] = []

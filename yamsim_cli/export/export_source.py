@@ -1,7 +1,4 @@
-"""Source dataset of an export, read episode by episode.
-
-A real recording is exported with all recorded frames, or with those nearest to evenly spaced times.
-"""
+"""Source dataset of an export, read episode by episode: simulated, or recorded by real arms."""
 
 from __future__ import annotations
 
@@ -106,11 +103,7 @@ class SimulatedSource(ExportSource):
 
 @dataclass(frozen=True)
 class RealEpisode(RecordedEpisode):
-    """A recording of real arms, with the selection of frames to export.
-
-    Attributes:
-        chosen: for each exported frame, the number of the recorded frame, which may repeat.
-    """
+    """A recording of real arms with the recorded frame of each exported frame, `chosen`; frames may repeat."""
 
     record: RealEpisodeRecord
     chosen: tuple[int, ...]
@@ -127,7 +120,7 @@ class RealEpisode(RecordedEpisode):
 
 @dataclass(frozen=True)
 class RealSource(ExportSource):
-    """Selected recordings of real arms in one dataset, all with the same cameras and arms.
+    """Selected recordings of real arms, all with the same cameras and arms.
 
     Attributes:
         period: time between exported frames, s.
@@ -190,9 +183,7 @@ class RealSource(ExportSource):
     def actions(self, episode: RealEpisode, frames: Frames, source: ActionSource) -> Array:
         """Return the actions (n, arms, drives): joints in rad, grippers as shares of the opening.
 
-        Args:
-            source: "recorded" for commands, or "measured" for joints one frame later. The last frame then uses its own
-                joints.
+        The source "measured" takes the joints one frame later; the last frame repeats its own.
         """
         if source == "measured":
             return self.with_gripper_shares([frame["joints"] for frame in (*frames[1:], frames[-1])])
@@ -266,7 +257,7 @@ def open_real_source(dataset: Path, episodes: str | None, locations: Locations, 
 
 
 def _common_fps(periods: Sequence[float]) -> float:
-    """Return the median frame rate of these periods (s), rounded if close to an integer."""
+    """Return the median of the frame rates, rounded if close to an integer."""
     rate = 1 / float(np.median(periods))
     whole = round(rate)
     return float(whole) if abs(rate - whole) <= _FPS_TOLERANCE * rate else round(rate, 3)

@@ -44,9 +44,7 @@ def export_lerobot(
 ) -> ExportResult:
     """Write a dataset as LeRobotDataset v3.0. The time of frame k is exactly k frame periods.
 
-    Args:
-        pictures: whether to write videos and camera matrices of all cameras.
-        environment_state: whether to write object poses as `observation.environment_state`.
+    `environment_state` adds object poses as `observation.environment_state`.
     """
     return _export(source, out, progress, _SimulatedContent(source, pictures, environment_state), overwrite)
 
@@ -62,9 +60,7 @@ def export_real_lerobot(
 ) -> ExportResult:
     """Write real recordings as LeRobotDataset v3.0, without features that were not recorded.
 
-    Args:
-        pictures: whether to write videos of all cameras and the known camera matrices.
-        actions: "recorded" for commands, "measured" for joints one frame later, "none" for no actions.
+    `actions`: "recorded" for commands, "measured" for joints one frame later, "none" for no actions.
     """
     return _export(source, out, progress, _RealContent(source, pictures, actions), overwrite)
 
@@ -85,9 +81,7 @@ def _export(source: ExportSource, out: Path, progress: Progress, content: _Conte
 class _Content(ABC):
     """Supplies the features of an export, except images and those that every dataset of the format has.
 
-    Attributes:
-        about, notes: entries on the whole dataset for the provenance file, and lines for the user; complete after the
-            last episode.
+    After the last episode, `about` has entries for the provenance file, and `notes` has lines for the user.
     """
 
     def __init__(self, pictures: bool, about: dict[str, Any]) -> None:
@@ -204,7 +198,7 @@ def _state_and_action(frame: Mapping[str, Any]) -> tuple[Any, Any]:
 
 
 def _matrices(intrinsics: Iterable[str], extrinsics: Iterable[str], frames: Frames) -> Values:
-    """Return feature -> camera matrices of all frames, each flattened in row-major order."""
+    """Return feature -> camera matrices of all frames, flattened in row-major order."""
     found = {
         schema.intrinsics_key(camera): np.array([np.ravel(frame["intrinsics"][camera]) for frame in frames])
         for camera in intrinsics

@@ -186,11 +186,10 @@ def _video(size: tuple[int, int], fps: float) -> dict[str, Any]:
 
 
 class TableSeries(Closable):
-    """Writes tables with the same columns to a series of Parquet files. Closing completes the last file.
+    """Writes tables with the same columns to a series of Parquet files of up to `limit_mb`, MB. Closing completes the
+    last.
 
-    Args:
-        pattern: of file paths below `root`, such as `DATA`.
-        limit_mb: size at which a file is closed, MB.
+    `pattern` of the paths below `root`: such as `DATA`.
     """
 
     def __init__(self, root: Path, pattern: str, limit_mb: float) -> None:

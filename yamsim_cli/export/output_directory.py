@@ -12,12 +12,7 @@ from ..core.files.writing import StagedDirectory, staged_directory
 
 @dataclass(frozen=True)
 class ExportResult:
-    """Result of an export.
-
-    Attributes:
-        moved_aside: backup of an earlier output at `path`.
-        notes: lines for the user on where the export differs from the recording.
-    """
+    """Result of an export; `notes` tell the user where it differs from the recording."""
 
     path: Path
     episodes: int
@@ -30,9 +25,7 @@ class ExportResult:
 def export_directory(final: Path, *, overwrite: bool) -> Iterator[StagedDirectory]:
     """Yield a temporary directory to fill. If the block succeeds, it is renamed to `final`.
 
-    Args:
-        overwrite: whether to rename an existing `final` to a backup once the new directory is complete. If False, an
-            existing `final` that is not an empty directory is an error.
+    With `overwrite`, an existing `final` is then renamed to a backup. Otherwise, only an empty directory is replaced.
     """
     require_parent(final)
     if final.exists() and not overwrite and (not final.is_dir() or any(final.iterdir())):

@@ -34,12 +34,7 @@ _MAX_DIFFERENCE = 3.0
 
 @dataclass(frozen=True)
 class ConvertedEpisode:
-    """Frames of an episode whose images are already written.
-
-    Attributes:
-        times: of the frames, s.
-        pictures: entry of metadata.json on the source of the images.
-    """
+    """Frames of an episode whose images are already written, with their times, s."""
 
     times: Sequence[float]
     frames: list[dict[str, Any]]
@@ -50,7 +45,7 @@ class EpisodeConverter(Closable):
     """Converts episodes of one dataset, and may own a renderer.
 
     Args:
-        session: session of the dataset's config, with the size of rendered images. Only rendering needs its meshes.
+        session: of the dataset's config, with the size of rendered images. Only rendering needs its meshes.
         names: camera -> its name in raiden's layout.
     """
 
@@ -131,12 +126,7 @@ class EpisodeConverter(Closable):
 def copy_images(
     episode: RecordedEpisode, folder: Path, names: Mapping[str, str], frames: Sequence[int], options: RaidenOptions
 ) -> None:
-    """Copy recorded images: JPEGs byte for byte, or as PNGs.
-
-    Args:
-        names: camera -> its name in raiden's layout.
-        frames: numbers of the recorded frames, which may repeat.
-    """
+    """Copy recorded images: JPEGs byte for byte, or as PNGs. `names` is camera -> its name in raiden's layout."""
     for camera, name in names.items():
         before, data = -1, b""
         for k, frame in enumerate(frames):

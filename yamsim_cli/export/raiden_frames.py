@@ -102,12 +102,7 @@ class _ArmConverter:
 
 
 class FrameConverter:
-    """Converts frames of one dataset to raiden's layout.
-
-    Args:
-        names: camera -> its name in raiden's layout.
-        single: whether arrays hold one arm instead of two.
-    """
+    """Converts frames of one dataset to raiden's layout. With `single`, arrays hold one arm instead of two."""
 
     def __init__(
         self,
@@ -136,9 +131,7 @@ class FrameConverter:
     def convert(self, frame: Mapping[str, Any], joints: Sequence[Array], command: Sequence[Array]) -> dict[str, Any]:
         """Convert a frame to raiden's layout, without the pose of the right base.
 
-        Args:
-            frame: recorded frame with the texts and the known camera matrices.
-            joints, command: for each arm, six joints in rad and the gripper share (7,).
+        `joints` and `command` have, for each arm, six joints in rad and the gripper share (7,).
         """
         return {
             **{
@@ -178,9 +171,8 @@ def calibration_json(
 ) -> dict[str, Any]:
     """Return the content of `calibration_results.json`.
 
-    Args:
-        frames: converted frames of one episode. A wrist camera's position is the mean over these frames: with
-            kinematics other than the simulated arm's, the hand-eye pose differs slightly between frames.
+    The position of a wrist camera is the mean over the converted `frames`: with kinematics other than the simulated
+    arm's, the hand-eye pose differs slightly between frames.
     """
     T = frames[0].get(schema.BETWEEN_ARMS)
     T_right_base_in_left_base = None if T is None else np.asarray(T, np.float64)

@@ -100,7 +100,6 @@ def resample_episode(simulator: Simulator, episode: StoredEpisode, fps: float) -
 
 
 def _arms(scene: CompiledScene, qpos: Array) -> Array:
-    """Return joints and finger openings (n, arms, drives) from MuJoCo `qpos` (n, nq)."""
     joints: Array = qpos[:, [arm.recorded_qpos for arm in scene.arms]]
     return joints
 

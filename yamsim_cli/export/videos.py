@@ -31,9 +31,7 @@ def export_mp4(
 ) -> ExportResult:
     """Write an H.264 video of each episode into a directory. The time of frame k is exactly k frame periods.
 
-    Args:
-        cameras: shown side by side; empty for all.
-        speed: playback speed; 1 is real time.
+    Cameras are shown side by side, by default all. A `speed` of 1 is real time.
     """
     chosen = _cameras(source, cameras)
     require_encoder()
@@ -61,11 +59,9 @@ def export_sheet(
     width: int = 160,
     overwrite: bool = False,
 ) -> ExportResult:
-    """Write a contact sheet: one JPEG in which a row shows images evenly spread over an episode.
+    """Write a contact sheet: one JPEG in which a row shows images of `width` px, evenly spread over an episode.
 
-    Args:
-        cameras: one row per episode each; empty for the first camera.
-        width: width of each image, px.
+    Each camera has a row per episode; the default is the first camera.
     """
     chosen = _cameras(source, cameras or tuple(source.cameras)[:1])
     if out.suffix.lower() not in (".jpg", ".jpeg"):

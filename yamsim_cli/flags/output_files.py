@@ -38,11 +38,7 @@ def open_mode(*, resume: bool, overwrite: bool) -> OpenMode:
 
 
 def require_unused(flag: str, files: Path | Iterable[Path], *, overwrite: bool) -> None:
-    """Refuse output files that exist or cannot be written.
-
-    Args:
-        files: one file, whose folder has to exist, or several files in folders that the command creates.
-    """
+    """Refuse output files that exist or cannot be written. The folder of a single file has to exist."""
     one = isinstance(files, Path)
     for file in [files] if isinstance(files, Path) else files:
         folder = file.absolute().parent

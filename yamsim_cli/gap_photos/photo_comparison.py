@@ -51,11 +51,7 @@ class RecordedPhoto:
 
 
 def photos_in_parts(gaps: Sequence[MotionGap], camera: str | None) -> tuple[str, list[RecordedPhoto]]:
-    """Return a camera's name, and its photos at times that are compared with simulation.
-
-    Args:
-        camera: None for the first that is no wrist camera.
-    """
+    """Return a camera's name, by default the first that is no wrist camera, and its photos at compared times."""
     folders = {gap.name: Path(gap.name) for gap in gaps if (Path(gap.name) / "rgb").is_dir()}
     cameras = sorted({path.name for folder in folders.values() for path in (folder / "rgb").iterdir() if path.is_dir()})
     if not cameras:
@@ -140,7 +136,7 @@ class PhotoRequest:
 
     Attributes:
         camera: calibration of all photos; None for the recorded intrinsics, or else an estimate from ArUco boards.
-        name: of the camera in the recordings; None for the first that is no wrist camera.
+        name: of the camera; None for the first that is no wrist camera.
     """
 
     max_photos: int

@@ -57,14 +57,10 @@ _THIRDS_POINTS = 12
 def object_config_of(
     item: SceneObject, conditions: Mapping[str, Any], locations: Locations, nests: bool = True
 ) -> ObjectConfig:
-    """Return the config of a blueprint's object.
+    """Return the config of a blueprint's object. Raise LookupError if none exists for the asset.
 
-    Args:
-        conditions: of the scene; `slot_width_cm` sets the width of the rack's slots.
-        nests: whether a cup may be put into another one, so that grasps just under its rim come first.
-
-    Raises:
-        LookupError: no object config exists for the asset.
+    `conditions` of the scene may have `slot_width_cm` of the rack. With `nests`, a cup is grasped just under its rim
+    first.
     """
     if item.asset not in _OBJECT_CONFIGS:
         raise LookupError(
@@ -83,7 +79,7 @@ def object_config_of(
 
 
 def _grasp_under_rim(grasp: dict[str, Any], shape: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the grasp of a cup that goes into another cup by two thirds: first at points just under its rim."""
+    """Prefer grasp points just under the rim, for a cup that goes into another cup by two thirds."""
     height, opening = shape["height_mm"] / 1000 - _RIM_GRASP_DEPTH, shape["diameter_mm"] / 2000
     friction = grasp["friction"]
     top = [{**point, "position": [0.0, 0.0, height], "opening": opening} for point in friction["points"]]
@@ -121,8 +117,7 @@ def is_folded_in_thirds(blueprint: SceneBlueprint, item: SceneObject) -> bool:
 def cloth_config_of(item: SceneObject, blueprint: SceneBlueprint, locations: Locations) -> ObjectConfig:
     """Return the config of a blueprint's cloth. `size_cm` is the width; the length is proportional.
 
-    Raises:
-        LookupError: no cloth config exists for the asset.
+    Raise LookupError if none exists for the asset.
     """
     if item.asset not in SHEETS:
         raise LookupError(
@@ -143,11 +138,7 @@ def cloth_config_of(item: SceneObject, blueprint: SceneBlueprint, locations: Loc
 
 
 def crumpled_start(blueprint: SceneBlueprint, scene: CompiledScene, start: Array, timestep: float) -> Array:
-    """Return MuJoCo's positions (nq,) with cloths crumpled as the scene requires, always the same for a blueprint.
-
-    Args:
-        start: MuJoCo's positions (nq,) with flat cloths.
-    """
+    """Return MuJoCo's positions (nq,) with the flat cloths of `start` crumpled, always the same for a blueprint."""
     level = blueprint.conditions.get(CRUMPLED)
     if level is None:
         return start

@@ -130,9 +130,7 @@ class BenchmarkScene:
 def build_benchmark_scene(blueprint: SceneBlueprint, base: Session) -> BenchmarkScene:
     """Build the scene of a blueprint, which replaces the task of `base`, a session of the station.
 
-    Raises:
-        LookupError: the blueprint has a kind of goal or an object that yamsim does not have.
-        SimulationError: the scene cannot be compiled.
+    Raise LookupError for a kind of goal or an object that yamsim does not have.
     """
     if blueprint.target_kind not in KINDS:
         raise LookupError(

@@ -52,8 +52,7 @@ evenly from the last targets to the new ones, as far as motors' speeds let them.
 def action_space(config: RecordConfig, period: float) -> Box:
     """Return the action space of both arms: joint targets in rad and gripper openings, 0..1.
 
-    Args:
-        period: duration of an action, s, which limits the steps of the joints.
+    The `period` of an action, s, limits the steps of the joints.
     """
     low, high, limits = list[float](), list[float](), list[float]()
     for number in config.rig.recording_order:
@@ -119,9 +118,7 @@ class YamsimEmbodiment:
     def reset(self, scene: Scene, *, seed: int | None = None) -> Observation:
         """Put a scene's objects onto the table, at rest, and the arms into their start postures.
 
-        Raises:
-            LookupError: the scene is not KitchenBench's or yamsim's, or yamsim cannot build it.
-            SimulationError: the scene cannot be compiled.
+        Raise LookupError for a scene that yamsim cannot build.
         """
         self.close()
         self._seed = 0 if seed is None else seed

@@ -205,9 +205,7 @@ def bounding_box_area(points: Array) -> float:
 def possible_folds(points: Array, single: bool) -> list[CreaseFold]:
     """Return the folds of each side and corner over creases at several distances.
 
-    Args:
-        points: of the cloth (along y, along x, 3), in `world`, m.
-        single: whether the cloth has a single layer, so that only wrinkles are higher.
+    `points` are (along y, along x, 3), in `world`, m. In a `single` layer, only wrinkles are higher.
     """
     heading = _heading(points)
     axes = np.array([[math.cos(heading), math.sin(heading)], [-math.sin(heading), math.cos(heading)]])

@@ -49,9 +49,6 @@ def feasible_poses(simulator: Simulator, blueprint: SceneBlueprint) -> dict[str,
     """Return name -> pose (4, 4) of a blueprint's objects in `world`, as required where that is feasible.
 
     Objects in a rack's wire or on a tray's wall are placed beside it. Large objects come first: others may lie on them.
-
-    Args:
-        simulator: has a compiled scene with all objects of the blueprint.
     """
     wanted = {item.name: T_in_world(item, blueprint) for item in blueprint.objects if item.asset != COMPARTMENT}
     world = make_sim_world(simulator.scene, simulator.state_replay.data, ())

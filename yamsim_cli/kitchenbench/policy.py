@@ -67,8 +67,7 @@ class YamsimExpert:
     def act(self, observation: Observation) -> ActionChunk:
         """Return the actions of the next motion; after the last motion, one that holds the joints.
 
-        Raises:
-            RuntimeError: observed and simulated joints differ, so something changed the actions.
+        Raise RuntimeError if observed and simulated joints differ: something changed the actions.
         """
         assert self._scene is not None, "reset comes first"
         if self._planning is None:

@@ -31,11 +31,8 @@ _KINDS = ("place_on", "stack", "place_in", "handoff")  # without sorting: compar
 def scene_task_data(name: str) -> dict[str, Any]:
     """Return the task of a scene, as the data of a task's YAML.
 
-    Objects, instruction and expert are those of one epoch, which determines the scene's seed. The arrangements are the
-    object poses of up to 100 epochs with the same objects.
-
-    Args:
-        name: `TASK/INSTANCE`, such as `stack/cups`; with `@K`, of the scene's epoch K instead of 0.
+    The name is `TASK/INSTANCE`, such as `stack/cups`; with `@K`, of the scene's epoch K instead of 0. That epoch gives
+    objects, instruction and expert. The arrangements are those of up to 100 epochs with the same objects.
     """
     scene, epoch = _scene(name)
     first = _blueprint(scene, epoch)

@@ -28,13 +28,9 @@ _COMPARTMENT_PREFIX = "compartment_"  # the kind of cutlery follows
 def build_scene_program(
     blueprint: SceneBlueprint, items: Mapping[str, ObjectConfig], bases: Sequence[Array]
 ) -> list[Skill]:
-    """Return the skills for a scene's goal, in order.
+    """Return the skills for a scene's goal, in order. Raise LookupError if no expert exists for its kind.
 
-    Args:
-        bases: positions (2,) of the arms' bases in `world`, m.
-
-    Raises:
-        LookupError: no expert exists for goals of this kind.
+    `bases` are the positions (2,) of the arms' bases in `world`, m.
     """
     roles = blueprint.roles
     match blueprint.target_kind:

@@ -65,11 +65,7 @@ _LONG_TILTS = tuple(math.radians(angle) for angle in (0, 20, -20, 40, -40))  # r
 
 
 class PlaceInCompartment(PlaceSkill):
-    """Place a long object along a compartment, beside other objects if there is room, else on them.
-
-    Attributes:
-        beside: the role of objects that may be in the compartment.
-    """
+    """Place a long object along a compartment, beside objects of the role `beside` if there is room, else on them."""
 
     ROLES: ClassVar[tuple[str, ...]] = ("thing", "into", "beside")
     LOWERING: ClassVar[float] = 0.25
@@ -133,9 +129,7 @@ class PlaceInCompartment(PlaceSkill):
 def _rotations_along(local_box: Array, orientation: Array, T: Array) -> list[Array]:
     """Return rotations (3, 3) of a long object along a compartment at a pose (4, 4), in both directions.
 
-    Args:
-        local_box: lowest and highest corner (2, 3) of the object in its frame, m.
-        orientation: rotation (3, 3) of the object, with any heading.
+    `local_box` has the object's lowest and highest corner (2, 3) in its frame, m.
     """
     longest = int(np.argmax(local_box[1] - local_box[0]))
     heading = math.atan2(T[1, 1], T[0, 1]) - math.atan2(orientation[1, longest], orientation[0, longest])
@@ -160,11 +154,7 @@ def _set_rest_heights(context: PlanningContext, thing: str, onto: str, goals: Se
 
 
 class PutBesideTray(PlaceSkill):
-    """Put a long object down on a free place of the table.
-
-    Attributes:
-        then: the skill that must be able to follow from the place; None for the nearest place.
-    """
+    """Put a long object down on a free place of the table from which `then` can follow."""
 
     then: PlaceSkill | None = None
 
@@ -197,10 +187,8 @@ class PutBesideTray(PlaceSkill):
 def _grasps_for(
     context: PlanningContext, roles: RoleAssignment, thing: str, put: PlaceSkill
 ) -> list[tuple[int, Hand, Array]]:
-    """Return the grasps with which `put` can bring an object to its goal, the most reliable first.
-
-    Returns:
-        Rank of each grasp, its hand, and its pinch frame (4, 4) in the object's frame.
+    """Return rank, hand, and pinch frame (4, 4) in the object's frame of the grasps with which `put` succeeds, best
+    first.
     """
     found = list[tuple[int, Hand, Array]]()
     for hand in context.acting_hands:
@@ -332,11 +320,7 @@ def _flat_places(context: PlanningContext, thing: str, away: Array) -> list[Arra
 
 
 class Sort(Skill):
-    """Put each object into the compartment of its kind, unless it is there.
-
-    Attributes:
-        into: name of an object's config, such as `fork` -> its compartment.
-    """
+    """Put each object into the compartment of its kind, `into`, unless it is there."""
 
     ROLES: ClassVar[tuple[str, ...]] = ("things",)
     things: str

@@ -20,11 +20,7 @@ _GRIPPER_PREFIX = "gripper_"  # before a side: that arm's two fingers in the che
 
 
 class Judge(Protocol):
-    """Decides during an episode whether the goal is reached.
-
-    Attributes:
-        unrealized: requirements of the scene that the built scene does not fulfil, as sentences.
-    """
+    """Decides during an episode whether the goal is reached. `unrealized` has unfulfilled requirements as sentences."""
 
     instruction: str
     unrealized: tuple[str, ...]

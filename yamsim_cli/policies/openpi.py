@@ -34,14 +34,8 @@ class WebSocketError(ConnectionError):
 class WebSocket:
     """WebSocket client with limits on waiting times and message sizes.
 
-    Args:
-        url: `ws://HOST:PORT` with an optional path.
-        timeout: for the connection and for each message, s.
-
-    Raises:
-        ResourceError: websockets is not installed.
-        TimeoutError, OSError, WebSocketError: no server answers in time, no server listens, or it speaks another
-            protocol.
+    `timeout` is for the connection and for each message, s. TimeoutError, OSError and WebSocketError mean that no
+    server answers in time, listens, or speaks the protocol.
     """
 
     def __init__(self, url: str, timeout: float) -> None:
@@ -75,9 +69,7 @@ class WebSocket:
     def receive(self) -> bytes | str:
         """Return the next message as bytes or text.
 
-        Raises:
-            TimeoutError: no message was received in time.
-            WebSocketError: the message is too long or damaged, or the server has closed the connection.
+        Raise TimeoutError without a message, and WebSocketError for a damaged one or a closed connection.
         """
         try:
             return self._connection.recv(self._timeout)
@@ -117,11 +109,8 @@ class OpenpiClient:
         self._connection()
 
     def infer(self, message: Mapping[str, Any]) -> Mapping[str, Any]:
-        """Return the server's answer to an observation's message.
-
-        Raises:
-            RemoteError: the server is gone, or its answer is an error or invalid.
-            TimeoutError: the server did not answer in time.
+        """Return the server's answer to an observation's message. Raise RemoteError or TimeoutError without a valid
+        answer.
         """
         return self._receive(self._connection(), pack_openpi(message))
 
@@ -162,11 +151,7 @@ def pack_openpi(message: Mapping[str, Any]) -> bytes:
 
 
 def unpack_openpi(data: bytes) -> dict[str, Any]:
-    """Decode a mapping with openpi's encoding of arrays, which become read-only.
-
-    Raises:
-        DamagedMessageError: the bytes are no mapping, hold too many values, or an array is damaged.
-    """
+    """Decode a mapping with openpi's encoding of arrays, which become read-only."""
     import msgpack
 
     try:

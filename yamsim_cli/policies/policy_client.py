@@ -63,11 +63,7 @@ def check_json(data: bytes) -> None:
 
 
 def plain_numbers(value: object, key: str) -> np.ndarray:
-    """Convert a server's numbers to an array. Texts are refused first, as numpy pads each to the longest.
-
-    Raises:
-        InvalidActionError: the value is no array of numbers, or its rows differ in length.
-    """
+    """Convert a server's numbers to an array. Texts are refused first, as numpy pads each to the longest."""
     if not isinstance(value, np.ndarray):
         level = [value]
         for _ in range(_MAX_AXES):
@@ -86,11 +82,7 @@ def plain_numbers(value: object, key: str) -> np.ndarray:
 
 
 def array_from_bytes(content: object, dtype: object, shape: object) -> np.ndarray:
-    """Return a read-only array from its bytes, dtype name and shape.
-
-    Raises:
-        DamagedMessageError: the dtype or the shape is invalid, or the number of bytes does not fit the shape.
-    """
+    """Return a read-only array from its bytes, dtype name and shape."""
     if not isinstance(content, bytes | bytearray) or not isinstance(dtype, str | bytes):
         raise DamagedMessageError("an array needs bytes and the name of a dtype")
     name = dtype.decode("ascii", "replace") if isinstance(dtype, bytes) else dtype
@@ -113,11 +105,7 @@ def array_from_bytes(content: object, dtype: object, shape: object) -> np.ndarra
 
 
 def action_rows(value: object, key: str, width: int) -> Array:
-    """Return a server's actions as finite numbers (actions, width). A single row is one action.
-
-    Raises:
-        InvalidActionError: the shape or the number of actions is wrong, or a number is not finite.
-    """
+    """Return a server's actions as finite numbers (actions, width). A single row is one action."""
     rows = plain_numbers(value, key)
     if rows.size > MAX_VALUES:
         raise InvalidActionError(f"{key} has the shape {rows.shape}, more than {MAX_VALUES} numbers")
@@ -133,11 +121,7 @@ def action_rows(value: object, key: str, width: int) -> Array:
 
 
 def action_period(value: Any, key: str) -> float | None:
-    """Return the duration of an action, s, from a server's value in ms; None for None or 0.
-
-    Raises:
-        InvalidActionError: the value is no number, or outside `MIN_PERIOD` to `MAX_PERIOD`.
-    """
+    """Return the duration of an action, s, from a server's value in ms; None for None or 0."""
     if value is None:
         return None
     if isinstance(value, bool) or not isinstance(value, int | float | np.number) or not math.isfinite(value):
@@ -171,11 +155,7 @@ def no_answer_error(url: str, error: object) -> ResourceError:
 def request_context(url: str, hang_up: Callable[[], None]) -> Iterator[None]:
     """Context around one request to a policy server. An error closes the connection.
 
-    Otherwise, its late answer could be taken for the answer to the next request.
-
-    Raises:
-        RemoteError: the server is gone.
-        TimeoutError: the server did not answer in time.
+    Otherwise, its late answer could be taken for the answer to the next request. Raises RemoteError and TimeoutError.
     """
     try:
         yield

@@ -46,12 +46,10 @@ def load_policy(
     *,
     known_only: bool = False,
 ) -> Policy:
-    """Load a policy of the user.
+    """Load a policy of the user by `module:Class`, `file.py:Class`, or `file.py` with a single callable class.
 
-    Args:
-        name: `module:Class`, `file.py:Class`, or `file.py` if the file has a single callable class.
-        folder: folder that is searched first for modules and files.
-        known_only: whether to leave out keywords that the class does not accept.
+    Modules and files are first searched in `folder`. With `known_only`, keywords that the class does not accept are
+    dropped.
     """
     place, _, attribute = name.partition(":")
     is_file = place.endswith(".py")

@@ -34,11 +34,7 @@ class UnsendableError(MessageError):
 class RemotePolicy:
     """Policy that requests each action from a `policy_server.PolicyServer`, which keeps a session for each client.
 
-    Attributes:
-        ticks: duration of an action, control ticks.
-
-    Args:
-        timeout: for an answer, s.
+    An action lasts `ticks` control ticks. `timeout` is for an answer, s.
     """
 
     def __init__(self, url: str, timeout: float) -> None:

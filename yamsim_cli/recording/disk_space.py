@@ -42,9 +42,7 @@ class EpisodeSize:
     ) -> EpisodeSize:
         """Estimate the size of an episode from the recording settings.
 
-        Args:
-            frames: lower bound and typical value of the frames per episode.
-            block: block size of the filesystem, bytes.
+        `frames` are a lower bound and the typical value per episode. `block` is the filesystem's block size, bytes.
         """
         pixels = image.size_px[0] * image.size_px[1]
         qualities = list(_JPEG_PER_PIXEL)

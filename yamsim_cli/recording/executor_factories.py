@@ -47,13 +47,7 @@ class ProcessExecutorFactory:
 
 @dataclass(frozen=True)
 class RayExecutorFactory:
-    """Runs attempts in actors of a Ray cluster.
-
-    Attributes:
-        address: address of a running cluster; None starts one on this machine.
-        environ: of the actor processes.
-        job_seconds: time limit of an attempt, s.
-    """
+    """Runs attempts in actors of a Ray cluster, each up to `job_seconds`, s. Without address, a cluster starts here."""
 
     address: str | None = None
     environ: Mapping[str, str] = field(default_factory=dict)

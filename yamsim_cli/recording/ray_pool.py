@@ -23,14 +23,10 @@ _CONNECT_SECONDS = 5.0  # s, to the head of a cluster
 
 
 class RayPool(BaseWorkerPool[J, R]):
-    """An `Executor` that runs jobs in the actors of a Ray cluster.
+    """An `Executor` that runs jobs in the actors of a Ray cluster, each on one CPU.
 
-    Args:
-        workers: each on one CPU of the cluster.
-        address: address of a running cluster, as for `ray.init`. None starts a cluster on this machine that ends with
-            the pool.
-        environ: of the actor processes.
-        job_seconds: time limit of a job, s.
+    Without address, as for `ray.init`, a cluster starts on this machine and ends with the pool. `environ` is of the
+    actor processes. `job_seconds` limits a job, s.
     """
 
     def __init__(

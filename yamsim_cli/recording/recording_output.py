@@ -31,11 +31,7 @@ _MIN_DURATION = 0.5  # frames of a successful episode, as a share of the typical
 
 @dataclass(frozen=True)
 class RecordingOutput:
-    """Output directory of a recording, and what to do if it is not empty.
-
-    Attributes:
-        stage: local directory for episodes that wait to be moved to a slow or remote `path`; None for none.
-    """
+    """Output directory of a recording. With a slow or remote `path`, episodes wait in the local directory `stage`."""
 
     path: Path
     mode: OpenMode

@@ -45,12 +45,7 @@ _BATCH_KEYS = (
 
 @dataclass(frozen=True)
 class TaskCheck:
-    """Result of one check.
-
-    Attributes:
-        ok: whether the task passed; None if the check does not apply.
-        value: the measured share or count; None without one.
-    """
+    """Result of one check: `ok` is None if it does not apply, and `value` is the measured share or count, if any."""
 
     name: str
     ok: bool | None
@@ -201,8 +196,7 @@ def _hold_actions(scene: CompiledScene, start: Array, ticks: int) -> ActionSeque
 def validate_task(session: Session, minimum: float, progress: Progress) -> dict[str, Any]:
     """Run `episodes` trials of a task, and every check. Return a report as JSON data.
 
-    Args:
-        minimum: share of trials in which the expert has to reach the goal.
+    The expert must reach the goal in the share `minimum` of the trials.
     """
     config = session.config
     report = run_batch(session, (), progress)

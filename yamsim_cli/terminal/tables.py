@@ -109,8 +109,7 @@ def print_items(
 def print_item(item: Item, json: bool, words: Mapping[str, Callable[[Any], str]] | None = None) -> None:
     """Print an item to stdout: as JSON `{"items": [item]}`, or as a table of keys and values.
 
-    Args:
-        words: key -> function that formats the key's value; `format_value` formats all other values.
+    `words` has functions that format a key's value; the default is `format_value`.
     """
     from .console import print_json, print_table
 

@@ -33,9 +33,7 @@ class CameraPictures(Protocol):
 class RigPage(ScenePage):
     """Page of a simulated rig: a slider for each drive, check boxes for visibility, and a camera panel.
 
-    Args:
-        boards: whether boards and mounts are visible at first.
-        pictures: None if nothing can be rendered.
+    `boards` are visible at first or not. Without `pictures`, nothing is rendered.
     """
 
     def __init__(

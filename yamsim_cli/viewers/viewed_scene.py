@@ -82,11 +82,7 @@ class DriveControl:
 
 
 class LiveRig(ViewedScene):
-    """A rig that is simulated in real time, with joints that a user can move.
-
-    Args:
-        model: a compiled rig, with or without the objects of a task. Its first keyframe is `home`.
-    """
+    """A rig that is simulated in real time, with joints that a user can move. `home` is the model's first keyframe."""
 
     def __init__(self, rig: RigConfig, model: mujoco.MjModel, title: str = "") -> None:
         super().__init__()

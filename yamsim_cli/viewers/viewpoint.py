@@ -41,11 +41,9 @@ class Viewpoint:
 
 
 def workspace_viewpoint(x: float, y: float, z: float, span: float = 0.0) -> Viewpoint:
-    """Return a viewpoint that shows a table and its arms.
+    """Return a viewpoint of a table and its arms, towards a point in `world`, m.
 
-    Args:
-        x, y, z: the point in `world` to look at, m.
-        span: distance between the bases of the outermost arms, m.
+    `span` is the distance between the bases of the outermost arms, m.
     """
     return _framing(np.array([x, y, z]), _BALL_RADIUS + _TABLE_MARGIN + span / 2)
 

@@ -26,7 +26,7 @@ _TRUTH_NAMES = {"depth": depth_name, "segmentation": segmentation_name}
 
 @dataclass
 class EpisodeFiles:
-    """Files of an episode by kind. All paths are relative to the episode.
+    """Files of an episode by kind, with paths relative to the episode.
 
     Attributes:
         sizes: path of every regular file -> bytes.
@@ -41,10 +41,9 @@ class EpisodeFiles:
 
 
 def list_files(directory: Path, recorded: bool, problems: ProblemCollector) -> EpisodeFiles:
-    """Return all files below an episode directory, and report other entries than files and folders.
+    """Return all files below an episode directory, and report entries that are neither files nor folders.
 
-    Args:
-        recorded: whether yamsim recorded the episode, so that frame numbers have at least six digits.
+    `recorded` states that yamsim recorded the episode, so that frame numbers have at least six digits.
     """
     files = EpisodeFiles()
     for name in _walk(directory, directory, 0, files, problems):

@@ -36,12 +36,7 @@ from .policy_trial import MEASURED, TrialEnd, TrialResult, TrialRunner
 
 @dataclass(frozen=True)
 class Evaluation:
-    """Results of all trials of a policy, in order.
-
-    Attributes:
-        seconds: real time of all trials, s.
-        instances: objects of each trial as text, such as "object banana, plate".
-    """
+    """Results of all trials of a policy, their real time, s, and objects, such as "object banana, plate"."""
 
     choice: PolicyChoice
     results: tuple[TrialResult, ...]
@@ -54,8 +49,7 @@ def evaluate(
 ) -> Evaluation:
     """Run `config.episodes` trials of a policy, from the same starts as `yamsim trials` with that seed.
 
-    Args:
-        trial_seconds: real time after which a worker with an unfinished trial is terminated, s.
+    A worker is terminated if a trial takes more than `trial_seconds` of real time.
     """
     began = time.monotonic()
     config = session.config
@@ -202,11 +196,7 @@ def film_evaluation(
     *,
     successes: bool = False,
 ) -> list[FilmedTrial]:
-    """Film trials with actions: failures, or successes if no trial failed.
-
-    Args:
-        successes: whether to film failures and successes, in the order of the trials.
-    """
+    """Film trials with actions: failures, or successes if no trial failed. With `successes`, film both in order."""
     config = session.config
     tick = config.task.timing.tick
     chosen = trials_to_film(evaluation.results, limit, successes=successes)

@@ -49,11 +49,7 @@ def policy_cameras(config: RecordConfig, images: Iterable[str]) -> dict[str, str
 
 
 class ObservationRenderer:
-    """Renders the images of one trial's observations.
-
-    Attributes:
-        failure: exception of a failed rendering, which is yamsim's fault and not the policy's; None if none failed.
-    """
+    """Renders the images of one trial's observations. `failure` is an exception of rendering, not of the policy."""
 
     def __init__(self, render: Render) -> None:
         self._render = render
@@ -64,8 +60,7 @@ class ObservationRenderer:
     def render(self, key: str, qpos: Array, camera: str) -> Image:
         """Render a camera at MuJoCo's positions (nq,). `key` names the image in error messages.
 
-        Raises:
-            RuntimeError: the image is read in another thread, where OpenGL cannot render, or after its trial.
+        Raise RuntimeError in another thread, where OpenGL cannot render, or after the trial.
         """
         hint = f"read observation[{key!r}], or dict(observation) for all, while the policy is called"
         if threading.get_ident() != self._thread:

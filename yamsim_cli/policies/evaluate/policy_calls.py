@@ -48,13 +48,7 @@ class PolicyCaller:
         self._waited = 0.0
 
     def call(self, function: Callable[[], T]) -> T:
-        """Return the result of a function that calls the policy.
-
-        Raises:
-            PolicyFailedError: the policy raised an exception.
-            PolicyTimeoutError: the time limit passed.
-            InvalidActionError: the policy's client or server reports that its answer is invalid.
-        """
+        """Call a function of the policy. Raise PolicyFailedError, PolicyTimeoutError or InvalidActionError."""
         began, self._waited = time.monotonic(), 0.0
         try:
             with output_on_stderr(), self._limited(), kill_forks_at_exit():

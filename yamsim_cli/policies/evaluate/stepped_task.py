@@ -26,8 +26,7 @@ MAX_STARTS = 20  # consecutive trials without a start, after which `begin` fails
 class SteppedTask(Closable):
     """Trials of a task, with the same starts as `yamsim trials`. The caller must close the object.
 
-    Args:
-        max_ticks: time limit of a trial in control ticks; None for the task's limit.
+    A trial takes up to `max_ticks` control ticks, by default the task's limit.
     """
 
     attempt: Attempt
@@ -50,8 +49,7 @@ class SteppedTask(Closable):
     def begin_demonstrated(self, job: AttemptJob) -> ActionSequence:
         """Begin the trial `job`, or the next one in which the scripted expert succeeds, as `yamsim record` starts it.
 
-        Returns:
-            Actions with which the expert succeeds in this trial.
+        Return the expert's actions.
         """
         for attempt in self._sampled(job):
             done = demonstrate(self.simulator, attempt)

@@ -48,12 +48,7 @@ class WrittenVideo:
 def film_recorded(
     episode: RecordedEpisode, cameras: Sequence[str], path: Path, frame_period: float, *, overwrite: bool
 ) -> WrittenVideo:
-    """Make a video of the recorded images.
-
-    Args:
-        cameras: placed side by side; the first camera if empty.
-        frame_period: time between frames in the video, s.
-    """
+    """Make a video of the recorded images of cameras side by side, by default the first, at `frame_period`, s."""
     if not episode.record.cameras:
         raise DatasetError(f"{episode.directory} has no pictures; without --video its arms are shown")
     chosen = _choose(cameras, tuple(episode.record.cameras))
@@ -101,11 +96,7 @@ def _choose(wanted: Sequence[str], valid: Sequence[str]) -> tuple[str, ...]:
 
 
 def session_with_wrist_camera(session: Session, size: tuple[int, int] | None = None) -> Session:
-    """Return the session of a dataset with a wrist camera, recorded or not.
-
-    Args:
-        size: (width, height) of images, px; by default the recorded size.
-    """
+    """Return the session of a dataset with a wrist camera, recorded or not, and images of `size` (w, h), px."""
     image = session.config.image
     return session.with_values(wrist=True, image=image.model_copy(update={"size_px": size}) if size else image)
 
@@ -164,8 +155,7 @@ def play_real(
 ) -> None:
     """Play the measured motion of a real recording in a loop; further arguments as in `viewer.show_scene`.
 
-    Args:
-        motion: in the recording order of the rig.
+    `motion` has the rig's recording order.
     """
     _, model = compose_at_home(blueprint, locations)
     period = episode.record.frame_period_s

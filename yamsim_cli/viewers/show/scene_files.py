@@ -50,8 +50,7 @@ def zip_bytes(files: dict[str, bytes], folder: str) -> bytes:
 def classic_xml(spec: mujoco.MjSpec, model: mujoco.MjModel) -> str:
     """Return the MJCF for MuJoCo 3.3 and newer, in full precision; `model` is the compiled `spec`.
 
-    Raises:
-        UsageError: the scene has an element, attribute or value that 3.3 does not know.
+    Raise UsageError for an element, attribute or value that 3.3 does not know.
     """
     root = ElementTree.fromstring(_as_authored(spec))
     _write_defaults(root, model)

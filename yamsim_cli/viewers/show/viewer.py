@@ -88,12 +88,7 @@ def view_rig(
     boards: bool = True,
     pictures: bool = False,
 ) -> None:
-    """Simulate a rig, and show it as `show_scene` does.
-
-    Args:
-        boards: whether a page shows boards and mounts at first.
-        pictures: whether a page offers images of the rig's cameras.
-    """
+    """Simulate a rig, and show it as `show_scene` does, with boards at first and pictures of its cameras if wanted."""
     viewpoint = viewpoint or rig_viewpoint(live.rig)
     seen = LivePictures(live) if pictures else None
 

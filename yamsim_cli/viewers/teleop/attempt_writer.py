@@ -81,10 +81,7 @@ class AttemptWriter(Closable):
     tick.
 
     Leaving the context drops attempts that are not written yet. Until then, no other code may use the sink or the
-    executor.
-
-    Args:
-        written: called with the number of an attempt once the attempt is in the sink.
+    executor. `written` is called with the number of a written attempt.
     """
 
     def __init__(
@@ -121,10 +118,7 @@ class AttemptWriter(Closable):
     def next_written(self, timeout: float = 0.0) -> AttemptRecord | None:
         """Return the record of the next written attempt, waiting up to `timeout` s; None if none was written.
 
-        Raises:
-            OSError: a write to the disk failed.
-            PartialJobError: the worker process died in each of several tries.
-            ResourceError: nothing can be rendered here.
+        Raises errors of the disk, of the worker process, and of rendering.
         """
         if not self._futures:
             return None

@@ -29,11 +29,7 @@ TIME_LIMIT = 600.0  # s, default of a recording
 
 
 class TeleopAttemptScene:
-    """Scene and arms of the present attempt. Each role assignment has a separate scene.
-
-    Attributes:
-        arms, sides, postures: arms, their sides and start postures, in the order of recordings.
-    """
+    """Scene and arms of the present attempt, in the order of recordings. Each role assignment has a separate scene."""
 
     scene: CompiledScene
     arms: tuple[TeleopArm, ...]

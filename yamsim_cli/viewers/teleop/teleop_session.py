@@ -87,9 +87,8 @@ class TeleopReport:
     """Result of a teleoperation session.
 
     Attributes:
-        episodes, attempts: in the whole dataset.
-        trials: attempts of this session, in order.
-        jitter: jitter of the control ticks; None if ticks did not follow the clock.
+        episodes, attempts: in the whole dataset; `trials` are of this session.
+        jitter: None if ticks did not follow the clock.
     """
 
     path: Path
@@ -146,8 +145,7 @@ def open_teleop(
 ) -> Iterator[TeleopSession]:
     """Open a dataset and a scene for teleoperation. Recordings of killed sessions are judged first.
 
-    Args:
-        time_limit: of a recording, s. At the limit, the recording is stopped and judged.
+    At `time_limit`, s, a recording is stopped and judged.
     """
     session = with_mesh_descriptions(session)
     config = session.config
@@ -203,8 +201,7 @@ def run_stream(
 ) -> TeleopReport:
     """Teleoperate by a command stream. Its end stops a recording; a stop request discards it.
 
-    Args:
-        realtime: whether ticks follow the clock; otherwise they run as fast as possible, with the same result.
+    Without `realtime`, ticks run as fast as possible, with the same result.
     """
     scene, player = session.scene, StreamPlayer(commands)
     clock = TickClock(scene.tick_seconds) if realtime else None
@@ -234,8 +231,7 @@ def run_page(
 ) -> TeleopReport:
     """Serve a page until the user ends the session, then discard an unfinished recording.
 
-    Args:
-        ready: called with the URL once the page is served.
+    `ready` is called with the URL.
     """
     from ..teleop_page import TeleopPage
 
