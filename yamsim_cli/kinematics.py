@@ -137,7 +137,7 @@ class Kinematics:
         T = _numbers(T_site_in_base, (4, 4), "T_site_in_base")
         if np.abs(T[:3, :3].T @ T[:3, :3] - np.eye(3)).max() > _ORTHONORMAL_TOLERANCE or np.linalg.det(T[:3, :3]) < 0:
             raise UsageError(f"T_site_in_base is no pose: its upper left 3 x 3 is no rotation: {T[:3, :3].tolist()}")
-        # The nearest rotation, since other programs often pass rounded poses.
+        # Use the nearest rotation, since other programs often pass rounded poses.
         left, _, right = np.linalg.svd(T[:3, :3])
         T = pose(T[:3, 3], left @ right)
         first = self._home if start is None else self._joints(start, "start")

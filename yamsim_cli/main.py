@@ -144,7 +144,7 @@ def _command(error: TyperException) -> str:
 
 def _decimal_point(error: TyperException) -> str:
     """Return a hint if a number has a decimal comma."""
-    # Typer validates values with pydantic.
+    # Typer validates values with pydantic, whose error is the `__cause__`.
     checked: list[dict[str, Any]] = getattr(error.__cause__, "errors", list)()
     given = str(checked[0].get("input")) if checked else ""
     if not re.fullmatch(r"[-+]?[0-9]+,[0-9]+", given):

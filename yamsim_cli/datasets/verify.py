@@ -128,7 +128,7 @@ class EpisodeVerifier(Closable):
             else:
                 skipped[ACTIONS] = "its frames hold no sim_qpos, sim_ctrl and sim_magnet"
         except DatasetError as error:
-            # The error says more than that a file was altered.
+            # The error comes first: it says more than that a file was altered.
             problems = {"": str(error)} | problems
         return EpisodeVerdict(number, checks, skipped, problems, changed)
 
@@ -319,7 +319,7 @@ def _report(verdicts: Sequence[EpisodeVerdict], tolerances: Tolerances) -> dict[
     return {
         "episodes": len(verdicts),
         "agree": sum(verdict.agrees for verdict in verdicts),
-        # Without images, whose differences have another unit.
+        # Images are excluded: their differences have another unit.
         "max_error": max(remade, default=0.0),
         "first_divergence": divergences[0] if divergences else None,
         "divergences": divergences,

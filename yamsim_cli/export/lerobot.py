@@ -243,7 +243,7 @@ class _LeRobotWriter(Closable):
         self._open = contextlib.ExitStack()
         self._data = self._open.enter_context(TableSeries(root, schema.DATA, schema.DATA_FILE_MB))
         self._episodes = self._open.enter_context(TableSeries(root, schema.EPISODES, schema.DATA_FILE_MB))
-        # Decoding and encoding release the GIL.
+        # Threads run in parallel, since decoding and encoding release the GIL.
         self._threads = self._open.enter_context(ThreadPoolExecutor(max(1, len(self._cameras))))
 
     def close(self) -> None:

@@ -42,7 +42,7 @@ def _write(path: Path, source: ExportSource, episode: RecordedEpisode) -> int:
     import rerun
 
     dataset = source.path.absolute().name
-    # Properties contain the time of day.
+    # Without properties, which contain the time of day.
     stream = rerun.RecordingStream("yamsim", recording_id=f"{dataset}-{episode.directory.name}", send_properties=False)
     stream.save(path)
     stream.send_recording_name(f"{dataset}/{episode.directory.name}")

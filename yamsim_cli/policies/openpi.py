@@ -48,7 +48,7 @@ class WebSocket:
             self._connection = connect(
                 url,
                 compression=None,
-                # Even if the environment names a proxy.
+                # Ignore a proxy that the environment names.
                 proxy=None,
                 # openpi answers no ping while it computes an action.
                 ping_interval=None,
@@ -125,7 +125,7 @@ class OpenpiClient:
             return self._socket
         with request_context(self._url, self.close):
             made = self._socket = WebSocket(self._address, self._timeout)
-        # The metadata, which the server sends first.
+        # Discard the metadata, which the server sends first.
         self._receive(made)
         return made
 

@@ -39,7 +39,7 @@ def summarize_exception(error: BaseException) -> str:
     """Return the type and the message of an exception in one line."""
     try:
         message = str(error)
-    # The text of a user's exception may raise any exception.
+    # Converting a user's exception to text may raise any exception.
     except Exception:  # noqa: BLE001
         message = "its message cannot be shown"
     message = textwrap.shorten(message, _MAX_CHARACTERS, placeholder=" ...")

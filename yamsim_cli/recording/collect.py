@@ -89,7 +89,7 @@ class Collector:
         while self.attempts_needed:
             while not self._stop.is_requested and executor.idle and self._can_start(executor):
                 executor.submit(AttemptJob(self._config.seed, self._next_attempt()))
-            # Workers are busy in the meantime.
+            # Write after submitting: workers are busy meanwhile.
             if self._commit_finished():
                 continue
             if self._stop.is_requested and (not executor.in_flight or self._stop.seconds_since_request > _STOP_SECONDS):

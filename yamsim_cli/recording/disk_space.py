@@ -12,11 +12,11 @@ from ..core.config.rendering import ImageConfig
 from ..core.dataset.records import ManifestEntry
 from ..core.errors import ResourceError, count_noun
 
-_MIN_JPEG_PER_PIXEL = 0.03  # plain scenes at low quality
+_MIN_JPEG_PER_PIXEL = 0.03  # bytes per pixel, of plain scenes at low quality
 # JPEG quality -> bytes per pixel of a typical image. Source: the images of docs/images and tests/golden, 300 to 720
 # pixels wide. Noise (`--randomize`) doubles these values.
 _JPEG_PER_PIXEL = {1: 0.03, 50: 0.055, 70: 0.072, 85: 0.1, 95: 0.18, 100: 0.32}
-_JPEG_OVERHEAD = 600  # for headers and tables
+_JPEG_OVERHEAD = 600  # of headers and tables
 _LOWDIM_BYTES = 2200  # of a frame; measured: 1600 to 2200
 _HASH_BYTES = 85  # in an episode's record for each file; measured: 85 to 95
 # Bytes of depth and segmentation together per pixel: lower bound and typical value. Source: at 640x480, 0.09 in the

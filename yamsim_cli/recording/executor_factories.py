@@ -108,7 +108,7 @@ def unpack_session(packed: PackedSession, place: Path) -> Session:
 @contextlib.contextmanager
 def unpacked_runner(packed: PackedSession) -> Iterator[AttemptRunner]:
     """Yield an `AttemptRunner`, and remove the unpacked files at the end."""
-    # Scenes are composed from the files when first needed.
+    # Keep the files while the runner is in use: scenes are composed from them when first needed.
     with (
         tempfile.TemporaryDirectory(prefix="yamsim-") as place,
         AttemptRunner(unpack_session(packed, Path(place)), render=True) as runner,

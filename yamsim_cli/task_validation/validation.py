@@ -29,11 +29,11 @@ from ..core.geometry.se3 import Array, quat_from_rotation, rotation_from_vector
 from ..core.progress import Progress
 from ..core.scene.compiled import CompiledScene, Ids
 
-MIN_REACH = 0.9  # share of a start region's points
+MIN_REACH = 0.9  # share of a start region's points that hands must reach
 _GRID_POINTS = 8  # along each side of a start region
 _HAND_HEIGHT = 0.03  # m over the surface
 _MIN_MOTION = 0.05  # m from the start, above which an object counts as moved
-_STILL_SECONDS = 2.0  # s, besides the hold time
+_STILL_SECONDS = 2.0  # s at rest before the goal is evaluated, besides the hold time
 _MAX_ATTEMPTS = 3  # of each check in which the goal must not be reached
 
 # Keys of a batch report that are also in a validation report.

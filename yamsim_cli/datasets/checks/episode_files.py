@@ -81,7 +81,7 @@ def _walk(top: Path, folder: Path, depth: int, files: EpisodeFiles, problems: Pr
                 continue
             status = entry.stat()
         except OSError as error:
-            # So that the file does not count as missing too.
+            # List the file, so that it does not count as missing too.
             found.append(name)
             problems.add("file.unreadable", name, error.strerror)
             continue
