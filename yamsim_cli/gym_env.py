@@ -113,7 +113,6 @@ class PickPlaceEnv(gymnasium.Env[dict[str, NDArray[Any]], NDArray[np.float32]]):
         return spaces.Dict(parts)
 
     def _poses(self) -> dict[str, str]:
-        """Return observation key -> object whose pose it has."""
         return {f"{role}_pose_world": item for role, item in self._roles().items()}
 
     def _parts(self) -> dict[str, tuple[str, int]]:

@@ -134,7 +134,6 @@ def main(interrupted: Callable[[], bool] = lambda: False) -> NoReturn:
 
 
 def _command(error: TyperException) -> str:
-    """Return the command of an error, such as `yamsim export mp4`."""
     names, context = list[str](), getattr(error, "ctx", None)
     while context is not None and context.parent is not None:
         names.insert(0, context.info_name)

@@ -162,7 +162,6 @@ def robot_entry(name: str, locations: Locations) -> dict[str, Any]:
 def _loaded_arms(
     locations: Locations, faults: Mapping[str, ConfigError]
 ) -> tuple[dict[str, ArmModel], dict[str, ConfigError]]:
-    """Return name -> arm, and name -> error of each invalid arm, including `faults`."""
     loaded, broken = dict[str, ArmModel](), dict(faults)
     for name in locations.config_names(ARMS):
         try:
@@ -204,7 +203,6 @@ def _can_mount(arm: ArmModel, gripper: Gripper) -> bool:
 
 
 def _meshes(locations: Locations) -> dict[str, bool]:
-    """Return mesh set -> whether it is on this machine."""
     store = AssetStore(locations.assets)
     return {name: store.resolve(assets) is not None for name, assets in load_lock(locations).sets.items()}
 
@@ -232,7 +230,6 @@ def write_robot_template(name: str, data: Path, locations: Locations) -> tuple[P
 
 
 def _arm_files(name: str) -> Mapping[str, str]:
-    """Return file name -> template of an arm with six joints, with comments for the user."""
     names = [f"joint{k}" for k in range(1, 7)]
     drives = "\n".join(f'    <position name="{one}" joint="{one}" class="{name}"/>' for one in names)
     return {"model.yaml": _YAML.format(name=name), "arm.xml": _XML.format(name=name, drives=drives)}

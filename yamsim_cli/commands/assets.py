@@ -314,7 +314,6 @@ def import_object(
 
 
 def _import_ycb(name: str, mass: float | None, out: Path | None) -> tuple[dict[str, Any], list[str]]:
-    """Return the JSON report and the lines to print."""
     from yamsim_cli.objects.importing.ycb_import import import_ycb
 
     made = import_ycb(name, opener.locations(), None if mass is None else mass * 1000, out)

@@ -226,7 +226,6 @@ def rerun(dataset: Dataset, out: Out, episodes: Episodes = None, overwrite: Rena
 
 
 def _rate(text: str) -> float | None:
-    """Return --fps in frames a second; None for `source`, which keeps the recorded frames."""
     if text == "source":
         return None
     try:

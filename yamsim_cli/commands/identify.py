@@ -178,7 +178,6 @@ def _write(found: Sequence[IdentificationResult], out: Path) -> list[Path]:
 
 
 def _file(out: Path, side: str, arms: int) -> Path:
-    """Return one arm's file: `out`, with the arm's side appended if `arms` is 2."""
     return out if arms == 1 else out.with_stem(f"{out.stem}_{side}")
 
 

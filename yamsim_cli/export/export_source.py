@@ -257,7 +257,6 @@ def open_real_source(dataset: Path, episodes: str | None, locations: Locations, 
 
 
 def _common_fps(periods: Sequence[float]) -> float:
-    """Return the median of the frame rates, rounded if close to an integer."""
     rate = 1 / float(np.median(periods))
     whole = round(rate)
     return float(whole) if abs(rate - whole) <= _FPS_TOLERANCE * rate else round(rate, 3)

@@ -191,7 +191,6 @@ class _RealContent(_Content):
 
 
 def _state_and_action(frame: Mapping[str, Any]) -> tuple[Any, Any]:
-    """Return the keys `state` and `action` of a frame, else joints, and commands with weld states."""
     if ACTION in frame:
         return frame[STATE], frame[ACTION]
     return frame["joints"], np.append(frame["ctrl"], np.asarray(frame["magnet"], np.float32))

@@ -56,7 +56,6 @@ def camera_names(source: SimulatedSource) -> dict[str, str]:
 
 
 def _wrist_arms(source: SimulatedSource) -> dict[str, int]:
-    """Return wrist camera -> index of its arm in recording order."""
     config = source.config
     arms = [config.rig.arms[k] for k in config.rig.recording_order]
     return {arm.wrist_camera_name: k for k, arm in enumerate(arms) if arm in config.wrist_arms}

@@ -94,7 +94,6 @@ def export_sheet(
 
 
 def _row(episode: RecordedEpisode, camera: str, columns: int, size: tuple[int, int]) -> Image:
-    """Return images of one episode side by side, each `size` (width, height), px."""
     images = []
     for k in np.linspace(0, episode.record.frames - 1, columns).round().astype(int):
         image = decode_jpeg(episode.image(camera, int(k)))

@@ -168,7 +168,6 @@ class MappedPolicy:
         )
 
     def _camera(self, key: str, picture: PictureMapping, wanted: Sequence[str] | None) -> str | None:
-        """Return the first camera of an image that the station has; None for an optional image."""
         found = next((name for name in picture.cameras if name in self._station.cameras), None)
         if found is None and (wanted is not None or not picture.optional):
             there = ", ".join(self._station.cameras)

@@ -47,7 +47,6 @@ def summarize_exception(error: BaseException) -> str:
 
 
 def _place(trace: TracebackType | None, folder: Path) -> str:
-    """Return the last executed line of the user's code in brackets, if any."""
     frames = [frame for frame in traceback.extract_tb(trace) if not _is_below(frame.filename, _YAMSIM)]
     frames = [frame for frame in frames if not frame.filename.startswith("<")]
     own = [frame for frame in frames if not any(_is_below(frame.filename, place) for place in _INSTALLED)]

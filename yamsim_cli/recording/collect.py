@@ -181,7 +181,6 @@ class Collector:
             raise error
 
     def _restore(self, payload: AttemptPayload) -> None:
-        """Publish the repeated attempt of a lost episode, under the old episode number."""
         lost = self._lost_attempts[payload.job.attempt]
         if not payload.outcome.success or lost.episode is None:
             raise self._not_reproduced_error(payload, lost.episode or 0)

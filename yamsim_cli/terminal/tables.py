@@ -74,7 +74,6 @@ class ItemTable:
             yield _indented(FactTable((name, cell) for name, cell in named if cell.plain))
 
     def _narrowest(self) -> int:
-        """Return the smallest width (characters) at which no word is broken."""
         columns = zip(map(_plain, self._headings), *self._rows, strict=True)
         return sum(max(len(word) for cell in column for word in (cell.plain.split() or [""])) + 3 for column in columns)
 

@@ -196,7 +196,6 @@ def _find_difference(attempt: AttemptRecord, episode: EpisodeFacts) -> tuple[str
 
 
 def _shown(value: object, other: object) -> str:
-    """Return a value as text; of a record, only the entries that differ from the other one."""
     if hasattr(value, "model_dump") and hasattr(other, "model_dump"):
         mine, theirs = value.model_dump(), other.model_dump()
         return ", ".join(f"{key} {mine[key]}" for key in mine if mine[key] != theirs.get(key))

@@ -88,7 +88,6 @@ class SteppedTask(Closable):
         self._simulators.close()
 
     def _sampled(self, job: AttemptJob) -> Iterator[Attempt]:
-        """Yield the attempts of `job` and of the following trials, and set `self.simulator`."""
         for number in range(job.attempt, job.attempt + MAX_STARTS):
             one = replace(job, attempt=number)
             self.simulator = self._simulators.get(one)

@@ -104,7 +104,6 @@ def _cameras(
 
 
 def _link(model: mujoco.MjModel, arm: ArmConfig, joint: int) -> int:
-    """Return the body that an arm's joint moves; joints are numbered from the base."""
     return int(model.jnt_bodyid[model.joint(arm.prefix + arm.robot.joint_names[joint]).id])
 
 

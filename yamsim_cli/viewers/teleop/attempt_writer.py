@@ -144,7 +144,6 @@ class AttemptWriter(Closable):
             raise
 
     def _payload(self) -> AttemptPayload | None:
-        """Wait for the worker's result; None once the writer is closed."""
         while not self._ended.is_set():
             try:
                 return self._executor.result(_POLL_SECONDS)[1]

@@ -220,7 +220,6 @@ def run_stream(
 
 
 def _end_recording(scene: TeleopScene) -> None:
-    """Submit a stopped recording, or discard an unfinished one."""
     scene.settle()
     if scene.recording:
         scene.discard()
