@@ -104,7 +104,7 @@ _DRAWN: dict[str, Callable[[SessionOpener, Locations], np.ndarray]] = {
 def main(names: list[str]) -> None:
     """Draw and write."""
     opener = SessionOpener(os.environ, sys.stderr.write, str)
-    # Before anything imports MuJoCo.
+    # What draws is settled before anything imports MuJoCo.
     where = opener.use_gl(opener.locations())
     from yamsim_cli.core.images.jpeg import encode_jpeg
 

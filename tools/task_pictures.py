@@ -35,7 +35,7 @@ _TRIES = 10
 def main(names: list[str]) -> None:
     """Draw and write."""
     opener = SessionOpener(os.environ, sys.stderr.write, str)
-    # Before anything imports MuJoCo.
+    # What draws is settled before anything imports MuJoCo.
     where = opener.use_gl(opener.locations())
     from yamsim_cli.core.config.recording import SCENE_CAMERA
 

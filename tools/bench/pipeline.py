@@ -119,7 +119,7 @@ def measure_pipeline(plain_episodes: int, episodes: int) -> PipelineFigures:
 
 
 def alone(work: Callable[P, T], *args: P.args, threads: str | None = "0", **kwargs: P.kwargs) -> T:
-    """Run something in a separate process, since Mesa chooses its threads once per process.
+    """Run something in a process of its own, since Mesa decides once a process how many threads draw.
 
     Args:
         threads: of Mesa's software renderer, beside the process's own; None for Mesa's choice.

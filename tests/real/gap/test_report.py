@@ -29,7 +29,7 @@ def test_an_interval_of_a_mean_is_students() -> None:
     # Source: R, t.test(c(1, 2, 4)).
     assert mean_interval95([1.0, 2.0, 4.0]) == pytest.approx((-1.461253, 6.127920), abs=1e-3)
     assert mean_interval95([1.0]) is None
-    # Many values approach the normal distribution, without a step at the table's end.
+    # Many values approach the normal distribution, without a step where the table ends.
     wide = np.random.default_rng(0).normal(size=400)
     low, high = mean_interval95(list(wide)) or (0.0, 0.0)
     assert (high - low) / 2 == pytest.approx(1.966 * wide.std(ddof=1) / 20, rel=1e-3)
