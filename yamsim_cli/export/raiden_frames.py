@@ -170,7 +170,7 @@ def calibration_json(
 ) -> dict[str, Any]:
     """Return the content of `calibration_results.json`.
 
-    The position of a wrist camera is the mean over the converted `frames`: with kinematics other than the simulated
+    The position of a wrist camera is the mean over the converted `frames`. With kinematics other than the simulated
     arm's, the hand-eye pose differs slightly between frames.
     """
     T = frames[0].get(schema.BETWEEN_ARMS)

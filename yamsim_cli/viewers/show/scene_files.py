@@ -82,8 +82,8 @@ def _as_authored(spec: mujoco.MjSpec) -> str:
 def _write_defaults(root: Element, model: mujoco.MjModel) -> None:
     """Make values explicit whose defaults differ between versions.
 
-    `island`, on by default since 3.3.6, is left out: it only solves the same equations in parts, and older versions
-    colour each moving body by its island.
+    `island`, on by default since 3.3.6, is left out. It only solves the same equations in parts. Older versions colour
+    each moving body by its island.
     """
     option = _child(root, "option")
     option.set("ccd_iterations", str(model.opt.ccd_iterations))
