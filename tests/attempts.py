@@ -1,4 +1,4 @@
-"""Attempts as tests need them: demonstrated from their numbers, and what acted in them."""
+"""Attempts for tests: demonstrated from their numbers, and their actions."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from yamsim_cli.core.geometry.se3 import Array
 
 
 def planned(simulator: Simulator, seed: int, attempt: int = 0) -> SimulatedAttempt:
-    """What the task's expert makes of an attempt."""
+    """Return the expert's attempt."""
     return demonstrate(simulator, sample_attempt(simulator, AttemptJob(seed, attempt)))
 
 
@@ -26,7 +26,7 @@ def start_of(simulator: Simulator, seed: int = 0) -> Array:
 
 
 def all_actions(states: Sequence[StepState]) -> ActionSequence:
-    """What acted throughout, put together from every frame's part."""
+    """Join the actions of all frames."""
     parts = [state.actions for state in states]
     return ActionSequence(
         *(np.concatenate([getattr(part, key) for part in parts]) for key in ("ctrl", "magnet", "joints"))

@@ -1,4 +1,4 @@
-"""Photos of printed boards alone, with known truth and no renderer: each print laid into the picture by its pose."""
+"""Photos of printed boards alone, without a renderer: each print is warped into the picture by its known pose."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ ONE = Board("one", 217, 3, 3, "DICT_6X6_250", _LENGTH, _LENGTH / 10)
 TWO = replace(ONE, name="two", first_id=226)
 
 _FINER = 3
-# Gaps of a tenth of a marker are whole pixels at this scale.
+# px; gaps of a tenth of a marker are whole pixels
 _CELL_PX = 20
 _QUIET_CELLS = 1
 _TABLE = 150.0
 
 
 def facing(x: float, y: float, z: float, tilt_x: float = 0.5, tilt_y: float = 0.2) -> Array:
-    """A pose (4, 4) in the camera's frame of a board at a point, turned away from facing it by two angles."""
+    """Return the pose (4, 4) of a board in the camera's frame, tilted about two axes off facing the camera."""
     towards_camera = rotation_from_vector([np.pi, 0.0, 0.0])
     return pose((x, y, z), rotation_from_vector([tilt_x, tilt_y, 0.0]) @ towards_camera)
 
@@ -56,7 +56,7 @@ def photograph(
 
 
 def picture(camera: CameraModel, boards: Sequence[tuple[Board, Array]], blur: float = 0.6) -> NDArray[np.float32]:
-    """The photo before any noise, in grey levels."""
+    """Return the photo without noise, in grey levels."""
     photo = np.full((camera.height, camera.width), _TABLE, np.float32)
     low, high = _region(camera, boards, math.ceil(8 * blur))
     x, y = (
@@ -77,7 +77,7 @@ def picture(camera: CameraModel, boards: Sequence[tuple[Board, Array]], blur: fl
 def _region(
     camera: CameraModel, boards: Sequence[tuple[Board, Array]], beyond: int
 ) -> tuple[tuple[int, int], tuple[int, int]]:
-    """First and last column and row of the part of a photo that shows boards: large photos are mostly table."""
+    """Return first and last column and row of the part of a photo that shows boards: large photos are mostly table."""
     whole = (0, 0), (camera.width, camera.height)
     if not boards:
         return (0, 0), (0, 0)
@@ -103,7 +103,7 @@ def with_noise(clean: NDArray[np.float32], noise: float = 2.0, seed: int = 0) ->
 
 def _lay(picture: NDArray[np.float32], field: NDArray[np.float32], board: Board, T: Array) -> None:
     onto_board = np.linalg.inv(T[:3, [0, 1, 3]])
-    # Number by number: large photos, three times as fine, would not fit into memory as vectors of doubles.
+    # Number by number: vectors of doubles would not fit into memory for large photos at three times the resolution.
     x, y, depth = (
         np.float32(a) * field[..., 0] + np.float32(b) * field[..., 1] + np.float32(c) for a, b, c in onto_board
     )
@@ -112,8 +112,8 @@ def _lay(picture: NDArray[np.float32], field: NDArray[np.float32], board: Board,
     px_per_metre = marker_cells(board).shape[1] * _CELL_PX / board.marker_length
     border = _QUIET_CELLS * _CELL_PX
     maps = [side * np.float32(px_per_metre) + np.float32(border - 0.5) for side in (across, down)]
-    # 0 for what lies beside the print and its white border.
+    # 0 beside the print and its white border.
     printed = cv2.remap(image.astype(np.float32) + 1, *maps, cv2.INTER_LINEAR, borderValue=0)
     on = (printed >= 1) & (depth > 0)
-    # White paper is no brighter than this, and black ink no darker.
+    # Levels of black ink and white paper.
     picture[on] = 30 + (printed[on] - 1) * (200 / 255)

@@ -1,4 +1,4 @@
-"""What all tests share. MuJoCo reads MUJOCO_GL when first imported: it is settled here, before any test module."""
+"""Common fixtures. MuJoCo reads MUJOCO_GL at its import, so the variable is set here, before any test module."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from yamsim_cli.core.files.resources import Locations
 
 settle_backend()
 remember_backend()
-# Tests that fetch at first use unset it, and have a package index of their own.
+# Tests of fetching unset it, and have their own package index.
 os.environ["YAMSIM_OFFLINE"] = "1"
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    # By far the longest one begins first, so that nothing waits for it at the end.
+    # The longest test starts first, so that no worker waits for it at the end.
     items.sort(key=lambda item: "test_pages.py" not in item.nodeid)
-    # `make test` sees to a backend, so a machine that runs the suite by other means is told rather than failed.
+    # `make test` provides a backend; other ways of running the suite get a message instead of a failure.
     if os.environ["YAMSIM_TEST_GL"] == "none":
         for item in items:
             if item.get_closest_marker("render"):
@@ -38,7 +38,7 @@ def locations() -> Locations:
 
 @pytest.fixture(scope="session")
 def make_config(locations: Locations) -> Callable[..., RecordConfig]:
-    """The default recording with some values changed: `make_config({("image", "size_px"): [64, 48]})`."""
+    """Return the default recording with some values changed: `make_config({("image", "size_px"): [64, 48]})`."""
 
     def make(changes: dict[tuple[str, ...], Any] | None = None) -> RecordConfig:
         overrides = {path: ("test", value) for path, value in (changes or {}).items()}

@@ -1,4 +1,4 @@
-"""What happens to boards at work: covered in part, glare, a crease, a bent plate, light from one side."""
+"""Disturbances of boards: partly covered, glare, a crease, a bent plate, light from one side."""
 
 from __future__ import annotations
 
@@ -14,7 +14,8 @@ from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.photos.lens_distortion import project_points, viewing_rays
 
 Grey = np.ndarray
-# From a random generator, a grey picture (height, width), its camera, a board and its pose (4, 4) in the camera frame.
+# (random generator, grey picture (height, width), camera, board, its pose (4, 4) in the camera frame) -> damaged
+# picture.
 Damage = Callable[[np.random.Generator, Grey, CameraModel, Board, Array], Grey]
 
 
@@ -24,7 +25,7 @@ def _seen(camera: CameraModel, T: Array, on_board: np.ndarray) -> np.ndarray:
 
 
 def half_covered(rng: np.random.Generator, image: Grey, camera: CameraModel, board: Board, T: Array) -> Grey:
-    """A hand or a cable over one half, up to an edge at any angle through the middle."""
+    """A hand or cable over one half, up to an edge at any angle through the middle."""
     angle = rng.uniform(-math.pi, math.pi)
     along, across = np.array([math.cos(angle), math.sin(angle)]), np.array([-math.sin(angle), math.cos(angle)])
     size = 0.8 * board.width
@@ -36,7 +37,7 @@ def half_covered(rng: np.random.Generator, image: Grey, camera: CameraModel, boa
 
 
 def glaring(rng: np.random.Generator, image: Grey, camera: CameraModel, board: Board, T: Array) -> Grey:
-    """A lamp mirrored over a third of the board, saturated, with soft edges."""
+    """A lamp's reflection over a third of the board, saturated, with soft edges."""
     radius = math.sqrt(board.width * board.height / 3 / math.pi)
     angle = np.linspace(0, 2 * math.pi, 60)
     middle = rng.uniform(-0.35, 0.35, 2) * board.width
@@ -54,7 +55,7 @@ def creased(
     """The paper folded along a line parallel to an edge, a third to two thirds across."""
     fold, at = math.radians(degrees) * rng.choice([-1, 1]), float(rng.uniform(-1 / 6, 1 / 6)) * board.width
     axis = int(rng.integers(2))
-    # The folded half's plane: through the crease, turned about it.
+    # The folded half's plane contains the crease.
     along, normal = np.eye(3)[axis], np.array([0.0, 0.0, 1.0])
     bent = math.cos(fold) * along + math.sin(fold) * normal
     bent_normal = math.cos(fold) * normal - math.sin(fold) * along
@@ -80,13 +81,13 @@ def bowed(rng: np.random.Generator, image: Grey, camera: CameraModel, board: Boa
         return curve * ((at @ axis) ** 2 - half**2 / 3)
 
     on_plate = _met(camera, T, height)
-    # Paper does not stretch: along the curve, it reaches less far than it is long.
+    # Paper does not stretch: its projection is shorter than its length along the curve.
     flat = on_plate + axis * (2 / 3 * curve**2 * (on_plate @ axis) ** 3)[:, None]
     return _moved(image, camera, T, flat, _on_board(flat, board))
 
 
 def twisted(rng: np.random.Generator, image: Grey, camera: CameraModel, board: Board, T: Array) -> Grey:
-    """The plate twisted, its corners 1 to 3 mm above and below its plane by turns."""
+    """The plate twisted, its corners alternately 1 to 3 mm above and below its plane."""
     half = max(board.width, board.height) / 2
     twist = float(rng.choice([-1, 1]) * rng.uniform(1e-3, 3e-3)) / half**2
     on_plate = _met(camera, T, lambda at: twist * at[:, 0] * at[:, 1])
@@ -100,24 +101,24 @@ def _rays_of(camera: CameraModel) -> np.ndarray:
 
 
 def _met(camera: CameraModel, T: Array, height: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
-    """Places (n, 2) on a board that pixels show, which lies at heights (n,) above its plane; m."""
+    """Places (n, 2) on a board, which lies at heights (n,) above its plane, that pixels show; m."""
     seen, raised = _rays_of(camera), np.zeros(camera.width * camera.height)
     R, normal = T[:3, :3], T[:3, 2]
     for _ in range(8):
         depth = (normal @ T[:3, 3] + raised) / (seen @ normal)
         at = (seen * depth[:, None] - T[:3, 3]) @ R[:, :2]
-        # Far beside the board, the surface goes on level.
+        # Far beside the board, the surface is level.
         raised = height(np.clip(at, -0.2, 0.2))
     return at
 
 
 def _on_board(at: np.ndarray, board: Board) -> np.ndarray:
-    """Which places (n, 2) are on a board, or so near that it may have lain there before it was bent."""
+    """Whether places (n, 2) are on a board, or so near that it covered them before it was bent."""
     return (np.abs(at) < 0.75 * np.array([board.width, board.height])).all(axis=1)
 
 
 def _moved(image: Grey, camera: CameraModel, T: Array, flat: np.ndarray, here: np.ndarray) -> Grey:
-    """A picture whose pixels (n,) `here` show places (n, 2) of a board that lay flat in it."""
+    """A picture whose pixels (n,) `here` show places (n, 2) of a board that was flat in it."""
     y, x = np.mgrid[: camera.height, : camera.width]
     source = np.column_stack([x.ravel(), y.ravel()]).astype(np.float64)
     source[here] = _seen(camera, T, flat[here])
@@ -126,7 +127,7 @@ def _moved(image: Grey, camera: CameraModel, T: Array, flat: np.ndarray, here: n
 
 
 def unevenly_lit(rng: np.random.Generator, image: Grey, camera: CameraModel, board: Board, T: Array) -> Grey:
-    """Light that falls from all to a quarter across the board."""
+    """Light that falls from full to a quarter across the board."""
     angle = rng.uniform(-math.pi, math.pi)
     corners = _seen(camera, T, np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * board.width / 2)
     y, x = np.mgrid[: image.shape[0], : image.shape[1]]
@@ -139,7 +140,7 @@ def unevenly_lit(rng: np.random.Generator, image: Grey, camera: CameraModel, boa
 def enlarged_print(
     rng: np.random.Generator, image: Grey, camera: CameraModel, board: Board, T: Array, across: int = 900
 ) -> Grey:
-    """OpenCV's own picture of the board in place of ours, warped: its markers are rounded to whole pixels, `across`."""
+    """OpenCV's picture of the board, warped: its markers are rounded to whole pixels, `across`."""
     border, finer = 50, 4
     dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, board.dictionary))
     size = (board.columns, board.rows)

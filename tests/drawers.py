@@ -1,8 +1,8 @@
-"""Things that move, as description files: a cabinet with a drawer, in SDFormat, URDF and MJCF."""
+"""Objects with moving parts as description files: a cabinet with a drawer, in SDFormat, URDF and MJCF."""
 
 from __future__ import annotations
 
-# The drawer runs towards -x, where the arm stands when the cabinet faces it.
+# The drawer opens towards -x, where the arm stands when the cabinet faces it.
 SDF = """<?xml version="1.0"?>
 <sdf version="1.9"><model name="cabinet">
 <static>{static}</static>
@@ -52,7 +52,7 @@ def _boxes(parts: dict[str, tuple[tuple[float, ...], tuple[float, ...]]], rgba: 
 
 
 def cabinet_sdf(*, static: bool = True) -> str:
-    """A cabinet of 16 x 20 x 7 cm with a drawer that comes out 10 cm."""
+    """A cabinet of 16 x 20 x 7 cm with a drawer that opens by 10 cm."""
     return SDF.format(
         static=str(static).lower(), walls=_boxes(_WALLS, "0.75 0.62 0.45 1"), drawer=_boxes(_DRAWER, "0.85 0.8 0.7 1")
     )

@@ -1,4 +1,4 @@
-"""A gripper alone, its flange fixed in the world, and a thing between its fingers."""
+"""A gripper alone, its flange fixed in the world, and an object between its fingers."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ from yamsim_cli.core.robots.finray.segment_chain import add_fingers
 
 GRIPPERS = Path(__file__).resolve().parents[1] / "robot_models" / "grippers"
 
-# As contact grasps step, see `core.scene.build`.
+# Time step of contact grasps, see `core.scene.build`.
 TIME_STEP = 0.002
 _IMPRATIO = 10
 
-# Nearer than this counts as in contact, m.
+# m, below which a point counts as in contact
 TOUCH = 1e-4
 
 Fill = Callable[[mujoco.MjsBody], None]
 
 
 def finger(name: str = "finray", **changes: float) -> FinRay:
-    """The fingers of a gripper, with other figures if some are given."""
+    """The fingers of a gripper, optionally with other figures."""
     return FinRay.model_validate(_said(name)["finray"] | changes)
 
 
@@ -50,7 +50,7 @@ def hand(name: str, soft: FinRay | None = None) -> mujoco.MjSpec:
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     spec.option.cone, spec.option.impratio = mujoco.mjtCone.mjCONE_ELLIPTIC, _IMPRATIO
     spec.option.gravity = (0, 0, 0)
-    # On an arm, MuJoCo lets what is fixed to the flange pass through what moves on it, but not through the world's own.
+    # On an arm, MuJoCo lets parts that are fixed to the flange pass through moving ones, but not through the world's.
     if spec.body("wrist_camera") is not None:
         for name in said["fingers"]["bodies"]:
             spec.add_exclude(bodyname1="wrist_camera", bodyname2=name)
@@ -63,13 +63,13 @@ def _said(name: str) -> dict:
 
 @dataclass(frozen=True)
 class GripResult:
-    """What came of closing on a thing.
+    """Result of a grasp.
 
     Attributes:
-        data: the state at the end.
-        forces: with which the left finger pressed after each step (n,), N.
-        most: the largest force of a single contact at the end, N.
-        area: of the left finger's pads nearer than `TOUCH` to the thing at the end, m2.
+        data: state at the end.
+        forces: of the left finger after each step (n,), N.
+        most: largest force of a single contact at the end, N.
+        area: of the left finger's pads nearer than `TOUCH` to the object at the end, m2.
     """
 
     data: mujoco.MjData
@@ -81,14 +81,14 @@ class GripResult:
 def grip(
     name: str, fill: Fill, command: float, *, start: float, height: float | None = None, seconds: float = 1.0
 ) -> GripResult:
-    """Close a gripper on a thing that is free to move along the closing axis.
+    """Close a gripper on an object that is free to move along the closing axis.
 
     Args:
-        fill: adds the thing's geoms to its body, whose origin lies between the fingers; x is the closing axis, z to the
-            tips.
-        command: what the drive is told at once, m of a finger's opening.
+        fill: adds the object's geoms to its body, whose origin lies between the fingers; x is the closing axis, z to
+            the tips.
+        command: to the drive, m of a finger's opening.
         start: opening at the beginning, m.
-        height: of the thing over the flange, m; that of `pinch_site` if not given.
+        height: of the object over the flange, m; that of `pinch_site` if not given.
     """
     spec = hand(name)
     x, y, z = spec.site("pinch_site").pos
@@ -108,7 +108,7 @@ def grip(
 
 
 def _presses(model: mujoco.MjModel, data: mujoco.MjData) -> list[float]:
-    """Normal force of each contact between the left finger and the thing, N."""
+    """Normal force of each contact between the left finger and the object, N."""
     force, found = np.zeros(6), []
     for k, pair in enumerate(data.contact.geom):
         names = [model.body(model.geom_bodyid[geom]).name for geom in pair]
@@ -119,7 +119,7 @@ def _presses(model: mujoco.MjModel, data: mujoco.MjData) -> list[float]:
 
 
 def _touching(model: mujoco.MjModel, data: mujoco.MjData, grain: float = 2.5e-4) -> float:
-    """Area of the left finger's pads, by probing their faces on a grid, m2."""
+    """Contact area of the left finger's pads, by probing their faces on a grid, m2."""
     things = [geom for geom in range(model.ngeom) if model.body(model.geom_bodyid[geom]).name == "thing"]
     area = 0.0
     for geom in range(model.ngeom):
@@ -127,7 +127,7 @@ def _touching(model: mujoco.MjModel, data: mujoco.MjData, grain: float = 2.5e-4)
         if "left" not in name or "pad" not in name:
             continue
         half, R, at = model.geom_size[geom], data.geom_xmat[geom].reshape(3, 3), data.geom_xpos[geom]
-        # Pads are thin along the way that they face, which is where the thing is.
+        # Pads are thin along the axis that points to the object.
         facing = int(np.argmin(half))
         toward = np.sign((data.body("thing").xpos - at) @ R[:, facing])
         u, v = (k for k in range(3) if k != facing)
@@ -141,13 +141,13 @@ def _touching(model: mujoco.MjModel, data: mujoco.MjData, grain: float = 2.5e-4)
 
 
 def _middles(half: float, grain: float) -> Array:
-    """Middles of equal parts of a length from -half to half, none much longer than a grain."""
+    """Middles of equal parts of a length from -half to half, at most about `grain` long."""
     count = max(1, round(2 * half / grain))
     return ((np.arange(count) + 0.5) / count * 2 - 1) * half
 
 
 def _distances(model: mujoco.MjModel, data: mujoco.MjData, geom: int, points: Array) -> Array:
-    """How far points (n, 3) are outside of a cylinder's round or of a ball (n,), m."""
+    """Distances of points (n, 3) from a cylinder's side or a ball (n,), m."""
     size, R = model.geom_size[geom], data.geom_xmat[geom].reshape(3, 3)
     local = (points - data.geom_xpos[geom]) @ R
     match model.geom_type[geom]:

@@ -1,4 +1,4 @@
-"""Which OpenGL backend works here, found out once for all tests: to try one takes a process and seconds."""
+"""The working OpenGL backend, determined once for all tests: each try takes a process and seconds."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from yamsim_cli import gl
 from yamsim_cli.core.errors import ResourceError
 from yamsim_cli.gl import GlBackend
 
-# "native" where MuJoCo's own choice is right, "none" where nothing works; and what OpenGL calls itself there.
+# "native" if MuJoCo's own choice works, "none" if nothing works; and OpenGL's renderer name.
 NAME, RENDERER = "YAMSIM_TEST_GL", "YAMSIM_TEST_GL_RENDERER"
 
 
 def settle_backend() -> None:
-    """Find a backend, and put it into the environment, from where xdist's workers and commands inherit the answer."""
+    """Find a backend, and set environment variables, which xdist's workers and commands inherit."""
     if NAME not in os.environ:
         try:
             found = gl.find_backend(os.environ)
@@ -28,7 +28,7 @@ def settle_backend() -> None:
 
 
 def remember_backend() -> None:
-    """Answer in this process from the environment, where a backend would be tried again that is known to work."""
+    """Read the backend from the environment instead of testing it again."""
     really = gl.probe_backend
 
     def answer(name: str, environ: Mapping[str, str]) -> GlBackend | str:

@@ -1,4 +1,4 @@
-"""An arm of five joints and a gripper that nobody sells, as the files that a user would write for them."""
+"""A fictitious arm of five joints and a gripper, as files of a user."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ arms:
   i2rt_yam: {}
 """
 
-# A hand of two plates; its fingers are mirror images, so that one's joint counts up and the other's down.
+# A hand of two plates; its fingers are mirror images: one's joint counts up and the other's down.
 _GRIPPER_XML = """\
 <mujoco model="tongs">
   <compiler angle="radian" autolimits="true"/>
@@ -146,7 +146,7 @@ arms:
 
 
 def write_robot(data: Path) -> None:
-    """Put the arm, its gripper and a rig of them into a folder of data, as `YAMSIM_DATA_DIR` names it."""
+    """Write the arm, its gripper and their rig into a data folder, as `YAMSIM_DATA_DIR` names it."""
     files = {
         f"robot_models/{ARM}/model.yaml": _ARM_YAML,
         f"robot_models/{ARM}/arm.xml": _ARM_XML,

@@ -1,4 +1,4 @@
-"""Files that are not what they should be: 60 and more, made from good ones of every format."""
+"""Malformed files: more than 60, made from good ones of every format."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ EXTERNAL = '<?xml version="1.0"?><!DOCTYPE b [<!ENTITY z SYSTEM "file:///etc/pas
 
 
 def malformed(folder: Path) -> Iterator[tuple[Path, str | None]]:
-    """Files in a folder, each with the code that it is refused with, or None where any will do."""
+    """Files in a folder, each with its expected refusal code, or None for any."""
     good = {kind: path.read_bytes() for kind, path in write_mugs(folder, segments=16).items()}
     (folder / "mug.mtl").write_text("newmtl a\nmap_Kd ../../../../etc/passwd\n")
     yield from _cut(folder, good)
@@ -160,7 +160,7 @@ def _numbers(folder: Path) -> Iterator[tuple[Path, str | None]]:
 
 
 def _flipped(folder: Path, good: dict[str, bytes]) -> Iterator[tuple[Path, str | None]]:
-    """Good files with some bytes changed: read or refused, but never worse."""
+    """Good files with some changed bytes: read or refused, but never worse."""
     rng = np.random.default_rng(2)
     for kind, data in good.items():
         for number in range(3):

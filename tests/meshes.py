@@ -1,4 +1,4 @@
-"""Bodies whose surface is known, made of more faces than they need."""
+"""Bodies with a known surface, and more faces than they need."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A mug with a handle and a printed side, made here and written by another library: what import is tried on."""
+"""A mug with a handle and a printed side, made here and written by another library: the input of import tests."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def mug_mesh(segments: int = 64) -> tuple[np.ndarray, np.ndarray]:
 
 
 def picture(size: int = 512) -> np.ndarray:
-    """An image (size, size, 3) uint8 in which no place looks like another."""
+    """An image (size, size, 3) uint8 without similar places."""
     y, x = np.mgrid[0:size, 0:size] / size
     image = np.stack([0.35 + 0.6 * x, 0.3 + 0.5 * y, 0.6 - 0.4 * x], axis=-1)
     stripes = (np.floor(8 * x) % 2 == 0) & (y > 0.25) & (y < 0.7)
@@ -45,7 +45,7 @@ def mug(segments: int = 64, *, looks: str = "texture") -> Any:
     vertices, faces = mug_mesh(segments)
     angle = np.arctan2(vertices[:, 1], vertices[:, 0])
     uv = np.stack([angle / (2 * np.pi) + 0.5, vertices[:, 2] / HEIGHT], axis=1)
-    # A seam at the back, in line with the handle's far side: its triangles get corners of their own.
+    # A seam at the back, in line with the handle's far side, whose triangles have their own corners.
     corner = uv[faces]
     wraps = np.ptp(corner[..., 0], axis=1) > 0.5
     corner[wraps, :, 0] += corner[wraps, :, 0] < 0.5
@@ -76,7 +76,7 @@ SDF = """<?xml version="1.0"?>
 
 
 def write_mugs(folder: Path, segments: int = 64, mass: float = 0.3) -> dict[str, Path]:
-    """The same mug by trimesh's exporters: kind -> file. GLB is y up, as its standard asks for; the others z up."""
+    """Write a mug by trimesh's exporters: kind -> file. GLB is y up, as its standard requires; the others z up."""
     import trimesh
 
     made = mug(segments)
@@ -114,7 +114,7 @@ def _write_obj(mesh: Any, path: Path) -> None:
 
 
 def _write_dae(mesh: Any, path: Path) -> None:
-    """trimesh writes no picture with COLLADA: it is named here."""
+    """trimesh writes no picture with COLLADA: it is added here."""
     import trimesh
     from PIL import Image
 

@@ -1,4 +1,4 @@
-"""The pages that users read and their blocks of code, for the tests that hold them to what they say."""
+"""The users' pages and their code blocks, for tests of the pages."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ README = REPOSITORY / "README.md"
 
 
 def _in_the_index() -> list[Path]:
-    """The pages of `docs/` as its index orders them, without those made from the code."""
+    """Pages of `docs/` in the order of the index, without generated ones."""
     trees = re.findall(r"^```\{toctree\}\n(.*?)^```$", (DOCS / "index.md").read_text("utf-8"), re.MULTILINE | re.DOTALL)
     names = [line for tree in trees for line in tree.splitlines() if line and not line.startswith(":")]
     return [DOCS / f"{name}.md" for name in names if not name.startswith("reference/")]
 
 
-# In the order in which a reader meets them: what one page records, later ones use.
+# In reading order: later pages use recordings of earlier ones.
 PAGES = (README, DOCS / "index.md", *_in_the_index(), REPOSITORY / "CONTRIBUTING.md")
 TEXT = "\n".join(page.read_text(encoding="utf-8") for page in PAGES)
 
 
 @dataclass(frozen=True)
 class Block:
-    """A fenced block: the heading that it stands under, its language (empty for none) and its text."""
+    """A fenced block: its heading, its language (empty for none) and its text."""
 
     section: str
     language: str
@@ -33,13 +33,13 @@ class Block:
 
     @property
     def commands(self) -> list[str]:
-        """Its lines without comments and empty ones."""
+        """Lines without comments and empty ones."""
         lines = (re.sub(r"(^|\s+)#.*", "", line) for line in self.text.splitlines())
         return [line for line in lines if line]
 
 
 def blocks(text: str = TEXT) -> list[Block]:
-    """All of them, in order; of one page, if its text is given."""
+    """Return all blocks in order; of one page, if its text is given."""
     found, section = [], ""
     for match in re.finditer(r"^```(\S*)\n(.*?)^```$|^#+ ([^\n]+)$", text, re.MULTILINE | re.DOTALL):
         language, inside, heading = match.groups()
@@ -56,7 +56,7 @@ def shell_blocks() -> list[Block]:
 
 
 def snippet(language: str, containing: str) -> str:
-    """The text of the one block in a language that contains something; another page may show the very same."""
+    """Return the text of the only block in a language with a given content; another page may repeat it."""
     (text,) = {block.text for block in blocks() if block.language == language and containing in block.text}
     return text
 

@@ -1,4 +1,4 @@
-"""A fin-ray finger as a plane frame: walls and ribs as elastic beams, rigidly joined. It knows of no chain."""
+"""A fin-ray finger as a plane frame: walls and ribs as rigidly joined elastic beams; independent of the chain model."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from yamsim_cli.core.robots.finray.finger import FinRay, hinge_stiffness, slip_j
 
 # Beams between two joints.
 _PARTS = 6
-# What is solid is so many times as thick as a wall.
+# Thickness of a solid part, in walls.
 _SOLID = 10
 
 
 class PlaneFrame:
     """Small deflections of a finger by first-order theory of elastic frames.
 
-    Each beam stretches, and bends as Euler and Bernoulli have it. The base is clamped; the tip is solid. Coordinates
-    are x to the tip and y to what is pushed, from the base of the front wall's middle.
+    Each beam stretches, and bends by Euler-Bernoulli theory. The base is clamped; the tip is solid. Coordinates are x
+    to the tip and y to the pushed side, from the middle of the front wall's base.
     """
 
     def __init__(self, finger: FinRay) -> None:
@@ -39,10 +39,10 @@ class PlaneFrame:
         self._stiffness = self._assemble(beams)
 
     def pushed(self, height: float, force: float) -> tuple[float, float, float]:
-        """What a force (N) does that pushes the front wall in at a height (m).
+        """Push the front wall in at a height (m) with a force (N).
 
         Returns:
-            How far the wall goes in there, and the tip with it, m; and the tip's turn towards what pushes, rad.
+            Deflections of the wall there and of the tip, m; and the tip's rotation towards the force, rad.
         """
         node = int(np.argmin(np.hypot(self._at[:, 0] - height, self._at[:, 1])))
         assert abs(self._at[node, 0] - height) < 1e-9, "a beam has to end there"
@@ -76,7 +76,7 @@ class PlaneFrame:
         return whole
 
     def _element(self, length: float, thickness: float) -> Array:
-        """Stiffness (6, 6) of one beam against (along, across, turn) of both ends."""
+        """Stiffness (6, 6) of one beam against (along, across, rotation) of both ends."""
         stretch = self._modulus * thickness * self._width / length
         bend = self._modulus * self._width * thickness**3 / 12 / length**3
         k = np.zeros((6, 6))
@@ -88,12 +88,12 @@ class PlaneFrame:
 
 
 def bent(finger: FinRay, height: float, force: float) -> Array:
-    """Angles (n,) in rad at which a small force (N) holds the springs, pushing the front wall in at a height (m)."""
+    """Angles (n,) of the springs, rad, that balance a small force (N) on the front wall at a height (m)."""
     arms = slip_jacobian(finger)
     stiffness = np.diag(hinge_stiffness(finger)) + arms.T @ slip_stiffness(finger) @ arms
     return np.linalg.solve(stiffness, -force * np.maximum(height - finger.stations, 0.0))
 
 
 def compliance(finger: FinRay, height: float) -> float:
-    """How far a small force pushes the front wall in at a height (m), m/N."""
+    """Deflection of the front wall at a height per small force, m/N."""
     return float(-np.maximum(height - finger.stations, 0.0) @ bent(finger, height, 1.0))

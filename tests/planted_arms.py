@@ -1,4 +1,4 @@
-"""Arms that move by known values in a physics of their own, and what would be logged of them."""
+"""Arms with known parameters in a physics of their own, and their logs."""
 
 from __future__ import annotations
 
@@ -13,14 +13,15 @@ from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.core.recorded_motion import ArmMotion, RecordedMotion
 from yamsim_cli.core.scene.arm_model import arm_spec
 
-# A motor's CAN message has 16 bits for +-12.5 rad. Source: POSITION_MAX of DM4310 and DM4340 in the maker's SDK 1.3.6.
+# rad, CAN message of a motor: 16 bits for +-12.5 rad. Source: POSITION_MAX of DM4310 and DM4340 in the manufacturer's
+# SDK 1.3.6.
 ENCODER_STEP = 25 / 65535
 _STEP = 0.0005
 
 
 @dataclass(frozen=True)
 class TrueParameters:
-    """How an arm moves. All but the delay are there for each joint (dof,); units as in `identify.plant.Values`.
+    """Parameters of an arm. All but the delay are per joint (dof,); units as in `identify.plant.Values`.
 
     Attributes:
         law: of friction: `tanh`, `stribeck` or `coulomb`.
@@ -38,7 +39,7 @@ class TrueParameters:
 
 
 def random_plant(arm: ArmConfig, rng: np.random.Generator) -> TrueParameters:
-    """An arm that is unlike its model in everything that is fitted."""
+    """A random arm that differs from its model in all fitted parameters."""
     spec = arm_spec(arm, None).compile()
     joints = [spec.joint(name) for name in arm.robot.joint_names]
     dof = np.array([joint.dofadr[0] for joint in joints])
@@ -57,15 +58,15 @@ def random_plant(arm: ArmConfig, rng: np.random.Generator) -> TrueParameters:
     )
 
 
-# How fast a joint turns where friction is nearly full, rad/s, by the law's name.
+# Friction law -> rad/s, speed at which friction is nearly full.
 _SETS_IN = {"tanh": 0.02, "stribeck": 0.02, "coulomb": 0.005}
 
 
 def _friction(planted: TrueParameters, invweight: Array) -> Callable[[Array], Array]:
-    """What friction takes (dof,), N m, of speeds (dof,), rad/s, as it is in the middle of a step.
+    """Friction torques (dof,), N m, at speeds (dof,), rad/s, in the middle of a step.
 
     Args:
-        invweight: how much a joint speeds up by a torque (dof,), 1/(kg m2).
+        invweight: acceleration of a joint per torque (dof,), 1/(kg m2).
     """
     slow = _SETS_IN[planted.law]
 
@@ -75,7 +76,7 @@ def _friction(planted: TrueParameters, invweight: Array) -> Callable[[Array], Ar
         return found
 
     def at(speed: Array) -> Array:
-        # Where it sets in it is stiff: a step that took it at its beginning would overshoot.
+        # Near zero speed friction is stiff: an explicit step would overshoot.
         stiff = planted.friction / slow / np.cosh(np.clip(speed / slow, -20, 20)) ** 2
         found: Array = law(speed) / (1 + stiff * invweight * _STEP / 2)
         return found
@@ -93,15 +94,15 @@ def drive(
     step: float = ENCODER_STEP,
     opening: float = 0.0,
 ) -> RecordedMotion:
-    """What is logged of an arm that is told commands (n, dof) at times (n,).
+    """Return the log of an arm with commands (n, dof) at times (n,).
 
     Args:
-        jitter: how far a sample's time is from when it should be at most, s.
+        jitter: largest deviation of a sample's time, s.
         step: of the encoders, rad.
-        opening: of one finger, m, which the gripper is told all along.
+        opening: constant command to the gripper, m of one finger.
     """
     times = times + np.concatenate([[0.0], rng.uniform(-jitter, jitter, len(times) - 1)])
-    # Samples lie on the steps of this physics, so that it is exact about when they were.
+    # Samples lie on the steps of this physics, so that their times are exact.
     times = np.round(times / _STEP) * _STEP
     spec = arm_spec(arm, None)
     spec.option.timestep = _STEP

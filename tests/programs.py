@@ -1,4 +1,4 @@
-"""Small tasks that are data, for tests: a cube and a plate before one arm, or other things before two."""
+"""Small program tasks for tests: a cube and a plate before one arm, or other objects before two."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from yamsim_cli.session_opener import SessionOpener
 
 STATION = "yam_station_linear_4310_d405"
 
-#: A cube, put onto a plate by one arm.
+# A cube, placed onto a plate by one arm.
 ONTO_PLATE: dict[str, Any] = {
     "kind": "program",
     "rig": "single_linear",
@@ -59,7 +59,7 @@ def changed(changes: dict[tuple[str, ...], Any], task: dict[str, Any] | None = N
     return data
 
 
-#: A napkin, folded in half by both arms of a station.
+# A napkin, folded in half by both arms of a station.
 FOLD: dict[str, Any] = changed(
     {
         ("rig",): STATION,
@@ -80,7 +80,7 @@ def written(folder: Path, task: dict[str, Any], name: str = "small") -> Path:
 
 
 def session_of(folder: Path, task: dict[str, Any], **given: Any) -> Session:
-    """A session of a task, with primitives in place of meshes."""
+    """A session of a task, with primitives instead of meshes."""
     opener = SessionOpener(os.environ, lambda text: None, lambda setting: f"--{setting}")
     where = opener.locations()
     given = {"size": "64x48", "quality": "fast", "n": 1, "workers": 1} | given
@@ -89,14 +89,14 @@ def session_of(folder: Path, task: dict[str, Any], **given: Any) -> Session:
 
 
 def first_attempt(simulators: Simulators, number: int = 0) -> tuple[Simulator, Attempt]:
-    """An attempt of seed 0, and the simulator in which it takes place."""
+    """An attempt of seed 0, and its simulator."""
     job = AttemptJob(0, number)
     simulator = simulators.get(job)
     return simulator, sample_attempt(simulator, job)
 
 
 def started(simulators: Simulators) -> tuple[Simulator, Attempt, mujoco.MjData]:
-    """The first attempt, and MuJoCo's state where it begins."""
+    """The first attempt, and MuJoCo's state at its start."""
     simulator, attempt = first_attempt(simulators)
     assert attempt.start is not None
     data = mujoco.MjData(simulator.scene.model)
@@ -105,7 +105,7 @@ def started(simulators: Simulators) -> tuple[Simulator, Attempt, mujoco.MjData]:
 
 
 def bench_at_start(simulators: Simulators) -> PlanningContext:
-    """What skills find where the first attempt begins."""
+    """The planning context at the start of the first attempt."""
     simulator, _, data = started(simulators)
     world = make_sim_world(simulator.scene, data, arm_sides(simulator.config))
     stands = list(start_postures(simulator.config))

@@ -1,4 +1,4 @@
-"""A rack to put things on: a plate of 20 cm with a rail on either side, in SDFormat."""
+"""A rack: a plate of 20 cm with a rail on either side, in SDFormat."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Random photos of a rig's boards by cameras that nobody calibrated: whatever size, lens, place, blur and noise."""
+"""Random photos of a rig's boards by uncalibrated cameras of any size, lens, place, blur and noise."""
 
 from __future__ import annotations
 
@@ -19,22 +19,22 @@ from yamsim_cli.photos.lens_distortion import project_points
 # Webcams at VGA to phones of 12 megapixels.
 SIZES = ((640, 480), (1280, 720), (1920, 1080), (4032, 3024))
 SIZE_SHARES = (0.35, 0.3, 0.25, 0.1)
-# Focal lengths, px, and in image widths: wide webcams to phones, and one lens in ten is a longer one.
+# Focal lengths, px, and in image widths: wide webcams to phones, and one lens in ten is longer.
 FOCALS = (400.0, 4000.0)
 WIDTHS, LONG_WIDTHS, LONG = (0.62, 1.3), (1.3, 5.5), 0.1
-# How much of the image's width a board takes, if it is not nearer or farther than this, m.
+# A board's width as a share of the image's, and limits of its distance, m.
 SHARES, DISTANCES = (0.1, 0.45), (0.2, 2.5)
 TILTS = (0.0, math.radians(70))
 BLURS, NOISES = (0.5, 1.3), (0.7, 5.0)
 # Of the natural logarithm of the print's size.
 PRINT_SIGMA = 0.0025
-# Smaller markers are not read, px and image widths.
+# px and image widths; smaller markers are not read
 _LEAST_MARKER = (13.0, 0.0085)
 
 
 @dataclass(frozen=True)
 class LensSpread:
-    """How far real lenses are from a centred pinhole: standard deviations of the principal point, widths, and of k1."""
+    """Deviations of real lenses from a centred pinhole: sigma of the principal point, widths, and of k1."""
 
     centre: float = 0.0
     bend: float = 0.0
@@ -42,7 +42,7 @@ class LensSpread:
 
 @dataclass(frozen=True)
 class RandomView:
-    """What is photographed: the camera, where it stands, and the boards that lie there; `growth` is of the print.
+    """The camera, its pose, and boards; `growth` is of the print.
 
     Attributes:
         tilt: of the camera off the boards' normal, rad.
@@ -70,7 +70,7 @@ class RandomView:
 
 
 def random_camera(rng: np.random.Generator, lens: LensSpread) -> CameraModel:
-    """A camera of some size and focal length; `focal_sigma` is left as it is."""
+    """A camera of random size and focal length; `focal_sigma` stays unchanged."""
     while True:
         width, height = SIZES[rng.choice(len(SIZES), p=SIZE_SHARES)]
         low, high = LONG_WIDTHS if rng.random() < LONG else WIDTHS
@@ -94,9 +94,9 @@ def random_view(
     """A view of one board or of both.
 
     Args:
-        arms: whose boards lie there; one, the other or both by chance if left out.
-        camera: that takes it; by default any of `random_camera`.
-        tilts: between which its tilt is drawn, rad.
+        arms: of the shown boards; one, the other or both by chance if None.
+        camera: by default `random_camera`.
+        tilts: limits of the tilt, rad.
     """
     while True:
         taken = camera or random_camera(rng, lens or LensSpread())
@@ -120,7 +120,7 @@ def random_view(
 
 
 def _seen(camera: CameraModel, board: Board, T: Array) -> bool:
-    """Whether the whole board is in the picture with its face to the camera, and its markers are not too small."""
+    """Whether the whole board is in the picture with its face to the camera, and its markers are large enough."""
     corners = board.corners()
     in_cam = corners.reshape(-1, 3) @ T[:3, :3].T + T[:3, 3]
     if (in_cam[:, 2] < 0.05).any() or T[:3, 2] @ T[:3, 3] > 0:

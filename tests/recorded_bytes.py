@@ -1,8 +1,7 @@
-"""What a few recordings hold, byte for byte, written down: `python -m tests.recorded_bytes` makes the list anew.
+"""Hashes of a few recordings: `python -m tests.recorded_bytes` renews the list.
 
-The last bits of sums depend on the processor, so each kind of processor that the tests run on has its own list. To make
-them anew is right only with a new format version or model revision, and a reason in CHANGELOG.md: what users recorded
-has to be made again from its seeds as it was.
+The last bits of sums depend on the processor, so each kind of processor has its own list. Renew a list only with a new
+format version or model revision, and a reason in CHANGELOG.md: users' recordings must be reproducible from their seeds.
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ import numpy as np
 REPOSITORY = Path(__file__).resolve().parents[1]
 KEPT = Path(__file__).with_name("data") / "recorded_bytes.json"
 
-# One episode each, of everything that can be asked for and that acts on what is recorded.
+# One episode each, of all options that affect recordings.
 CASES = {
     "weld": "--seed 3",
     "contact": "--seed 3 --grasp contact --rig single_linear",
@@ -32,7 +31,7 @@ CASES = {
     "hand-over": "--seed 8 --rig russet --task handover --wrist",
     "apple into bowl": "--seed 9 --object 013_apple --target 024_bowl --grasp contact --rig single_linear",
 }
-# Offline, since primitives stand in for meshes.
+# Offline, since primitives stand for meshes.
 COMMON = "--n 1 --workers 1 --size 96x72 --quality fast --offline --json"
 
 
@@ -44,13 +43,13 @@ def sums() -> str:
 
 
 def recorded(case: str, assets: Path | None) -> dict[str, Any]:
-    """What an episode of a case holds.
+    """Return the hashes of an episode of a case.
 
     Args:
         assets: folder of meshes; None for primitives.
 
     Returns:
-        `content` (hash of the numbers), `images` and `truth` (hashes of files), and what they depend on.
+        `content` (hash of the numbers), `images` and `truth` (hashes of files), and their dependencies.
     """
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "dataset"
@@ -76,7 +75,7 @@ def recorded(case: str, assets: Path | None) -> dict[str, Any]:
 
 
 def kept() -> dict[str, dict[str, Any]]:
-    """What is written down: the processor's `sums` -> case -> what it holds."""
+    """Return the stored list: the processor's `sums` -> case -> hashes."""
     lists: dict[str, dict[str, Any]] = json.loads(KEPT.read_text(encoding="utf-8"))
     return lists
 

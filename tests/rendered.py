@@ -1,4 +1,4 @@
-"""A small dataset that is really rendered, with depth."""
+"""A small rendered dataset with depth."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from yamsim_cli.core.dataset.dataset_paths import depth_name, episode_name, imag
 from yamsim_cli.core.episode.runner import AttemptRunner
 from yamsim_cli.core.files.resources import Locations
 
-# What a recording has to be of for its pictures to be as large as the dataset says.
+# Config values for pictures of the dataset's size.
 SMALL = {("image", "size_px"): list(SIZE), ("truth",): True}
 
 
 def write_rendered_dataset(path: Path, config: RecordConfig, locations: Locations, episodes: int) -> None:
-    """The episodes that `yamsim record` would make, of a configuration with `SMALL` in it, rendered with primitives."""
+    """Write the episodes that `yamsim record` would make, of a config with `SMALL`, rendered with primitives."""
     files: list[dict[str, bytes]] = []
     randomized = []
     with AttemptRunner(Session(config, locations), render=True) as runner:

@@ -1,4 +1,4 @@
-"""Photos of a rig's arms with known truth: where the camera stood, which joints they had, which pixels are arm."""
+"""Photos of a rig's arms with known truth: camera pose, joints, and mask of the arms."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.geometry.camera import CameraModel
 from yamsim_cli.core.geometry.se3 import Array, inverse, pose
 
-# Off-centre and distorted as a webcam's picture is.
+# Off-centre and distorted as a webcam's picture.
 CAMERA = CameraModel(
     640, 480, ((605.0, 0.0, 326.0), (0.0, 602.0, 234.0), (0.0, 0.0, 1.0)), (-0.12, 0.05, 1e-3, -5e-4, 0)
 )
-# Both boards of russet and most of both arms are in sight, and no finger hides a board.
+# Both boards of russet and most of both arms are visible, and no finger hides a board.
 JOINTS = np.array([[0.9, 1.3, 1.1, -0.2, 0.1, 0.3, 0.03], [-0.9, 0.9, 1.2, 0.2, -0.3, 0.1, 0.01]])
 
 
 def looking(position: tuple[float, float, float], target: tuple[float, float, float]) -> Array:
-    """The pose (4, 4) in `world` of a camera that stands upright somewhere and looks at something."""
+    """The pose (4, 4) in `world` of an upright camera that looks at a target."""
     z = np.subtract(target, position) / np.linalg.norm(np.subtract(target, position))
     x = np.cross(z, (0.0, 0.0, 1.0))
     x /= np.linalg.norm(x)
@@ -31,13 +31,13 @@ def looking(position: tuple[float, float, float], target: tuple[float, float, fl
 
 
 def standing(joints: Array) -> tuple[ArmPosture, ...]:
-    """How arms stand whose joints and openings are (arms, 7)."""
+    """Postures of arms with joints and openings (arms, 7)."""
     return tuple(ArmPosture(row[:6], float(row[6])) for row in joints)
 
 
 @dataclass(frozen=True)
 class RigPhoto:
-    """A photo (height, width, 3) as RGB, and the truth about it; `mask` (height, width) is where the arms are."""
+    """A photo (height, width, 3) as RGB, and its truth; `mask` (height, width) is where the arms are."""
 
     image: np.ndarray
     rig: RigConfig
@@ -55,7 +55,7 @@ class RigPhoto:
 
 
 class RigPhotographer(Photographer):
-    """Takes pictures of a rig in any posture, on primitives."""
+    """Takes pictures of a rig in any posture, with primitives."""
 
     def shoot(self, T_cam_in_world: Array, joints: Array, noise: float = 2.0, seed: int = 0) -> RigPhoto:
         model, data = self._model, self._data

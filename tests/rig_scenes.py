@@ -1,4 +1,4 @@
-"""Scenes of a rig alone, and motions made in them, for tests of what recorded commands do."""
+"""Scenes of a rig alone, and motions made in them, for tests of recorded commands."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ def rig_scene(name: str = "single", timestep: float = STEP) -> CompiledScene:
 
 
 def new_scene(name: str = "single", timestep: float = STEP) -> CompiledScene:
-    """One of its own, whose model may be changed."""
+    """A new scene, whose model may be changed."""
     where = Locations.find(os.environ)
     rig = load_config(RigConfig, "rigs", name, where)
     return build_rig_scene(rig, load_config(SceneConfig, "scenes", "studio", where), where, timestep)
 
 
 def swings(times: Array, still: float = 0.5, amplitude: float = 0.3, seed: int = 0) -> Array:
-    """Commands (n, 6) that hold still at first, then swing every joint at its own pace, and hold still at last."""
+    """Commands (n, 6) that hold still at first, then swing every joint at its own rate, and hold still at last."""
     rng = np.random.default_rng(seed)
     home = np.array([0.0, 1.4, 1.5, -0.3, 0.0, 0.0])
     begin, end = still, times[-1] - still
@@ -46,10 +46,10 @@ def swings(times: Array, still: float = 0.5, amplitude: float = 0.3, seed: int =
 def plant(
     scene: CompiledScene, times: Array, commands: list[Array], openings: float = 0.02, gravity: float = 1.0
 ) -> RecordedMotion:
-    """What MuJoCo's own loop does with commands of each arm (n, dof) at times that are whole numbers of steps.
+    """Motion by MuJoCo's own loop with commands of each arm (n, dof) at times that are whole numbers of steps.
 
     Args:
-        gravity: how many times its weight the drives make up for.
+        gravity: multiple of the weight that the drives compensate.
     """
     data = mujoco.MjData(scene.model)
     qpos = scene.model.qpos0.copy()
@@ -79,7 +79,7 @@ def plant(
 
 
 def later(motion: RecordedMotion, samples: int) -> RecordedMotion:
-    """The same motion measured so many samples later; its commands stay."""
+    """The same motion measured `samples` later; its commands stay."""
     arms = tuple(
         replace(
             arm, joints=np.vstack([np.repeat(arm.joints[:1], samples, axis=0), arm.joints[: len(arm.joints) - samples]])

@@ -1,4 +1,4 @@
-"""Outlines of a mesh from all around, as pictures of which pixels it covers."""
+"""Silhouettes of a mesh from all sides."""
 
 from __future__ import annotations
 
@@ -10,21 +10,21 @@ PIXELS = 512
 
 
 def _directions() -> np.ndarray:
-    """Unit vectors (n, 3), spread evenly over half a sphere: from opposite sides the outline is the same."""
+    """Unit vectors (n, 3), spread evenly over half a sphere: opposite sides have the same outline."""
     k = np.arange(DIRECTIONS) + 0.5
     z, angle = 1 - k / DIRECTIONS, np.pi * (1 + np.sqrt(5)) * k
     return np.column_stack([np.sqrt(1 - z**2) * np.cos(angle), np.sqrt(1 - z**2) * np.sin(angle), z])
 
 
 class Silhouettes:
-    """Draws meshes without perspective, so that the one they are compared with fills nine tenths of the picture."""
+    """Renders meshes without perspective, so that the reference mesh fills nine tenths of the picture."""
 
     def __init__(self, vertices: np.ndarray) -> None:
         self._middle = (vertices.min(axis=0) + vertices.max(axis=0)) / 2
         self._height = 2 * np.linalg.norm(vertices - self._middle, axis=1).max() / 0.9
 
     def of(self, vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-        """Which pixels are covered, (directions, pixels, pixels) of bool."""
+        """Return the covered pixels, (directions, pixels, pixels) of bool."""
         spec = mujoco.MjSpec()
         scale = 1 / self._height
         spec.visual.global_.offwidth = spec.visual.global_.offheight = PIXELS
@@ -53,5 +53,5 @@ class Silhouettes:
 
 
 def overlap(a: np.ndarray, b: np.ndarray) -> float:
-    """The least intersection over union, over all directions."""
+    """Smallest intersection over union of all directions."""
     return float(min((x & y).sum() / (x | y).sum() for x, y in zip(a, b, strict=True)))

@@ -1,4 +1,4 @@
-"""Meshes in the place of the real ones: small cubes under the locked names, for what only has to tell meshes apart."""
+"""Stand-ins for meshes: small cubes under the locked names, for tests that only distinguish meshes."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from yamsim_cli.core.scene.assets import load_lock
 def stand_ins(
     folder: Path, locations: Locations, *names: str, edge: float = 0.02, reduced: bool = False
 ) -> dict[str, Path | None]:
-    """Asset set -> a folder with cubes of `edge` m, below `folder`; `reduced` as `assets.reduction` leaves it."""
+    """Return asset set -> folder with cubes of `edge` m, below `folder`; `reduced` as `assets.reduction` leaves it."""
     cube = stl_bytes(*box(edge, cuts=1))
     made: dict[str, Path | None] = {}
     for assets in load_lock(locations).select(names):

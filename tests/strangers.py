@@ -1,4 +1,4 @@
-"""Photos in which no board of a rig is, but much that looks like one: for what must not be found."""
+"""Photos without a board of a rig, with objects that look like one."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from yamsim_cli.core.images.board_image import board_image
 
 Picture = np.ndarray
 
-# Dictionaries of other boards, and how many markers they have.
+# Dictionaries of other boards, and their numbers of markers.
 DICTIONARIES = {"DICT_4X4_250": 250, "DICT_5X5_1000": 1000, "DICT_6X6_1000": 1000, "DICT_7X7_250": 250}
 SIDE = 520
 
 
 def _board(rng: np.random.Generator, ours: Board, dictionary: str, first_id: int) -> Picture:
-    """A grid of other markers, of our board's measures."""
+    """A grid of other markers, with our board's measures."""
     return board_image(replace(ours, dictionary=dictionary, first_id=first_id), 16, quiet_cells=1)
 
 
 def other_dictionary(rng: np.random.Generator, ours: Board) -> Picture:
     name = str(rng.choice([one for one in DICTIONARIES if one != ours.dictionary]))
-    # The larger dictionaries of a size begin with the smaller ones: our ids are left out.
+    # Larger dictionaries of a size begin with the smaller ones: our ids are left out.
     return _board(rng, ours, name, int(rng.integers(0, 190)))
 
 
@@ -43,7 +43,7 @@ def inverted(rng: np.random.Generator, ours: Board) -> Picture:
 
 
 def shuffled(rng: np.random.Generator, ours: Board) -> Picture:
-    """Random bits in our grid: a board of nobody's dictionary."""
+    """Random bits in our grid: a board of no dictionary."""
     image = board_image(ours, 16, quiet_cells=1)
     step = (ours.marker_length + ours.gap) / ours.marker_length * 128
     for k in range(len(ours.ids)):
@@ -115,13 +115,13 @@ KINDS: dict[str, Callable[[np.random.Generator, Board], Picture]] = {
 
 
 def stranger(rng: np.random.Generator, kind: str, ours: Board, size: tuple[int, int] = (640, 480)) -> Picture:
-    """A grey photo (height, width) of one to three things of a kind, at random places, slants, blurs and lights."""
+    """A grey photo (height, width) of one to three objects of a kind, at random places, tilts, blurs and lights."""
     width, height = size
     ground = cv2.resize(rng.integers(60, 220, (5, 6)).astype(np.float32), size, interpolation=cv2.INTER_CUBIC)
     for _ in range(int(rng.integers(1, 4))):
         picture = KINDS[kind](rng, ours).astype(np.float32)
         high, wide = picture.shape
-        # Drawn finer than it is seen, as a lens would average it.
+        # Drawn at a higher resolution, which a lens would average.
         across = float(math.exp(rng.uniform(math.log(25), math.log(320))))
         turn, slant = rng.uniform(-math.pi, math.pi), math.radians(rng.uniform(0, 72))
         flat = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * (0.5, 0.5 * high / wide) * across

@@ -1,4 +1,4 @@
-"""yamsim from Python: the README's example as it stands, and the same bytes as the command line's."""
+"""yamsim from Python: the README's example, and the same bytes as the command line's."""
 
 from __future__ import annotations
 

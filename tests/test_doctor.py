@@ -22,7 +22,7 @@ Look = Callable[..., dict[str, HealthCheck]]
 
 @pytest.fixture
 def look(locations: Locations, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Look:
-    """Examine a machine whose backends and GPU are made up."""
+    """Check a machine with fictitious backends and GPU."""
 
     def examine_it(
         backends: Mapping[str, GlBackend | str] | None = None,

@@ -11,7 +11,7 @@ from yamsim_cli.gl import GlBackend, find_backend
 
 
 class FakeSubprocess:
-    """Stands in for `subprocess.run`: backend -> exit code and stderr, or an exception; notes what was asked."""
+    """Replaces `subprocess.run`: backend -> exit code and stderr, or an exception; records its calls."""
 
     def __init__(self, answers):
         self.answers = answers

@@ -40,7 +40,7 @@ def check(**options: Any) -> None:
     made = gymnasium.make(ENV_ID, **options)
     try:
         with warnings.catch_warnings():
-            # Bounds of joints are what they are, and not -1..1.
+            # Joints have their own bounds, and not -1..1.
             warnings.filterwarnings("ignore", message=".*(Box action space|normalized).*")
             check_env(made.unwrapped)
     finally:
@@ -76,7 +76,7 @@ def test_the_plans_actions_succeed_from_the_batchs_start(env: Any, config: Recor
         if over:
             break
     assert (rewards, over, truncated, info["success"], info["holds"]) == (1.0, True, False, True, False)
-    # It holds still at first, and the arm goes back afterwards.
+    # It holds still at first, and the arm returns afterwards.
     released = int(np.flatnonzero(all_actions(done.states).magnet)[-1]) + 1
     assert released + config.task.hold_ticks < tick <= sum(len(state.actions.ctrl) for state in done.states)
 
@@ -101,7 +101,7 @@ def test_two_arms_hand_over(make_config: Callable[..., RecordConfig], locations:
 
 
 def test_a_task_that_is_data_is_one_too(tmp_path: Path) -> None:
-    """Its expert's actions, replayed through the environment, reach the goal; things have poses by their roles."""
+    """Its expert's actions, replayed through the environment, reach the goal; object poses are named by roles."""
     task = str(written(tmp_path, ONTO_PLATE))
     check(task=task)
     with Simulators(session_of(tmp_path, ONTO_PLATE)) as simulators:
@@ -214,7 +214,7 @@ def test_a_goal_of_cloth_is_looked_at() -> None:
     env = gymnasium.make(ENV_ID, task="fold_napkin")
     observation, info = env.reset(seed=0)
     assert observation["napkin_pose_world"].shape == (4, 4)
-    # It lies flat: what belongs together is as far apart as it is long, 0.2 m, and counts as folded within 0.02 m.
+    # It lies flat: points that belong together are 0.2 m apart, its length, and count as folded within 0.02 m.
     assert info["goal"]["folded(napkin, half)"] == pytest.approx(0.02 - 0.2, abs=1e-3)
     *_, info = env.step(np.append(observation["joints"], (0.0, 0.0)).astype(np.float32))
     assert info["goal"]["folded(napkin, half)"] < 0 and not info["success"]

@@ -1,4 +1,4 @@
-"""The distributions in `integrations/` as this environment can see them, which lacks what they plug into."""
+"""The distributions in `integrations/`, without the programs that they plug into."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def project(folder: Path) -> dict[str, Any]:
 
 
 def imported(file: Path) -> Iterator[str]:
-    """The modules that a file imports, by their absolute names."""
+    """Absolute names of the modules that a file imports."""
     for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
@@ -41,7 +41,7 @@ def test_lerobots_are_there() -> None:
 @pytest.mark.parametrize("folder", DISTRIBUTIONS, ids=NAMES)
 def test_a_distribution_is_called_as_it_is_looked_for_and_takes_this_yamsim(folder: Path) -> None:
     told = project(folder)
-    # LeRobot imports the module that has the distribution's name, underscores and all.
+    # LeRobot imports the module with the distribution's name, including underscores.
     assert told["name"] == folder.name and (folder / folder.name / "__init__.py").is_file()
     (yamsim,) = (one for one in map(Requirement, told["dependencies"]) if one.name == "yamsim")
     assert yamsim.specifier.contains(__version__) and not yamsim.specifier.contains("1.0")

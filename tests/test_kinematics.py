@@ -1,4 +1,4 @@
-"""Kinematics from Python: what goes forwards comes back, errors say how far off, and nothing of the CLI is loaded."""
+"""Kinematics from Python: round trips, errors with distances, and nothing of the CLI is loaded."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ DOWN = np.diag([1.0, -1.0, -1.0])
 
 
 def run(code: str, repository: Path, **environ: str) -> subprocess.CompletedProcess[str]:
-    """Run a program of the user's, with no OpenGL chosen for it."""
+    """Run a user's program, without a chosen OpenGL."""
     env = {name: value for name, value in os.environ.items() if name != "MUJOCO_GL"}
     return subprocess.run(
         [sys.executable, "-c", code],
@@ -117,7 +117,7 @@ def test_out_of_reach_says_how_far_off_the_nearest_is() -> None:
 
 def test_a_hand_may_lean_where_the_arm_is_too_short() -> None:
     kinematics = Kinematics()
-    # The hand as over the near half of the table, turned outwards.
+    # The hand over the near half of the table, turned outwards.
     far = pose((0.60, 0.15, 0.08), rotation_z(math.atan2(0.15, 0.60)) @ kinematics.fk(START)[:3, :3])
     with pytest.raises(OutOfReachError, match=r"is 0\.0 mm and 2\d\.\d deg away \(at most 1 mm and 1 deg\)"):
         kinematics.ik(far, START)
@@ -194,7 +194,7 @@ def test_pictures_can_be_drawn_later_in_the_same_process(first: str, repository:
 def test_a_target_beyond_the_solvers_numbers_is_out_of_reach() -> None:
     """Task and damping are twelve orders of magnitude apart there, and the QP has no solution."""
     kinematics = Kinematics()
-    # Joints at their stops, as they are after some steps towards something far away.
+    # Joints at their limits, as after some steps towards a far target.
     start = [-2.61799, 3.66519, 0, -1.5708, 0.24, -2.0944]
     for direction in ((0, -1, 0), (1, 0, 0), (0.3, 0.9, 0.2)):
         for lean in (0, 0.5, 2):

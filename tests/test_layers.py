@@ -10,7 +10,7 @@ from pathlib import Path
 
 PACKAGE = Path(__file__).resolve().parents[1] / "yamsim_cli"
 
-# Floors, from the bottom. Packages on one floor do not use each other, so that no wing uses another.
+# Floors, from the bottom; packages of one floor do not use each other, so no wing uses another.
 FLOORS: dict[str, int] = {
     "core.errors": 0,
     "can_site": 0,
@@ -39,7 +39,7 @@ FLOORS: dict[str, int] = {
     "gl": 8,
     "mesh_download": 8,
     "session_opener": 9,
-    # Wings: each is something that users do.
+    # Wings: tasks of users.
     "datasets": 10,
     "export": 10,
     "kitchenbench": 10,
@@ -49,7 +49,7 @@ FLOORS: dict[str, int] = {
     "real": 10,
     "recording": 10,
     "viewers": 10,
-    # What joins wings, and what users start or import.
+    # Code that joins wings, and entry points of users.
     "camera_reader": 11,
     "doctor": 11,
     "gap_photos": 11,
@@ -72,7 +72,7 @@ FLOORS: dict[str, int] = {
 }
 WINGS = {unit for unit, floor in FLOORS.items() if floor == FLOORS["photos"]}
 
-# Libraries that only some packages may know.
+# Libraries that only some packages may import.
 CONFINED = {
     "mink": {"core.expert.planning.ik"},
     "manifold3d": {"core.scene.assets.mesh_reduction", "objects.convex_decomposition"},
@@ -127,7 +127,7 @@ def _modules() -> list[str]:
 
 
 def _unit(module: str) -> str | None:
-    """The floor's name a module belongs to; None for the package markers."""
+    """Return a module's floor; None for package markers."""
     return next((unit for unit in FLOORS if module == unit or module.startswith(unit + ".")), None)
 
 
@@ -144,7 +144,7 @@ def _file(module: str) -> Path:
 
 @functools.cache
 def _imports(module: str) -> tuple[str, ...]:
-    """Absolute names of what a module imports: yamsim's own without the `yamsim_cli.`, libraries as they are."""
+    """Absolute names of a module's imports: yamsim's own without `yamsim_cli.`, libraries unchanged."""
     return tuple(_find_imports(module))
 
 
@@ -182,7 +182,7 @@ def test_imports_go_only_downwards() -> None:
 
 
 def test_no_module_is_imported_by_what_it_imports() -> None:
-    """Inside a package too, some modules stand below others."""
+    """Modules inside a package are ordered too."""
     modules = set(_modules())
     below = {module: {name for name in _needs(module) if name in modules} - {module} for module in modules}
     while free := {module for module, needs in below.items() if not needs}:
@@ -191,7 +191,7 @@ def test_no_module_is_imported_by_what_it_imports() -> None:
 
 
 def _needs(module: str) -> Iterator[str]:
-    """The modules that a module's imports name."""
+    """Modules that a module's imports name."""
     for name in _imports(module):
         yield name
         yield name.rpartition(".")[0]
@@ -215,14 +215,14 @@ OUTSIDE = {
 }
 
 
-# Programs of their own: another program starts these, and talks with them over its own channels.
+# Programs of their own: other programs start them, and communicate over their own channels.
 OUTSIDERS = {"policies.policy_server"}
 
 
 def test_core_and_wings_do_not_reach_outside() -> None:
     """Core and the wings never print, exit, or read the command line, the environment or the wall clock.
 
-    `kitchenbench` may: Inspect Robots starts it, so that no command of ours settles its environment.
+    `kitchenbench` may: Inspect Robots starts it, so no command of yamsim sets its environment.
     """
     reached = []
     for module in _modules():
@@ -259,7 +259,7 @@ def test_the_page_on_architecture_names_modules_that_exist() -> None:
     assert named and named - set(_modules()) == set()
 
 
-# What other programs start or import: the command, plugins of other tools, and the public API.
+# Started or imported by other programs: the command, plugins of other tools, and the public API.
 ENTRIES = {
     *("__main__", "can_site.yamsim_can", "gym_env", "kinematics", "kitchenbench.own_tasks", "kitchenbench.policy"),
     *("lerobot_camera", "live_station", "main", "raiden_camera"),
@@ -273,7 +273,7 @@ def test_every_module_is_used() -> None:
 
 
 def test_scripts_import_names_that_exist() -> None:
-    """Nothing else looks into shell scripts."""
+    """No other test reads shell scripts."""
     scripts = [path for path in (PACKAGE.parent / "tools").rglob("*") if path.suffix in (".py", ".sh")]
     imports = [
         (module, name.split()[0])

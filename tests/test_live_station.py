@@ -33,7 +33,7 @@ def test_time_passes_by_the_clock_once_a_trial_has_begun() -> None:
         row[0] += 0.2
         station.command(row)
         wait_for(lambda: station.time > 1)
-        # It may be slower than the clock, on a busy machine; it is never faster.
+        # It may be slower than the clock on a busy machine, but never faster.
         assert station.time <= time.monotonic() - begun + 1 / 30
         assert station.observe()[0][0] == pytest.approx(row[0], abs=0.05)
 

@@ -1,7 +1,7 @@
-"""The same actions get the same verdict at the same control tick, whoever lets them act.
+"""The same actions get the same verdict at the same control tick by every interface.
 
 The expert's actions are tried unchanged, followed by their reverse, reversed before the goal has held for its hold
-time, and delayed. All numbers are rounded to float32 first, because some of the interfaces accept only float32.
+time, and delayed. All numbers are rounded to float32 first, because some interfaces accept only float32.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from yamsim_cli.viewers.teleop.teleop_scene import TeleopScene
 
 End = Literal["success", "actor"]
 
-# Ways in whose packages are not installed.
+# Interfaces whose packages are not installed.
 ABSENT = {
     way
     for way, packages in {"gymnasium": ["gymnasium"], "inspect": ["inspect_robots", "kitchenbench"]}.items()
@@ -70,7 +70,7 @@ class Player:
 
 @dataclass(frozen=True)
 class Played:
-    """Commands of a trial, tick by tick: of drives (n, arms, drives), and whether magnets are on (n, arms)."""
+    """Commands of a trial, tick by tick: of drives (n, arms, drives), and whether welds are on (n, arms)."""
 
     ctrl: np.ndarray
     magnet: np.ndarray
@@ -90,14 +90,14 @@ class Played:
         return self[::-1]
 
     def still(self, ticks: int) -> Played:
-        """The last command for as many ticks."""
+        """The last command for `ticks` ticks."""
         last = self[-1:]
         return Played(np.repeat(last.ctrl, ticks, axis=0), np.repeat(last.magnet, ticks, axis=0))
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """Whether a trial succeeded, and after how many control ticks that was known."""
+    """Whether a trial succeeded, and the control tick of the verdict."""
 
     success: bool
     tick: int
@@ -105,7 +105,7 @@ class Verdict:
 
 @dataclass
 class TrialCase:
-    """A task, the start of one trial, and what its expert does there.
+    """A task, the start of one trial, and its expert's commands.
 
     Attributes:
         file: config of a recording of the task.
@@ -125,7 +125,7 @@ class TrialCase:
         return self.session.config.task.hold_ticks
 
     def padded(self, played: Played) -> Played:
-        """The same for as long as a trial may take."""
+        """The same, extended to the time limit."""
         assert len(played) <= self.limit
         return played + played.still(self.limit - len(played))
 
@@ -135,7 +135,7 @@ class TrialCase:
         return ActionSequence(ctrl, played.magnet, played.ctrl)
 
     def held_ticks(self, played: Played) -> list[int]:
-        """For how many ticks the goal has held, after each tick."""
+        """Number of ticks for which the goal has held, after each tick."""
         episode, held = open_episode(self.simulator, self.attempt, EpisodeRules()), []
         for ctrl, magnet in zip(played.ctrl, played.magnet, strict=True):
             episode.step(ctrl, magnet)
@@ -177,7 +177,7 @@ def by_gymnasium(case: TrialCase, played: Played, end: End, folder: Path) -> Ver
 
 
 def by_station(case: TrialCase, played: Played, end: End, folder: Path) -> Verdict:
-    """As programs of real stations let it act, a tick at a time."""
+    """By the station, a tick at a time."""
     with Station(StationSettings(config=str(case.file)), pictures=False, end=end) as station:
         assert station.begin(JOB.seed, JOB.attempt) == JOB.attempt
         for ctrl, magnet in zip(played.ctrl, played.magnet, strict=True):
@@ -187,7 +187,7 @@ def by_station(case: TrialCase, played: Played, end: End, folder: Path) -> Verdi
 
 
 def by_inspect(case: TrialCase, played: Played, end: End, folder: Path) -> Verdict:
-    """The judge of Inspect Robots' embodiment, who knows no other rule than the first success."""
+    """By the judge of Inspect Robots' embodiment, whose only rule is the first success."""
     assert end == "success"
     from yamsim_cli.kitchenbench.scene_stepper import SceneStepper
     from yamsim_cli.kitchenbench.success_judges import GoalJudge
@@ -207,7 +207,7 @@ def by_inspect(case: TrialCase, played: Played, end: End, folder: Path) -> Verdi
 
 
 class PlayedArm:
-    """Stands in for an arm that a person drives, and is told what to do tick by tick."""
+    """Replaces a teleoperated arm, with commands tick by tick."""
 
     def __init__(self, played: Played, number: int) -> None:
         self._played, self._number, self._tick = played, number, -1
@@ -236,7 +236,7 @@ class PlayedArm:
 
 
 def by_teleop(case: TrialCase, played: Played, end: End, folder: Path) -> Verdict:
-    """As a person's recording, which the task's time limit does not end."""
+    """By a teleoperated recording, which the task's time limit does not end."""
     tray = CollectingReceiver()
     driven = TeleopScene(case.session, tray, end=EndRule(end))
     driven.start()
@@ -265,7 +265,7 @@ WAYS: dict[str, Way] = {
 
 
 def task_file(name: str, folder: Path, locations: Locations, limit: int | None = None) -> Path:
-    """The file of a task as it is shipped, by the ticks of every way in, and with another time limit."""
+    """The file of a shipped task, with the control ticks of all interfaces, and another time limit."""
     task: dict[str, Any] = load_yaml(locations.config_file("tasks", name)).data
     timing = {"physics_steps_per_tick": 16} | task.get("timing", {})
     task["timing"] = timing | {"timestep": 1 / (TICK_HZ * timing["physics_steps_per_tick"])}
@@ -278,7 +278,7 @@ def task_file(name: str, folder: Path, locations: Locations, limit: int | None =
 
 
 def opened(name: str, rig: str, folder: Path, locations: Locations, limit: int | None = None) -> tuple[Path, Session]:
-    """A recording's config, and its session without meshes."""
+    """Config of a recording, and its session without meshes."""
     config: dict[str, Any] = load_yaml(locations.config_file("record", "default")).data
     config |= {"task": str(task_file(name, folder, locations, limit)), "rig": rig, "wrist": True}
     file = folder / "record.yaml"
@@ -291,12 +291,12 @@ def rounded(actions: ActionSequence, drives: np.ndarray) -> Played:
     return Played(actions.ctrl[:, drives].astype(np.float32).astype(float), np.asarray(actions.magnet, bool))
 
 
-#: Tasks with the rigs on which they are done, by weld, with one arm and with two.
+# Tasks with their rigs, by weld, with one arm and with two.
 WELDED = [
     pytest.param(("pickplace", "single"), id="pickplace"),
     pytest.param(("handover", "russet"), id="handover", marks=pytest.mark.slow),
 ]
-#: The same by friction: a joint is opened, and cloth is folded. These trials are the longest.
+# The same by friction: a joint is opened, and cloth is folded. These trials are the longest.
 BY_FRICTION = [
     pytest.param(("drawer", STATION), id="drawer", marks=pytest.mark.slow),
     pytest.param(("fold_napkin", STATION), id="fold_napkin", marks=pytest.mark.slow),
@@ -324,10 +324,10 @@ def case(
 
 
 def same_everywhere(case: TrialCase, played: Played, end: End, folder: Path, *, but: tuple[str, ...] = ()) -> Verdict:
-    """The verdict that every way in gives.
+    """Return the verdict of all interfaces.
 
     Args:
-        but: ways in that know no such trial.
+        but: interfaces without this kind of trial.
     """
     padded = case.padded(played)
     verdict = by_repeat(case, padded, end, folder)
@@ -345,7 +345,7 @@ def test_the_experts_actions(case: TrialCase, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("case", WELDED, indirect=True)
 def test_what_was_done_and_is_undone_again(case: TrialCase, tmp_path: Path) -> None:
-    """It was a success when the goal had held, and is none where whoever acts says when it is over."""
+    """It is a success at the goal's hold time, and none if the actor ends the trial."""
     undone = case.base + case.base.back
     first = same_everywhere(case, undone, "success", tmp_path)
     assert first.success and first.tick <= len(case.base)
@@ -366,12 +366,12 @@ def test_a_goal_that_holds_too_short_a_time(case: TrialCase, tmp_path: Path) -> 
 @pytest.mark.slow
 @pytest.mark.parametrize("case", WELDED, indirect=True)
 def test_a_success_at_the_last_moment_and_one_a_tick_too_late(case: TrialCase, tmp_path: Path) -> None:
-    """Only the task's time limit tells the two apart, which ends what a person records no more than a person does."""
+    """Only the task's time limit distinguishes the two, which ends no teleoperated recording."""
 
     half = len(case.base) // 2
 
     def waiting(ticks: int, pause: int) -> Played:
-        """The expert's actions after some ticks in which nothing moves, and with a pause in their middle."""
+        """The expert's actions after some ticks of rest, and with a pause in their middle."""
         middle = case.base[:half]
         return (case.base[:1].still(ticks) + middle + middle.still(pause) + case.base[half:])[: case.limit + 1]
 
@@ -380,7 +380,7 @@ def test_a_success_at_the_last_moment_and_one_a_tick_too_late(case: TrialCase, t
         done = run_actions(case.simulator, case.attempt, case.actions(waiting(*waits)), EpisodeRules(EndRule.SUCCESS))
         return done.result.end.tick if done.result and done.outcome.success else None
 
-    # The goal may be reached a little sooner or later after a wait, in which things go on settling.
+    # After a wait, in which objects settle further, the goal may be reached a little sooner or later.
     about = case.limit - by_repeat(case, case.padded(case.base), "success", tmp_path).tick
     waits = [(about + more - pause, pause) for pause in range(4) for more in range(-3, 4)]
     just = next(each for each in waits if reached(each) == case.limit)

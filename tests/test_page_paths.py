@@ -10,7 +10,7 @@ _PATH = re.compile(r"`((?:robot_models|configs|yamsim_cli|core|tools|tests|asset
 
 
 def missing(text: str) -> list[str]:
-    """Paths in backticks that are in neither the repository nor the package, where pages leave out its name."""
+    """Paths in backticks that are in neither the repository nor the package, whose name pages omit."""
     return [
         path
         for path in _PATH.findall(text)

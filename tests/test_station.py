@@ -1,4 +1,4 @@
-"""A simulated station as programs of real ones meet it: rows and pictures as recordings have them."""
+"""A simulated station for programs of real ones: rows and pictures as in recordings."""
 
 from __future__ import annotations
 
@@ -47,9 +47,9 @@ def test_two_arms_have_the_left_one_first() -> None:
 
 @pytest.mark.parametrize("end", ["actor", "success"])
 def test_the_experts_rows_make_the_recorded_episode_again(end: Literal["actor", "success"]) -> None:
-    """Frame by frame: states, where things are, and a success at the end, judged as a recording is.
+    """Frame by frame: states, object poses, and a success at the end, judged as a recording.
 
-    By the rule of a success, the trial ends with it, which may be before the expert's arm is back.
+    By the rule `success`, the trial ends with it, possibly before the expert's arm is back.
     """
     with Station(JOINTS, pictures=False, end=end) as station:
         made_again(station, end)
@@ -71,7 +71,7 @@ def made_again(station: Station, end: Literal["actor", "success"]) -> None:
         if reached and end == "success":
             break
         np.testing.assert_allclose(row, frame["action"], atol=1e-6)
-        # What is commanded is rounded to float32.
+        # Commands are rounded to float32.
         np.testing.assert_allclose(station.state(), frame["state"], atol=2e-4)
         told = dict(zip(station.form.environment, station.environment(), strict=True))
         y_axis = [told[f"plate_y_axis_{axis}"] for axis in "xyz"]

@@ -1,4 +1,4 @@
-"""The recipe that is tried against the page that shows it."""
+"""The tested recipe equals that of the page."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from tests.pages import DOCS, blocks
 
 
 def shown() -> list[list[str]]:
-    """The words of the page's command lines, programs left out."""
+    """Words of the page's command lines, without programs."""
     text = (DOCS / "training.md").read_text(encoding="utf-8")
     (block,) = [
         block for block in blocks(text) if block.section == "Record, export, train, evaluate" and block.language == "sh"
@@ -21,7 +21,7 @@ def shown() -> list[list[str]]:
 
 
 def flags(words: list[str]) -> set[tuple[str, ...]]:
-    """What words say, whatever their order: each flag with its value."""
+    """Each flag with its value, in any order."""
     parts = " ".join(words).split(" --")
     return {tuple(part.rstrip("/").split()) for part in parts}
 

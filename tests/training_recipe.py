@@ -1,4 +1,4 @@
-"""The recipe of docs/training.md as data: what is demonstrated, and the commands from there to a policy's trials."""
+"""The recipe of docs/training.md as data: demonstrations, and the commands from there to a policy's trials."""
 
 from __future__ import annotations
 
@@ -7,16 +7,16 @@ from pathlib import Path
 
 from tests.pages import snippet
 
-# Of recordings, and of trials: no trial starts as a demonstration did.
+# Of recordings, and of trials: no trial starts as a demonstration.
 RECORD_SEED, EVAL_SEED = 0, 1000
 
 
 @dataclass(frozen=True)
 class Demonstrations:
-    """What is demonstrated.
+    """A set of demonstrations.
 
     Attributes:
-        name: of the figures, and of folders.
+        name: in figures, and of folders.
         task: flags that `record` and `eval` share.
         record: flags of `record` alone.
     """
@@ -37,14 +37,14 @@ KINDS = {
 
 
 def record(kind: Demonstrations, episodes: int, out: Path) -> list[str]:
-    """Arguments of `yamsim`: pictures as small as can be, since none is used."""
+    """Arguments of `yamsim`: smallest pictures, since none is used."""
     small = ["--no-wrist", "--size", "64x48", "--quality", "fast", "--workers", "2"]
     given = ["--n", str(episodes), "--seed", str(RECORD_SEED), "--out", str(out)]
     return ["record", *given, *small, *kind.task, *kind.record]
 
 
 def export(demos: Path, out: Path, episodes: int) -> list[str]:
-    """Arguments of `yamsim`: the first of the demonstrations, as numbers."""
+    """Arguments of `yamsim`: the first demonstrations, as numbers."""
     return [
         "export",
         "lerobot",
@@ -56,7 +56,7 @@ def export(demos: Path, out: Path, episodes: int) -> list[str]:
 
 
 def write_config(path: Path) -> Path:
-    """The config of `lerobot-train` that the page shows, as a file."""
+    """Write the page's config of `lerobot-train` as a file."""
     path.write_text(snippet("yaml", "dim_model"))
     return path
 
@@ -67,7 +67,7 @@ def train(config: Path, dataset: Path, out: Path, *more: str) -> list[str]:
 
 
 def evaluate(kind: Demonstrations, trained: Path, trials: int = 100, seed: int = EVAL_SEED) -> list[str]:
-    """Arguments of `yamsim`: it is asked at every second action, and answers that overlap are averaged."""
+    """Arguments of `yamsim`: a request at every second action, and overlapping answers are averaged."""
     policy = f"lerobot:{trained}/checkpoints/last/pretrained_model"
     chunks = ["--execute", "2", "--ensemble", "0.01"]
     given = ["--n", str(trials), "--seed", str(seed), "--workers", "2"]

@@ -1,4 +1,4 @@
-"""Photos of a rig whose truth is known: drawn four times as fine as the camera sees, bent by its lens, then spoilt."""
+"""Photos of a rig with known truth: rendered at four times the resolution, distorted by the lens, then degraded."""
 
 from __future__ import annotations
 
@@ -23,19 +23,19 @@ from yamsim_cli.core.scene.compilation import compile_spec
 from yamsim_cli.photos.lens_distortion import LensWarp, project_points
 from yamsim_cli.viewers.show.compose import compose_at_home
 
-# What the checks are made with.
+# Camera of the checks.
 CAMERA = CameraModel.pinhole(640, 480, 600.0)
 BLUR, NOISE = 0.6, 2.0
 
 _FINER = 4
-# Sight lines along a board's side, and which share of it they cover.
+# Sight lines along a board's side, and the share of it that they cover.
 _SIGHT_LINES, _INSIDE = 25, 0.995
 _EDGE_PX = 3
 
 
 @dataclass(frozen=True)
 class PlacedBoard:
-    """A board of the rig: where it is in `world`, (4, 4), and the geom that shows it."""
+    """A board of the rig: its pose in `world`, (4, 4), and its geom."""
 
     board: Board
     T_in_world: Array
@@ -43,7 +43,7 @@ class PlacedBoard:
 
 
 class Photographer:
-    """Takes pictures of a rig at home, on primitives. Close it."""
+    """Takes pictures of a rig at home, with primitives. Close it."""
 
     def __init__(self, rig: str | RigConfig, locations: Locations, camera: CameraModel = CAMERA) -> None:
         self.rig = load_config(RigConfig, "rigs", rig, locations) if isinstance(rig, str) else rig
@@ -56,7 +56,7 @@ class Photographer:
         size = self._warp.ideal.width, self._warp.ideal.height
         spec.visual.global_.offwidth, spec.visual.global_.offheight = size
         spec.visual.quality.offsamples = 0
-        # Shadows are drawn at their usual cost for no question that is asked here.
+        # Shadows matter for no check here.
         for light in spec.lights:
             light.castshadow = False
         self._model = compile_spec(spec)
@@ -93,7 +93,7 @@ class Photographer:
         size = np.array([self.camera.width, self.camera.height])
         if (pixels < _EDGE_PX).any() or (pixels > size - 1 - _EDGE_PX).any():
             return False
-        # Sight lines to places all over it, from which nothing else is met first.
+        # Sight lines to points all over it have no other first hit.
         across = np.linspace(-1, 1, _SIGHT_LINES)
         on_board = np.array([[half_x * x, half_y * y, 0.0] for x in across for y in across]) * _INSIDE
         towards = on_board @ placed.T_in_world[:3, :3].T + placed.T_in_world[:3, 3] - T_cam_in_world[:3, 3]
@@ -117,7 +117,7 @@ class Photographer:
         return bool((met == placed.geom).all())
 
     def take(self) -> np.ndarray:
-        """The picture as RGB (height, width, 3), with neither blur nor noise."""
+        """The picture as RGB (height, width, 3), without blur and noise."""
         return self._warp.image(self._renderer.render(self._data, "photo"))
 
     def close(self) -> None:
@@ -149,7 +149,7 @@ def shot_of(
     tilt: tuple[float, float],
     which: int | None = None,
 ) -> Array:
-    """Stand where one board (or, without `which`, every one) is wholly visible; the camera's pose (4, 4) in `world`."""
+    """Return a camera pose (4, 4) in `world` with one board (or, without `which`, every one) wholly visible."""
     wanted = range(len(photographer.boards)) if which is None else [which]
     target = np.mean([photographer.boards[k].T_in_world[:3, 3] for k in wanted], axis=0)
     for _ in range(500):
@@ -170,7 +170,7 @@ def spoilt(
     motion: float = 0.0,
     jpeg: int | None = None,
 ) -> np.ndarray:
-    """A grey photo (height, width) of a clean picture.
+    """Degrade a clean picture to a grey photo (height, width).
 
     Args:
         blur: sigma, px.

@@ -1,4 +1,4 @@
-"""A real dataset without the cost of drawing: each image is the same small grey one."""
+"""A real dataset without rendering: each image is the same small grey one."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ SIZE = (24, 16)
 
 
 def grey(camera: str, episode: int, frame: int) -> bytes:
-    """The same image whatever it is of."""
+    """Return the same image for any frame."""
     return cv2.imencode(".jpg", np.full((SIZE[1], SIZE[0], 3), 128, np.uint8))[1].tobytes()
 
 
@@ -41,9 +41,8 @@ def write_dataset(
     image: Callable[[str, int, int], bytes] = grey,
     others: Callable[[str, int, int], dict[str, bytes]] = lambda camera, episode, frame: {},
 ) -> None:
-    """The episodes that `yamsim record` would make, as long as none of its attempts fails.
-
-    `image` gives the JPEG of a camera's frame, `others` more files that belong to it.
+    """Write the episodes that `yamsim record` would make if no attempt failed. `image` gives the JPEG of a camera's
+    frame, `others` further files.
     """
     path.mkdir()
     (path / CONFIG).write_text(dump_yaml(config.data_config()))
@@ -69,13 +68,13 @@ def write_dataset(
 
 
 def change_record(directory: Path, **changes: Any) -> None:
-    """Write other values into an episode's own record."""
+    """Write other values into an episode's record."""
     record = json.loads((directory / EPISODE).read_text())
     (directory / EPISODE).write_text(json.dumps(record | changes))
 
 
 def change_frame(directory: Path, number: int, *, rehash: bool, **changes: Any) -> None:
-    """Write other values into one frame, None for no such key; `rehash` covers the traces up."""
+    """Write other values into one frame; None removes a key. `rehash` updates the hashes."""
     name = lowdim_path(number)
     frame = read_frame(directory, number) | changes
     data = dump_frame({key: value for key, value in frame.items() if value is not None})
@@ -86,7 +85,7 @@ def change_frame(directory: Path, number: int, *, rehash: bool, **changes: Any) 
 
 
 def frame_count(directory: Path) -> int:
-    """How many frames an episode has, as its own record says."""
+    """Number of frames in an episode's record."""
     return int(json.loads((directory / EPISODE).read_text())["frames"])
 
 

@@ -1,4 +1,4 @@
-"""Draw every thing of the kitchen into one picture, `docs/kitchen.png`, and print the table of `docs/kitchen.md`.
+"""Draw every kitchen object into one picture, `docs/kitchen.png`, and print the table of `docs/kitchen.md`.
 
 python -m tools.kitchen_sheet
 """
@@ -25,7 +25,7 @@ def main() -> None:
     """Draw, write and print."""
     opener = SessionOpener(os.environ, lambda text: print(text, file=sys.stderr), str)
     where = opener.use_gl(opener.locations())
-    # MuJoCo is imported only once it is settled what draws.
+    # After the choice of a backend.
     import mujoco
 
     from yamsim_cli.core.rendering.renderer import SceneRenderer

@@ -72,7 +72,7 @@ def _finray(opener: SessionOpener, where: Locations) -> np.ndarray:
 
 
 def _fold_napkin(opener: SessionOpener, where: Locations) -> np.ndarray:
-    """A napkin that is folded: what the camera above sees of the table, and what the right wrist's sees."""
+    """A folded napkin: the views of the table of the camera above and of the right wrist."""
     session = _session(opener, where, task="fold_napkin", size="600x450")
     with first_success(session) as success:
         seen = pictures(*success, (0.1, 0.2, 0.4, 0.6, 0.8), ("top", "right"))

@@ -1,8 +1,6 @@
 """The reference pages of `docs/reference/`, made from the commands' and the configs' own definitions.
 
-    python -m tools.reference
-
-writes them; a test says when they are stale.
+`python -m tools.reference` writes them; a test says when they are stale.
 """
 
 from __future__ import annotations
@@ -121,7 +119,7 @@ def _model(schema: Mapping[str, Any], text: str) -> str:
 
 
 def _attributes(text: str) -> tuple[str, dict[str, str]]:
-    """A docstring's prose, and key -> what its section `Attributes` says of it."""
+    """Return a docstring's prose, and key -> text of its section `Attributes`."""
     prose, _, section = text.partition("Attributes:\n")
     said: dict[str, str] = {}
     for entry in re.split(r"\n(?=    \S)", "\n" + section):
@@ -141,7 +139,7 @@ def _default(key: str, value: Mapping[str, Any], required: set[str]) -> str:
 
 
 def _type(value: Mapping[str, Any]) -> str:
-    """What a JSON schema admits, in words."""
+    """Describe the values that a JSON schema admits."""
     if "$ref" in value:
         name = value["$ref"].rsplit("/", 1)[1]
         return f"[{name}]({_anchor(name)})"

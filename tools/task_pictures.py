@@ -1,7 +1,7 @@
 """Draw tasks at the start, middle and end of their expert's first success, into `docs/images/tasks/`.
 
-python -m tools.task_pictures           # those that have a picture there
-python -m tools.task_pictures tower     # or others
+python -m tools.task_pictures               # tasks that have a picture there
+python -m tools.task_pictures tower         # or others
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ if TYPE_CHECKING:
     from yamsim_cli.core.episode.execution import SimulatedAttempt
     from yamsim_cli.core.episode.simulator import Simulator
 
-# Of the scene camera's picture, px, and what is shown of it: the table between the arms, rows and columns.
+# px, scene camera's picture, and the shown rows and columns: the table between the arms
 _SIZE, _ROWS, _COLUMNS = "480x360", slice(96, 276), slice(115, 365)
 _COLOURS = 256
 _FOLDER = Path(__file__).resolve().parents[1] / "docs" / "images" / "tasks"
 
-# Attempts of seed 0 that are looked at for a success.
+# Attempts of seed 0, in which a success is searched.
 _TRIES = 10
 
 
@@ -50,7 +50,7 @@ def main(names: list[str]) -> None:
 
 @contextmanager
 def first_success(session: Session) -> Iterator[tuple[Simulator, SimulatedAttempt]]:
-    """Give the first success of seed 0, with the simulator that it was made in."""
+    """Return the first success of seed 0, with its simulator."""
     from yamsim_cli.core.attempt_data import AttemptJob
     from yamsim_cli.core.episode.execution import demonstrate
     from yamsim_cli.core.episode.sampling import sample_attempt
@@ -81,7 +81,7 @@ def pictures(
 
 
 def few_colours(image: np.ndarray) -> Pillow.Image:
-    """Return an image in 256 colours, so that its PNG is small, dithered, since shadows would have edges otherwise."""
+    """Return an image in 256 colours for a small PNG, dithered, since shadows would have edges otherwise."""
     return Pillow.fromarray(image).quantize(_COLOURS, dither=Pillow.Dither.FLOYDSTEINBERG)
 
 

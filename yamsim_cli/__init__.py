@@ -8,7 +8,7 @@ from typing import Any
 
 __version__ = "0.2.0"
 
-# Public name -> module. A module is loaded at the first use of one of its names, so that the command line starts fast.
+# Public name -> module, loaded at the first use of one of its names, so that the command line starts fast.
 _PUBLIC = {
     **dict.fromkeys(("evaluate", "open_dataset", "record"), "api"),
     **dict.fromkeys(("Kinematics", "OutOfReachError"), "kinematics"),

@@ -24,7 +24,7 @@ def _keyword(setting: str) -> str:
     return f"{setting}="
 
 
-# Opens sessions for Python programs: error messages name keywords, and warnings go to the logger `yamsim`.
+# For Python programs: error messages name keywords, and warnings go to the logger `yamsim`.
 API_SESSION_OPENER = SessionOpener(
     os.environ, logging.getLogger("yamsim").warning, _keyword, import_if_file, resolve_scene_task
 )
@@ -51,10 +51,9 @@ def record(
     """Record successful episodes into a new dataset, byte for byte as `yamsim record` does with the same flags.
 
     Args:
-        out: directory of the dataset.
         workers: number of processes to start; None records in this process. A script that starts processes must guard
             its main part by `if __name__ == "__main__"`.
-        size: width and height of the images, px.
+        size: (width, height) of the images, px.
         resume: continue the dataset at `out`.
     """
     session = API_SESSION_OPENER.open(
@@ -118,7 +117,7 @@ def evaluate(
     The function starts processes, so a script must guard its main part by `if __name__ == "__main__"`.
 
     Args:
-        policy: address of the policy, such as `my_policy.py:MyPolicy`, see docs/policies.md.
+        policy: such as `my_policy.py:MyPolicy`, see docs/policies.md.
 
     Returns:
         The data that `--json` prints, such as `stats` and `trials`.

@@ -28,12 +28,12 @@ from .real.serve.socket_servers import CAMERA_SOCKET, default_folder
 
 __all__ = ["CameraForm", "CameraReader", "Picture", "served_cameras"]
 
-_MAX_HEADER_BYTES, _MAX_PICTURE_BYTES = 65_536, 3 * 4096**2  # bytes, limits of an answer; longer ones are refused
+_MAX_HEADER_BYTES, _MAX_PICTURE_BYTES = 65_536, 3 * 4096**2  # bytes, limits of an answer
 
 
 @dataclass(frozen=True)
 class CameraForm:
-    """Format of the pictures of a camera: size in px, maximum rate in Hz, and intrinsics `K` (3, 3) in px."""
+    """Format of a camera's pictures: size, px, maximum rate, Hz, and intrinsics `K` (3, 3), px."""
 
     width: int
     height: int
@@ -43,13 +43,12 @@ class CameraForm:
 
 @dataclass(frozen=True)
 class Picture:
-    """A picture of a simulated camera, with the times and the pose at which it was rendered.
+    """A picture of a simulated camera, with its time and pose.
 
     Attributes:
         image: RGB (height, width, 3).
-        number: sequence number, which increases with time.
-        time_ns: time of the picture on the system clock, ns since 1970.
-        sim_time: simulated time of the picture, s.
+        time_ns: on the system clock, ns since 1970.
+        sim_time: simulated time, s.
         T_cam_in_base: pose (4, 4) of the camera in the base frame of the left arm, in OpenCV's convention.
     """
 
@@ -63,13 +62,9 @@ class Picture:
 class CameraReader(Closable):
     """Reads the pictures of one camera. Close the reader, or use it as a context manager. It is not thread-safe.
 
-    Attributes:
-        camera: name of the camera.
-        form: format of its pictures.
-
     Args:
         camera: a name that `serve-robot` prints, such as "top".
-        folder: the value of `serve-robot --folder`, with the same default.
+        folder: value of `serve-robot --folder`.
         timeout: longest wait for an answer, s.
 
     Raises:
@@ -86,7 +81,7 @@ class CameraReader(Closable):
         self.camera, self.form = camera, forms[camera]
 
     def read(self, after: int = -1, timeout: float | None = None) -> Picture:
-        """Wait for a picture whose number is larger than `after`, and return the newest.
+        """Wait for a picture with a number above `after`, and return the newest.
 
         Args:
             timeout: longest wait, s; by default the timeout of the reader.
@@ -129,10 +124,10 @@ class CameraReader(Closable):
 
 
 def served_cameras(folder: str | Path | None = None, timeout: float = 5.0) -> dict[str, CameraForm]:
-    """Return name -> picture format of all cameras that a running `serve-robot` offers.
+    """Return name -> picture format of all cameras of a running `serve-robot`.
 
     Args:
-        folder: the value of `serve-robot --folder`, with the same default.
+        folder: value of `serve-robot --folder`.
         timeout: longest wait for the answer, s.
 
     Raises:
@@ -164,7 +159,7 @@ def _invalid_answer(folder: str | Path | None) -> ResourceError:
 
 
 class _CameraConnection:
-    """Socket connection to the camera server. `real.serve.cameras` describes the protocol."""
+    """Socket connection to the camera server; see `real.serve.cameras` for the protocol."""
 
     def __init__(self, folder: str | Path | None) -> None:
         self.path = _path(folder)
@@ -179,7 +174,7 @@ class _CameraConnection:
             ) from error
 
     def request(self, message: dict[str, Any], deadline: float) -> tuple[dict[str, Any], bytes]:
-        """Send a message, and return the answer and the bytes after it. `deadline` is a time of `time.monotonic`, s.
+        """Return the answer to a message, and the bytes after it. `deadline` is a time of `time.monotonic`, s.
 
         Raises:
             TimeoutError: the answer did not arrive in time.

@@ -1,4 +1,4 @@
-"""Cores and memory that this process may use, within the limits of containers and batch systems."""
+"""Cores and memory that this process may use in containers and batch systems."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ _MEMINFO = Path("/proc/meminfo")
 
 
 def usable_cores() -> int:
-    """Return the number of cores that this process may use: its CPU affinity, limited by a container's quota."""
+    """Return the number of cores that this process may use, by CPU affinity and a container's quota."""
     granted = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     quotas = []
     for group in _groups():
@@ -23,7 +23,7 @@ def usable_cores() -> int:
 
 
 def usable_memory() -> int | None:
-    """Return the bytes that this process may still allocate on the machine and in its container; None if unknown."""
+    """Return the bytes that this process may still allocate; None if unknown."""
     left = []
     for line in _read(_MEMINFO).splitlines():
         if line.startswith("MemAvailable:"):
@@ -36,7 +36,7 @@ def usable_memory() -> int | None:
 
 
 def _groups() -> list[Path]:
-    """Return the control group of this process and its parents, whose limits apply too."""
+    """Return the control groups that limit this process: its own and their parents."""
     for line in _read(_MEMBERSHIP).splitlines():
         # Source: Linux's cgroup-v2.rst: the unified hierarchy's line is "0::$PATH".
         if line.startswith("0::"):

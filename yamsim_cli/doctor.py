@@ -1,4 +1,4 @@
-"""Checks of this machine for `yamsim doctor`. A check that finds a problem names the fix."""
+"""Checks of this machine for `yamsim doctor`. A failed check names the fix."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ from .core.scene.assets.asset_store import FileStatus
 from .cpu_limits import usable_cores, usable_memory
 from .gl import INSTALL_GL, LINUX_BACKENDS, GlBackend, probe_backend
 
-# Python packages that every command needs.
+# Packages that every command needs.
 PACKAGES = ("mujoco", "mink", "daqp", "numpy", "opencv-python-headless", "pydantic", "pyyaml", "rich", "typer")
-# Optional extra, as in `yamsim[extra]` -> package that it installs, and purpose of the package.
+# Optional extra, as in `yamsim[extra]` -> package that it installs, and its purpose.
 EXTRAS = {
     "view": ("viser", "the browser page of view and replay"),
     "video": ("av", "MP4"),
@@ -45,21 +45,21 @@ EXTRAS = {
 _WORKER_BYTES = 300_000_000  # of a worker process that renders
 _RECORDER_BYTES = 150_000_000  # of the recording process
 
-# Approximate size of an episode with one camera at 640x480.
+# Typical episode with one camera at 640x480.
 _FRAMES = 57  # frames per episode
-_IMAGE_BYTES = 22_000  # bytes of the image of a frame
-_LOWDIM_BYTES = 2_000  # bytes of the lowdim file of a frame
-_BLOCK_BYTES = 4096  # bytes, block size to which a filesystem rounds file sizes up
+_IMAGE_BYTES = 22_000
+_LOWDIM_BYTES = 2_000
+_BLOCK_BYTES = 4096  # bytes to which a filesystem rounds file sizes up
 
-_EPISODES_WRITTEN = 3  # episodes that are written to measure the speed of the disk
+_EPISODES_WRITTEN = 3  # to measure the speed of the disk
 _SLOW_S = 1.0  # s to write an episode; a slower disk keeps up with one worker at most
-_FEW_EPISODES = 500  # episodes; free space for fewer gives a warning
+_FEW_EPISODES = 500  # free space for fewer gives a warning
 
 _GPUS = ("/dev/nvidia0", "/dev/dri/renderD128", "/dev/kfd")  # device files that exist if the machine has a GPU
 
 
 class Health(StrEnum):
-    """The result of a check. Only a fault means that a part of yamsim does not work."""
+    """Result of a check. Only a fault means that a part of yamsim does not work."""
 
     OK = "ok"
     WARNING = "warning"
@@ -68,13 +68,7 @@ class Health(StrEnum):
 
 @dataclass(frozen=True)
 class HealthCheck:
-    """One check of the machine.
-
-    Attributes:
-        detail: the result in words.
-        fix: the recommended action; empty if none is needed.
-        figures: measured values by name, in SI units and bytes.
-    """
+    """One check of the machine: a result in words, the recommended action, and figures in SI units and bytes."""
 
     name: str
     health: Health
@@ -89,13 +83,7 @@ def run_health_checks(
     out: Path,
     on_check: Callable[[HealthCheck], None] = lambda check: None,
 ) -> list[HealthCheck]:
-    """Run all checks, and return their results. The machine is left unchanged, and every wait has a time limit.
-
-    Args:
-        environ: environment variables of the process.
-        out: directory of future datasets, which need not exist.
-        on_check: called with the result of each check when the check ends.
-    """
+    """Run all checks. The machine is left unchanged, and every wait has a time limit. `out` need not exist."""
     checks: list[HealthCheck] = []
     for part in (_packages(), _gl(environ), _meshes(locations), _disk(out), _workers()):
         for check in part:
@@ -241,11 +229,7 @@ def _disk(out: Path) -> Iterator[HealthCheck]:
 
 
 def _write_episodes(place: Path) -> float:
-    """Write a few dummy episodes as `record` does, and return the duration of the slowest, s. Delete the episodes.
-
-    Raises:
-        OSError: the disk refused a file.
-    """
+    """Write a few dummy episodes, delete them, and return the duration of the slowest, s."""
     files = {f"rgb/scene_camera/{k:06d}.jpg": bytes(_IMAGE_BYTES) for k in range(_FRAMES)}
     files |= {f"lowdim/{k:06d}.pkl": bytes(_LOWDIM_BYTES) for k in range(_FRAMES)}
     worst = 0.0

@@ -1,6 +1,6 @@
-"""Finds an OpenGL backend for MuJoCo. MuJoCo reads the environment variable `MUJOCO_GL` at its import.
+"""Finds an OpenGL backend for MuJoCo, which reads the environment variable `MUJOCO_GL` at its import.
 
-Each backend is tried in a separate process with a time limit. A driver that hangs or crashes only causes a message.
+Each backend is tried in a separate process, because a driver can hang or crash.
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ from dataclasses import dataclass
 from .core.errors import ResourceError
 
 LINUX_BACKENDS = ("egl", "osmesa")  # EGL finds a GPU or Mesa's software renderer; newer Mesa has no OSMesa
-_PROBE_SECONDS = 60.0  # s, time limit of the test of a backend
-# Renderer names of OpenGL implementations that use no GPU: Mesa's llvmpipe, softpipe, lavapipe and swrast, and others.
+_PROBE_SECONDS = 60.0  # s, time limit of a backend's test
+# Renderer names of OpenGL implementations without a GPU: Mesa's llvmpipe, softpipe, lavapipe and swrast, and others.
 _SOFTWARE = re.compile("llvmpipe|softpipe|lavapipe|swrast|software|swiftshader", re.IGNORECASE)
-# Python program that tests a backend. It reads a rendered image back, since some backends render nothing.
+# Tests a backend. It reads a rendered image back, since some backends render nothing.
 _PROBE = """
 import mujoco
 model = mujoco.MjModel.from_xml_string("<mujoco><worldbody><geom size='1'/></worldbody></mujoco>")
@@ -45,7 +45,7 @@ class GlBackend:
 
     Attributes:
         name: the value for `MUJOCO_GL`; None where MuJoCo's own choice works.
-        renderer: the name that OpenGL gives for its renderer; empty if the backend was not tried.
+        renderer: as OpenGL names it; empty if the backend was not tried.
     """
 
     name: str | None
@@ -58,13 +58,10 @@ class GlBackend:
 
 
 def find_backend(environ: Mapping[str, str], platform: str = sys.platform) -> GlBackend:
-    """Return the first backend that works for headless rendering.
+    """Return the first backend that renders without a display.
 
     Args:
-        environ: environment variables of the process. If the user has set `MUJOCO_GL`, no other backend is tried.
-
-    Raises:
-        ResourceError: no backend works. The message has the reason for each backend, and the packages to install.
+        environ: If the user has set `MUJOCO_GL`, no other backend is tried.
     """
     wanted = environ.get("MUJOCO_GL")
     if platform != "linux" and not wanted:
@@ -83,13 +80,13 @@ def find_backend(environ: Mapping[str, str], platform: str = sys.platform) -> Gl
 
 
 def bind_backend(name: str) -> None:
-    """Switch MuJoCo to the backend `name`, if MuJoCo was already imported with another one, as in a notebook."""
+    """Switch MuJoCo to a backend, if it was already imported with another one, as in a notebook."""
     if (mujoco := sys.modules.get("mujoco")) and name in LINUX_BACKENDS:
         mujoco.GLContext = importlib.import_module(f"mujoco.{name}").GLContext  # type: ignore[attr-defined]
 
 
 def probe_backend(name: str, environ: Mapping[str, str]) -> GlBackend | str:
-    """Try a backend in a separate process. Return the backend, or the reason why the backend does not work."""
+    """Try a backend in a separate process. Return it, or why it does not work."""
     environment = {**environ, "MUJOCO_GL": name}
     # The import fails unless PyOpenGL and MuJoCo choose the same platform.
     environment.pop("PYOPENGL_PLATFORM", None)

@@ -14,7 +14,7 @@ from .core.config.session import Session
 
 ENV_ID = "yamsim/PickPlace-v0"
 
-_BOUND = 10.0  # rad and m, bound of the observation space; larger than any joint value or position
+_BOUND = 10.0  # rad and m, of the observation space; larger than any joint value or position
 
 
 class PickPlaceEnv(gymnasium.Env[dict[str, NDArray[Any]], NDArray[np.float32]]):
@@ -42,7 +42,7 @@ class PickPlaceEnv(gymnasium.Env[dict[str, NDArray[Any]], NDArray[np.float32]]):
 
     Args:
         observation: "state" gives the poses of the objects and renders nothing; "images" gives images instead.
-        size: width and height of images, px.
+        size: (width, height) of images, px.
         render_mode: None, or "rgb_array" for the image of the scene camera.
         max_ticks: control ticks after which the episode is truncated; by default the time limit of the task.
         end: "success" ends the episode on success; with "actor" only truncation ends the episode.
@@ -113,11 +113,10 @@ class PickPlaceEnv(gymnasium.Env[dict[str, NDArray[Any]], NDArray[np.float32]]):
         return spaces.Dict(parts)
 
     def _poses(self) -> dict[str, str]:
-        """Return observation key -> name of the object whose pose it has."""
         return {f"{role}_pose_world": item for role, item in self._roles().items()}
 
     def _parts(self) -> dict[str, tuple[str, int]]:
-        """Return observation key -> name of the object whose joints it has, and the maximum number of joints."""
+        """Return observation key -> object whose joints it has, and the maximum number of joints."""
         task = self._config.task
         roles = task.typical_roles
         most = {role: max(len(item.links) for item in one.of) for role, one in task.things.items()}

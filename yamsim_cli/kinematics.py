@@ -32,17 +32,16 @@ __all__ = ["Kinematics", "OutOfReachError", "Site"]
 
 Site = Literal["pinch_site", "grasp_site"]
 
-# Numerical searches from random start joints, for an arm without analytic inverse kinematics. Source: 1,000 poses of
-# uniformly sampled joints needed at most 29 searches.
+# Searches from random start joints, for an arm without analytic inverse kinematics. Source: 1,000 poses of uniformly
+# sampled joints needed at most 29 searches.
 _RESTARTS = 50
-# The same number for an arm with analytic inverse kinematics, which is tried first. Source: for 25 poses out of reach,
-# 50 searches solved no more than 10 did.
+# The same after analytic inverse kinematics. Source: for 25 poses out of reach, 50 searches solved no more than 10 did.
 _RESTARTS_ANALYTIC = 10
 # Cost of a rotation error of 1 rad about each axis. 1 m costs 10, so 1 rad counts as 0.1 m, about the length of the
 # hand. If the arm cannot reach the whole pose, the position decides.
 _ROTATION_COSTS = (1.0, 1.0, 1.0)
-_LIMIT_TOLERANCE = 0.1  # rad, how far beyond the joint limits real and simulated arms may report joints
-_ORTHONORMAL_TOLERANCE = 1e-4  # largest element of |R^T R - 1| that is accepted of a rotation matrix R
+_LIMIT_TOLERANCE = 0.1  # rad, by which real and simulated arms may exceed joint limits
+_ORTHONORMAL_TOLERANCE = 1e-4  # largest accepted element of |R^T R - 1|
 
 
 class Kinematics:
@@ -138,7 +137,7 @@ class Kinematics:
         T = _numbers(T_site_in_base, (4, 4), "T_site_in_base")
         if np.abs(T[:3, :3].T @ T[:3, :3] - np.eye(3)).max() > _ORTHONORMAL_TOLERANCE or np.linalg.det(T[:3, :3]) < 0:
             raise UsageError(f"T_site_in_base is no pose: its upper left 3 x 3 is no rotation: {T[:3, :3].tolist()}")
-        # Replace R by the nearest rotation, since other programs often pass rounded poses.
+        # Use the nearest rotation, since other programs often pass rounded poses.
         left, _, right = np.linalg.svd(T[:3, :3])
         T = pose(T[:3, 3], left @ right)
         first = self._home if start is None else self._joints(start, "start")

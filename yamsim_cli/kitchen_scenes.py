@@ -1,5 +1,3 @@
-"""Resolves task names that are scenes of KitchenBench, such as `--task kitchenbench/stack/cups`."""
-
 from __future__ import annotations
 
 from typing import Any
@@ -10,12 +8,7 @@ _PREFIX = "kitchenbench/"
 
 
 def resolve_scene_task(name: str) -> str | dict[str, Any]:
-    """Return the config of a task that is a KitchenBench scene. Return any other name unchanged.
-
-    Raises:
-        UsageError: KitchenBench has no such scene, or the scene cannot be recorded.
-        ResourceError: KitchenBench is not installed.
-    """
+    """Return the config of a task that is a KitchenBench scene, and any other name unchanged."""
     if not name.startswith(_PREFIX):
         return name
     try:

@@ -16,14 +16,14 @@ from .station import Row, Station, StationForm, StationSettings
 
 __all__ = ["LiveStation"]
 
-_MAX_CATCH_UP = 0.1  # s, largest delay that the simulation catches up with; the rest of a larger delay is skipped
+_MAX_CATCH_UP = 0.1  # s, largest delay that the simulation catches up with; the rest is skipped
 
 
 class LiveStation(Closable):
-    """A station that is simulated in its own thread while open. Call all methods from one thread, which renders.
+    """A station that is simulated in its own thread. Call all methods from one thread, which renders.
 
     Attributes:
-        form: names and shapes of the numbers in states and commands, and of pictures.
+        form: names and shapes of states, commands and pictures.
         lost_s: time that the simulation skipped because its delay was too large, s.
 
     Args:
@@ -56,14 +56,14 @@ class LiveStation(Closable):
         return self._station.time
 
     def begin(self, seed: int = 0, trial: int = 0) -> int:
-        """Reset the scene to the start of a trial of a seed, and return the trial number. Time is paused meanwhile."""
+        """Reset to the start of a trial, and return its number. Time is paused meanwhile."""
         with self._pause():
             begun = self._station.begin(seed, trial)
-            self._station.pictures()  # The first call sets up the renderer, which takes about 1 s.
+            self._station.pictures()  # sets up the renderer, which takes about 1 s
         return begun
 
     def begin_demonstrated(self, seed: int = 0, trial: int = 0) -> NDArray[np.float32]:
-        """Reset to the start of a trial in which the expert succeeds, and return its commands (frames, numbers)."""
+        """Reset to a trial in which the expert succeeds, and return its commands (frames, numbers)."""
         with self._pause():
             rows = self._station.begin_demonstrated(seed, trial)
             self._station.pictures()
@@ -80,7 +80,7 @@ class LiveStation(Closable):
             self._station.advance()
 
     def observe(self) -> tuple[Row, dict[str, Image]]:
-        """Return the state (joints and grippers), and camera -> picture (height, width, 3), of the same moment.
+        """Return the state, and camera -> picture (height, width, 3), of the same moment.
 
         Raises:
             Exception: the exception that stopped the simulation thread, if any.
@@ -92,7 +92,7 @@ class LiveStation(Closable):
         return state, self._station.pictures(positions=positions)
 
     def judge(self) -> str:
-        """Return the reason why the trial is not successful at present; "" on success. Time is paused meanwhile."""
+        """Return why the trial is not successful at present; "" on success. Time is paused meanwhile."""
         with self._pause():
             return self._station.judge()
 

@@ -71,7 +71,7 @@ app.add_typer(robots.app, name="robots")
 app.add_typer(tasks.app, name="tasks")
 app.add_typer(assets.app, name="assets")
 
-# Packages whose versions affect recorded data. `yamsim doctor` shows all packages.
+# Packages whose versions affect recorded data; `yamsim doctor` shows all.
 _VERSIONS = ("mujoco", "mink", "numpy", "opencv-python-headless")
 
 
@@ -92,8 +92,8 @@ def _root(
     """Simulation toolkit for the I2RT YAM arm: recorded demonstrations on MuJoCo."""
 
 
-_INTERRUPTED = 130  # exit code of a command that a signal interrupted
-# Commands that run until a signal. For these, a signal gives exit code 0.
+_INTERRUPTED = 130  # exit code after a signal
+# Commands that run until a signal, which gives exit code 0.
 _ENDED_BY_SIGNAL = ("view", "serve-policy")
 
 
@@ -115,7 +115,7 @@ def main(interrupted: Callable[[], bool] = lambda: False) -> NoReturn:
     except YamsimError as error:
         _fail(str(error), error.exit_code)
     except OSError as error:
-        # Any access to a path from the user, such as `exists`, raises this error if the path is too long.
+        # Any access to a path from the user raises this error if the path is too long.
         if error.errno != errno.ENAMETOOLONG:
             raise
         _fail(
@@ -134,7 +134,6 @@ def main(interrupted: Callable[[], bool] = lambda: False) -> NoReturn:
 
 
 def _command(error: TyperException) -> str:
-    """Return the command whose options caused an error, such as `yamsim export mp4`."""
     names, context = list[str](), getattr(error, "ctx", None)
     while context is not None and context.parent is not None:
         names.insert(0, context.info_name)
@@ -143,7 +142,7 @@ def _command(error: TyperException) -> str:
 
 
 def _decimal_point(error: TyperException) -> str:
-    """Return a hint for a number with a decimal comma; empty for other errors."""
+    """Return a hint if a number has a decimal comma."""
     # Typer validates values with pydantic, whose error is the `__cause__`.
     checked: list[dict[str, Any]] = getattr(error.__cause__, "errors", list)()
     given = str(checked[0].get("input")) if checked else ""

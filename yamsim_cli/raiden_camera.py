@@ -26,7 +26,7 @@ __all__ = ["YamsimCamera"]
 
 # Mounted upside down on a real station, so raiden rotates its pictures. Source: TRI-ML/raiden 2353b10, server.py.
 _UPSIDE_DOWN = ("right_wrist_camera",)
-_GRAB_S = 5.0  # s, longest wait of `grab` for a picture
+_GRAB_S = 5.0  # s, longest wait of `grab`
 
 
 class YamsimCamera(Camera):
@@ -36,9 +36,9 @@ class YamsimCamera(Camera):
     back.
 
     Args:
-        name: raiden's name of the camera, such as "left_wrist_camera".
-        camera: name of the camera at the server, as `serve-robot` prints it, such as "left".
-        folder: the value of `serve-robot --folder`, with the same default.
+        name: raiden's name, such as "left_wrist_camera".
+        camera: as `serve-robot` prints it, such as "left".
+        folder: value of `serve-robot --folder`.
     """
 
     def __init__(self, name: str, camera: str, folder: str | None = None) -> None:
@@ -83,7 +83,7 @@ class YamsimCamera(Camera):
     def start_recording(self, path: Path) -> None:
         """Write each grabbed picture to a file, as a line of JSON and the RGB bytes.
 
-        raiden's converter cannot read this format. raiden's camera server and calibration do not read recorded files.
+        raiden's converter cannot read this format, and no other part of raiden reads recorded files.
         """
         self._file = path.open("wb")
 

@@ -1,4 +1,4 @@
-"""Lists arms, grippers and stations, writes template files for a new arm, and checks an arm in simulation."""
+"""Lists robots, writes template files for a new arm, and checks an arm in simulation."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ from .core.scene.build import build_rig_scene
 from .core.scene.compose import rig_mesh_sets
 
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
-_HOLD_S = 1.0  # s, simulated time for which the arm holds its home posture: long enough for the drives to settle
-_MAX_SAG = 0.1  # rad, largest accepted deviation of a joint from home after `_HOLD_S`; a weak drive exceeds it
+_HOLD_S = 1.0  # s, for which the arm holds its home posture: the drives settle
+_MAX_SAG = 0.1  # rad, deviation of a joint after `_HOLD_S`; a weak drive exceeds it
 
 _YAML = """\
 # The arm {name}: check it with `yamsim robots check {name}`; `--rig {name}+linear_4310` then means it in every command.
@@ -109,9 +109,7 @@ ARM, GRIPPER, STATION = "arm", "gripper", "station"  # values of `kind` in entri
 def robot_entries(locations: Locations) -> tuple[dict[str, Any], ...]:
     """Return one dictionary for each arm, gripper and station (rig with two arms), in this order.
 
-    The entry of an arm or station with an invalid file has the error as `fault`, and no fitting parts in `goes_with`.
-
-    Raises ConfigError if the file of a gripper is not valid.
+    An invalid arm or station has the error as `fault`, and no parts in `goes_with`.
     """
     meshes = _meshes(locations)
     families, faults = valid_families(locations)
@@ -150,12 +148,7 @@ def robot_entries(locations: Locations) -> tuple[dict[str, Any], ...]:
 
 
 def robot_entry(name: str, locations: Locations) -> dict[str, Any]:
-    """Return the dictionary of an arm, gripper or station. The name of a family of arms gives its newest version.
-
-    Raises:
-        UsageError: no entry has that name.
-        ConfigError: the file of the entry is not valid.
-    """
+    """Return the dictionary of an arm, gripper or station. A family of arms gives its newest version."""
     items = robot_entries(locations)
     for item in items:
         if name == item["name"] or (item.get("newest") and name == item["family"]):
@@ -169,7 +162,6 @@ def robot_entry(name: str, locations: Locations) -> dict[str, Any]:
 def _loaded_arms(
     locations: Locations, faults: Mapping[str, ConfigError]
 ) -> tuple[dict[str, ArmModel], dict[str, ConfigError]]:
-    """Load all arms. Return name -> arm, and name -> error of each invalid arm, including the given `faults`."""
     loaded, broken = dict[str, ArmModel](), dict(faults)
     for name in locations.config_names(ARMS):
         try:
@@ -211,7 +203,6 @@ def _can_mount(arm: ArmModel, gripper: Gripper) -> bool:
 
 
 def _meshes(locations: Locations) -> dict[str, bool]:
-    """Return name of a mesh set -> whether its meshes are on this machine."""
     store = AssetStore(locations.assets)
     return {name: store.resolve(assets) is not None for name, assets in load_lock(locations).sets.items()}
 
@@ -221,10 +212,7 @@ def _common_fields(source: str | None, path: str, sets: Iterable[str], meshes: M
 
 
 def write_robot_template(name: str, data: Path, locations: Locations) -> tuple[Path, ...]:
-    """Write the template files of a new arm below the data directory `data`, and return their paths.
-
-    Raises UsageError if the name is not valid or exists already, or the folder cannot be written.
-    """
+    """Write the template files of a new arm below the data directory `data`, and return their paths."""
     if not _NAME.fullmatch(name):
         raise UsageError(f"{name!r} is no name for an arm; start with a letter, then letters, digits and underscores")
     folder = data / "robot_models" / name
@@ -242,22 +230,17 @@ def write_robot_template(name: str, data: Path, locations: Locations) -> tuple[P
 
 
 def _arm_files(name: str) -> Mapping[str, str]:
-    """Return file name -> text of the template files of an arm with six joints, with comments for the user."""
     names = [f"joint{k}" for k in range(1, 7)]
     drives = "\n".join(f'    <position name="{one}" joint="{one}" class="{name}"/>' for one in names)
     return {"model.yaml": _YAML.format(name=name), "arm.xml": _XML.format(name=name, drives=drives)}
 
 
 def check_robot(name: str, locations: Locations) -> list[dict[str, Any]]:
-    """Check an arm with each gripper that fits. The scene must compile, and the drives must hold the home posture.
+    """Check an arm with each gripper that fits: the scene compiles, and the drives hold the home posture.
 
     Returns:
         For each gripper: `gripper`, `ok` (None if the pair makes no rig, for example without a wrist camera), `sag_rad`
         (largest deviation of a joint from home), `detail`.
-
-    Raises:
-        ConfigError: a file is not valid, or no gripper fits.
-        UsageError: no arm has that name.
     """
     if name in locations.config_names(GRIPPERS):
         arms = ", ".join(robot_entry(name, locations)["goes_with"]) or "none"

@@ -1,4 +1,4 @@
-"""Opens sessions: loads the config, and finds model files, meshes and an OpenGL backend for rendering."""
+"""Opens sessions: loads the config, and finds model files, meshes and an OpenGL backend."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from .core.files.resources import Locations
     from .core.scene.assets import AssetLock, AssetStore, FetchProgress
 
-_SIZES = range(16, 4097)  # px, valid width and height of images
-_NO_GL = "off"  # MUJOCO_GL without OpenGL. `use_gl` may replace this value, but not a user's "disabled"
+_SIZES = range(16, 4097)  # px, of images
+_NO_GL = "off"  # MUJOCO_GL without OpenGL; `use_gl` may replace it, but not a user's "disabled"
 _OFFLINE = "YAMSIM_OFFLINE"  # environment variable that prevents downloads of meshes, unless empty or 0
 
 
@@ -30,7 +30,7 @@ def _show_no_progress() -> AbstractContextManager[FetchProgress]:
     return nullcontext(lambda label, done, total: None)
 
 
-# Setting (flag or keyword) -> key path in a record config. The task comes before the settings within it.
+# Setting (flag or keyword) -> key path in a record config; the task comes before the settings within it.
 _PATHS: dict[str, tuple[str, ...]] = {
     "rig": ("rig",),
     "revision": ("rig", "revision"),
@@ -57,22 +57,20 @@ _PATHS: dict[str, tuple[str, ...]] = {
     "randomize": ("randomization",),
 }
 
-# Settings whose key path in the config depends on the task, and is found by `_within`.
+# Settings whose key path depends on the task; see `_within`.
 _WITHIN_TASK = ("object", "target", "threshold")
 
 
 @dataclass(frozen=True)
 class SessionOpener:
-    """Opens sessions (a record config with the locations of its files), for the command line or for a program.
+    """Opens sessions (a record config with the locations of its files), for the command line or a program.
 
     Attributes:
-        environ: environment variables of the process. MuJoCo reads its OpenGL backend from them at its import.
-        notify: shows a sentence to the user.
-        setting_label: name of a setting -> the flag or keyword in messages.
-        resolve_object: converts the name of an object to the name of its config; imports files of other formats.
+        environ: MuJoCo reads its OpenGL backend from these variables at its import.
+        setting_label: name of a setting -> flag or keyword in messages.
+        resolve_object: converts the name of an object to that of its config; imports files of other formats.
         resolve_task: converts the name of a task to a name, or to a config as plain data.
-        fetch_bar: opens the progress bar for the download of missing meshes.
-        notify_at_end: shows a sentence to the user when the command ends.
+        notify_at_end: shows a sentence when the command ends.
     """
 
     environ: MutableMapping[str, str]
@@ -89,14 +87,8 @@ class SessionOpener:
         """Open a session of a record config with settings.
 
         Args:
-            renders: whether the session renders; otherwise OpenGL and meshes are not needed.
-            parallel: whether several processes render.
-            resumes: the dataset that the session resumes. Mesh sets that it shows as primitives stay primitives.
-            given: values of settings by name, such as `seed=1`.
-
-        Raises:
-            ConfigError, UsageError: a value is not valid.
-            ResourceError: no OpenGL backend works.
+            renders: without, OpenGL and meshes are not needed.
+            resumes: dataset that the session resumes. Mesh sets that it shows as primitives stay primitives.
         """
         from .core.episode.sampling import require_start
 
@@ -134,9 +126,6 @@ class SessionOpener:
             check: called last with the config; raises a `ConflictError` if settings contradict each other.
             given: values of settings by name; None for settings that are not given. `randomize` keeps the ranges of the
                 config or of `randomization`.
-
-        Raises:
-            ConfigError, UsageError: a value is not valid.
         """
         from .core.config.loader import load_config
         from .core.config.recording import RecordConfig
@@ -184,7 +173,7 @@ class SessionOpener:
         return load_config(RecordConfig, "record", name, locations, overrides, check_all)
 
     def _within(self, task: ProgramTask, setting: str) -> KeyPath:
-        """Return the key path of a setting within the task. Raise UsageError if the task has no such key."""
+        """Return the key path of a setting within the task, which must have this key."""
         from .core.files.documents.config_base import ConflictError
 
         if setting == "threshold":
@@ -207,7 +196,7 @@ class SessionOpener:
         return {("task", "timing", key): (self.setting_label("fps"), value) for key, value in changed.items()}
 
     def _rig_named_by_task(self, task: str | dict[str, Any], locations: Locations) -> tuple[str, str] | None:
-        """Return the file position and the name of the rig in the config of a task; None if the task names no rig."""
+        """Return file position and name of the rig in a task's config, if any."""
         from .core.config.loader import config_model
         from .core.config.program_task import PROGRAM
         from .core.files.documents.yaml_document import Document
@@ -228,7 +217,7 @@ class SessionOpener:
         revision: str | None = None,
         robot: Sequence[str] | None = None,
     ) -> RigConfig:
-        """Load a rig. Replace its arm distance `margin` (m), arm `revision` and dynamics files `robot` if given."""
+        """Load a rig, with another arm distance `margin` (m), arm `revision` and dynamics files `robot` if given."""
         from .core.config.loader import load_config
         from .core.config.rig import RigConfig
 
@@ -239,13 +228,10 @@ class SessionOpener:
         return load_config(RigConfig, "rigs", name, locations, overrides)
 
     def use_gl(self, locations: Locations, *, workers: bool = False) -> Locations:
-        """Find an OpenGL backend for this process and its workers, and set `MUJOCO_GL`.
+        """Find an OpenGL backend, set `MUJOCO_GL`, and return `locations` with the quality that `auto` stands for
+        there.
 
-        Args:
-            workers: whether several processes render; Mesa's software renderer then uses one core in each.
-
-        Returns:
-            `locations`, with the render quality that the setting `auto` stands for on this backend.
+        With several `workers`, Mesa's software renderer uses one core in each.
         """
         from .gl import bind_backend, find_backend
 
@@ -263,13 +249,13 @@ class SessionOpener:
         self.environ.setdefault("MUJOCO_GL", _NO_GL)
 
     def stay_offline(self) -> None:
-        """Show primitives for missing meshes, and do not fetch the meshes."""
+        """Show primitives for missing meshes instead of fetching them."""
         self.environ[_OFFLINE] = "1"
 
     def with_meshes(self, session: Session) -> Session:
-        """Find or fetch all meshes of a session's scene, and return the session with their folders.
+        """Find or fetch all meshes of a scene, and return the session with their folders.
 
-        Mesh sets that the config records as primitives stay primitives.
+        Sets that the config records as primitives stay primitives.
         """
         from .core.config.mesh_provenance import PRIMITIVES
         from .core.scene.blueprint import recording_blueprint
@@ -284,10 +270,9 @@ class SessionOpener:
     def with_mesh_folders(
         self, locations: Locations, names: Iterable[str], quality: RenderConfig | None = None
     ) -> Locations:
-        """Return `locations` with the folder of each asset set. Fetch missing sets, and notify the user of failures.
+        """Return `locations` with the folder of each asset set. Fetch missing sets; failures are only a note.
 
-        Args:
-            quality: render quality, which decides whether meshes are reduced. Missing reduced meshes are made.
+        The render quality decides whether meshes are reduced, now if necessary.
         """
         from .core.files.resources import IMPORTED
         from .core.scene.assets import AssetStore, is_user_set, load_lock, resolve_user_set
@@ -314,7 +299,7 @@ class SessionOpener:
     def _fetch(
         self, locations: Locations, lock: AssetLock, store: AssetStore, missing: Sequence[str]
     ) -> dict[str, Path | None]:
-        """Fetch missing asset sets, unless the user chose primitives. Return their folders."""
+        """Fetch missing asset sets, unless the user chose primitives."""
         from yamsim_cli.mesh_download.fetch import fetch_missing
 
         on_demand = "".join(f" {name}" for name in missing if lock.sets[name].on_demand)
@@ -334,7 +319,7 @@ class SessionOpener:
         return found
 
     def _wants_primitives(self, locations: Locations) -> bool:
-        """Return whether missing meshes are not fetched: offline, or YAMSIM_ASSETS is an empty folder or a file."""
+        """Whether missing meshes are not fetched: offline, or YAMSIM_ASSETS is an empty folder or a file."""
         if self.environ.get(_OFFLINE, "0") not in ("", "0"):
             return True
         if not self.environ.get("YAMSIM_ASSETS") or not locations.assets.exists():
@@ -342,7 +327,7 @@ class SessionOpener:
         return not locations.assets.is_dir() or not any(locations.assets.iterdir())
 
     def _reduced(self, lock: AssetLock, store: AssetStore, name: str, folder: Path) -> Path:
-        """Return the folder of the simplified meshes of a set. Make them if missing; on failure, return `folder`."""
+        """Return the folder of a set's simplified meshes, made if missing; on failure, return `folder`."""
         from .core.scene.assets import find_reduced, make_reduced
 
         assets = lock.sets[name]
@@ -358,10 +343,7 @@ class SessionOpener:
 
 
 def parse_size(text: str) -> tuple[int, int]:
-    """Convert a text WIDTHxHEIGHT to width and height, px.
-
-    Raises UsageError if the text has another format, or a number is out of range.
-    """
+    """Convert a text WIDTHxHEIGHT to width and height, px."""
     width, cross, height = text.lower().partition("x")
     if not cross or not width.isdecimal() or not height.isdecimal():
         raise UsageError(f"--size {text!r} is not valid: give WIDTHxHEIGHT in pixels, such as 640x480")

@@ -39,10 +39,10 @@ class Station(Closable):
     Only `advance` and `tick` step the simulation. Until the first command, the arms hold their start posture.
 
     Attributes:
-        form: names and shapes of the numbers in states and commands, and of pictures.
+        form: names and shapes of states, commands and pictures.
 
     Args:
-        pictures: whether pictures can be rendered; otherwise OpenGL is not set up.
+        pictures: without, OpenGL is not set up.
         end: "success" ends a trial once its goal has held for its hold time; with "actor" only the caller ends a trial.
 
     Raises:
@@ -174,11 +174,11 @@ class Station(Closable):
         self._task.episode.step(*self._rows.command(self._command))
 
     def judge(self) -> str:
-        """Return the reason why the trial is not successful at present; "" on success."""
+        """Return why the trial is not successful at present; "" on success."""
         return self._task.failure_reason()
 
     def positions(self) -> Array:
-        """Return a copy of the present `qpos` (nq,), from which `pictures` can render later."""
+        """Return the present `qpos` (nq,), from which `pictures` can render later."""
         positions: Array = self._task.episode.data.qpos.copy()
         return positions
 
@@ -188,7 +188,6 @@ class Station(Closable):
         """Return camera -> RGB picture (height, width, 3).
 
         Args:
-            cameras: names of cameras; by default all of `form.cameras`.
             positions: `qpos` (nq,) of a state in this trial; by default the present one.
 
         Raises:

@@ -13,7 +13,7 @@ from .session_opener import SessionOpener
 if TYPE_CHECKING:
     from .core.config.recording import RecordConfig
 
-# Name of a setting in `SessionOpener` -> its name in `StationSettings`, where the two differ.
+# Name in `SessionOpener` -> name in `StationSettings`, where they differ.
 _FIELDS = {"camera": "cameras"}
 
 
@@ -25,9 +25,9 @@ class StationSettings:
         action: "drives" for drive commands (rad, m) and then the weld of each arm; "joints" for joints (rad) and
             relative gripper openings, without welds.
         fps: frame rate, Hz.
-        size: width and height of pictures, px, or a text such as `640x480`.
+        size: (width, height) of pictures, px, or a text such as `640x480`.
         cameras: names in order; by default the scene and wrist cameras, or the cameras that the rig defines.
-        config: a name from `configs/record/`, or a YAML file.
+        config: a name from `configs/record/`, or a file.
         spelling: format of the names of settings in error messages, such as "--env.{}".
     """
 
@@ -61,16 +61,14 @@ class StationSettings:
 
 @dataclass(frozen=True)
 class StationForm:
-    """Names of the numbers in a station's states and commands, and shapes of pictures. Known before it is built.
+    """Names of the numbers in states and commands, and shapes of pictures. Known before the station is built.
 
     Attributes:
-        state: names of the numbers of a state.
-        action: names of the numbers of a command.
+        state, action: names of the numbers.
         environment: names of the numbers of the object poses: position, two axes and joints of each object.
-        cameras: camera -> shape of its pictures (height, width, 3).
+        cameras: camera -> (height, width, 3).
         fps: frame rate, Hz.
-        most_frames: maximum number of frames in a trial.
-        prompt: the instruction in words; trials of a task with several phrasings may use another one.
+        prompt: trials of a task with several phrasings may use another one.
     """
 
     state: tuple[str, ...]
@@ -83,11 +81,7 @@ class StationForm:
 
     @classmethod
     def from_settings(cls, settings: StationSettings) -> StationForm:
-        """Return the form of a station with these settings. Only configs are read, and no scene is built.
-
-        Raises:
-            ConfigError, UsageError: a setting is not valid.
-        """
+        """Return the form of a station with these settings, without building a scene."""
         opener = settings.opener
         return cls.of_config(opener.config(settings.config, opener.locations(), **settings.given))
 

@@ -1,4 +1,4 @@
-"""Run the executable as a user does, in a process of its own: a fork of a warm one, or a new one."""
+"""Run the executable as a user does, in a new process or a fork of a warm one."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class Run:
 
     @property
     def message(self) -> str:
-        """The one line on stderr that an error is."""
+        """The single line of an error on stderr."""
         lines = self.err.splitlines()
         assert len(lines) == 1, self.err
         assert lines[0].startswith("yamsim: ")
@@ -42,10 +42,10 @@ def yamsim(
     timeout: float = 300,
     fresh: bool = False,
 ) -> Run:
-    """Run `yamsim ARGS`; everything it printed, and its exit code.
+    """Run `yamsim ARGS`, and return its output and exit code.
 
     Args:
-        fresh: in a process that Python has started, and not in a fork of one that has imported yamsim.
+        fresh: whether to start a new Python process, instead of a fork of one that has imported yamsim.
     """
     words = [str(arg) for arg in args]
     environ = {**os.environ, "PYTHONPATH": str(REPOSITORY), **(env or {})}

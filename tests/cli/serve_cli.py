@@ -1,4 +1,4 @@
-"""Run a command that shows something until a signal ends it, as a user does."""
+"""Run a command that runs until a signal, as a user does."""
 
 from __future__ import annotations
 
@@ -19,11 +19,7 @@ from tests.cli.warm import REPOSITORY, WarmRun, warm_process
 
 @dataclass(frozen=True)
 class RunningCommand:
-    """A command that runs.
-
-    Attributes:
-        report: what it printed once it was ready.
-    """
+    """A running command. `report` is its output once it was ready."""
 
     run: WarmRun | subprocess.Popen[bytes]
     out: IO[str]
@@ -43,7 +39,7 @@ class RunningCommand:
         return False
 
     def end(self, number: signal.Signals = signal.SIGINT) -> tuple[int, str, list[str]]:
-        """Exit code, what it still printed, and its complaints; that meshes are missing is none."""
+        """Return exit code, further output, and complaints other than missing meshes."""
         self.run.send_signal(number)
         code = self.run.wait(30)
         lines = complaints(self.err)
@@ -51,16 +47,16 @@ class RunningCommand:
 
 
 def complaints(err: IO[str]) -> list[str]:
-    """What was written to stderr, without notes on missing meshes."""
+    """Return the lines of stderr without notes on missing meshes."""
     err.seek(0)
     return [line for line in err.read().splitlines() if not line.startswith("The meshes of")]
 
 
 @contextmanager
 def shown(*args: str | Path, **env: str) -> Iterator[RunningCommand]:
-    """`yamsim ARGS --json` in a process of its own, from when it tells where it is to be seen.
+    """Run `yamsim ARGS --json` in a process, from the report of its address on.
 
-    With an environment of its own, for another display, that is one which Python has started.
+    With an environment of its own, for another display, a new Python process is started.
     """
     read, write = os.pipe()
     with os.fdopen(read) as out, tempfile.TemporaryFile("w+") as err:

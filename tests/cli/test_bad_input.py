@@ -1,4 +1,4 @@
-"""Bad input gets one clear line, the documented exit code, and loses nothing."""
+"""Bad input gives one clear line and the documented exit code, and loses nothing."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`assets certify`, `assets list` and what `record` says, as a user types them."""
+"""`assets certify`, `assets list` and warnings of `record`."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def test_a_certificate_is_made_kept_listed_and_asked_for(tmp_path: Path) -> None
     assert run.json["mass_kg"] == pytest.approx(0.341, abs=0.005)
     assert {check["code"] for check in run.json["checks"]} >= {"mass.density", "rest.moves", "hollow.filled"}
     assert standing(env) == "certified"
-    # The same thing, but so heavy that nothing is.
+    # The same object, implausibly heavy.
     (own / "cube.yaml").write_text((own / "cube.yaml").read_text().replace("shape:\n", "shape:\n  mass_g: 49000\n"))
     assert standing(env) == "stale"
     run = yamsim("assets", "certify", "cube", env=env)

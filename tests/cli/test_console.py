@@ -1,4 +1,4 @@
-"""Progress in a log, where there is no terminal to draw a bar on."""
+"""Progress in a log, without a terminal."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from yamsim_cli.terminal.fetch_bar import fetch_bar
 
 @pytest.fixture
 def at(monkeypatch: pytest.MonkeyPatch) -> Callable[[float], None]:
-    """Sets the clock, s; and no terminal, whatever the machine says."""
+    """Set the clock, s, without a terminal."""
     now = 1000.0
     monkeypatch.setattr(console.time, "monotonic", lambda: now)
     for name in ("FORCE_COLOR", "TTY_COMPATIBLE"):
@@ -87,7 +87,7 @@ def test_a_command_tells_its_progress_on_stderr_beside_json() -> None:
 
 
 def fetched(monkeypatch: pytest.MonkeyPatch, *, on_terminal: bool) -> str:
-    """What the bar of a fetch writes to an 80 columns wide output."""
+    """Collect the output of the fetch bar, 80 columns wide."""
     file = io.StringIO()
     monkeypatch.setattr(console, "console", Console(file=file, force_terminal=on_terminal, width=80))
     with fetch_bar() as advance:

@@ -1,4 +1,4 @@
-"""What README, docs and --help say about the command line, held against the command line itself."""
+"""README, docs and --help agree with the command line."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ REPOSITORY = Path(__file__).resolve().parents[2]
 
 
 def _commands(command: Any, path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any]]:
-    """Every command and group below one, with the words that lead to it."""
+    """Yield every command and group with the words that lead to it."""
     for name, child in getattr(command, "commands", {}).items():
         yield (*path, name), child
         yield from _commands(child, (*path, name))
@@ -35,10 +35,9 @@ LEAVES = {path: command for path, command in COMMANDS.items() if not hasattr(com
 
 
 def parse(line: str) -> None:
-    """Parse a shell line with the executable's own parser, running nothing; raises what the executable would show."""
+    """Parse a shell line with the executable's own parser, without running it."""
     name, *words = shlex.split(line, comments=True)
     assert name == "yamsim", line
-    # The rest is the shell's.
     if words == ["--version"]:
         return
     words = words[: next((k for k, word in enumerate(words) if word in (">", "|", "&&", "2>")), len(words))]
@@ -79,12 +78,12 @@ def test_each_command_is_shown_on_a_page_and_in_its_help_and_can_answer_in_json(
 def test_the_pages_command_lines_parse() -> None:
     for line in sorted(set(YAMSIM_LINES)):
         parse(line)
-        # So does what the test that runs them makes of it.
+        # The line as the test of pages runs it parses too.
         parse(page_lines.prepared(line, policy_port=8081))
 
 
 def episodes_outside(lines: list[str]) -> list[str]:
-    """The lines that name an episode which their dataset does not have, as a test of the pages runs them."""
+    """Return lines that name an episode outside their dataset, as the test of pages runs them."""
     recorded: dict[str, int] = {}
     outside = []
     for shown in lines:
@@ -115,7 +114,7 @@ def test_an_episode_that_is_not_recorded_is_found() -> None:
 
 
 def test_no_range_of_episodes_is_made_smaller() -> None:
-    """A range that does not fit the data has to fail when the pages' lines are run."""
+    """A range of episodes outside the dataset must fail when the pages' lines are run."""
     line = "yamsim export rerun dataset/ rrd/ --episodes 0-7"
     assert page_lines.prepared(line, policy_port=8081) == line
 
@@ -130,7 +129,7 @@ def test_a_line_gets_the_flags_that_it_lacks_with_and_without_values(monkeypatch
 
 
 def missing_packages(text: str) -> set[str]:
-    """Packages that a page imports, and that neither this set-up brings nor the page says to install."""
+    """Return imported packages of a page that neither the test environment nor the page installs."""
     trees = [ast.parse(block.text) for block in blocks(text) if block.language == "python"]
     nodes = [node for tree in trees for node in ast.walk(tree)]
     names = {alias.name for node in nodes if isinstance(node, ast.Import) for alias in node.names}
@@ -169,9 +168,9 @@ def test_the_pages_name_only_flags_that_exist() -> None:
     text = without_blocks(TEXT)
     # Typer adds it when it parses.
     known.add("--help")
-    # One with a dot in it is another program's.
+    # An option with a dot belongs to another program.
     flag = r"(?<!\S)--[a-z][a-z-]*(?![\w.])"
-    # What measures, and other programs, have flags of their own.
+    # Benchmarks and other programs have flags of their own.
     codes = [
         code for code in re.findall(r"`([^`]+)`", text) if not re.search(r"python -m tools\.|^inspect-robots ", code)
     ]
@@ -191,7 +190,7 @@ def test_every_page_is_in_the_index_and_in_the_readme() -> None:
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_links_lead_somewhere(page: Path) -> None:
-    """Sphinx checks those between pages of docs/ once more; README and CONTRIBUTING are read where it does not come."""
+    """Sphinx checks links between pages of docs/; this test also reads README and CONTRIBUTING."""
     for target, anchor in re.findall(
         r"\]\(([^)#\s]*)(?:#([^)\s]*))?\)", without_blocks(page.read_text(encoding="utf-8"))
     ):
@@ -203,13 +202,13 @@ def test_links_lead_somewhere(page: Path) -> None:
 
 
 def anchors(page: Path) -> set[str]:
-    """What GitHub, and Sphinx with it, makes of a page's headings."""
+    """Return the anchors that GitHub and Sphinx derive from a page's headings."""
     headings = re.findall(r"^#+ (.+)$", without_blocks(page.read_text(encoding="utf-8")), re.MULTILINE)
     return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
 
 
 def test_pages_of_docs_link_to_nothing_outside() -> None:
-    """The site has docs/ alone."""
+    """The site has only docs/."""
     for page in PAGES:
         if page.parent == DOCS:
             assert "](../" not in page.read_text(encoding="utf-8"), page.name

@@ -38,7 +38,7 @@ def test_the_table_tells_rate_causes_and_errors() -> None:
     run = yamsim("eval", "--policy", f"{SAMPLES}:Faulty", "--n", "2", "--workers", "1")
     for text in ("0 of 2 (0.0%; 95 % interval 0.0% to", "failed: policy_raised", "KeyError: 'no such thing'"):
         assert text in run.out
-    # Folded by the table, the last line of the user's code.
+    # The last line of the user's code, which the table folds.
     assert "sample_policies.py:" in "".join(run.out.split())
     assert "incall)" in "".join(run.out.replace("_", "").split())
 
@@ -47,7 +47,7 @@ def test_an_evaluation_in_which_no_trial_ran_is_no_success(tmp_path: Path) -> No
     out = tmp_path / "report.json"
     run = yamsim("eval", "--policy", f"{SAMPLES}:Faulty", "--n", "3", "--workers", "1", "--out", out, "--json")
     assert run.code == 6
-    # Whole, and nothing else on stdout.
+    # The whole report, and nothing else on stdout.
     assert run.json["stats"]["ended"] == {"policy_raised": 1, "policy_invalid": 2}
     assert json.loads(out.read_text()) == run.json
     first, second, _ = run.json["trials"]

@@ -1,4 +1,4 @@
-"""`yamsim gap` as a user runs it: on a log, on several, on recordings with photos, and on what cannot be compared."""
+"""`yamsim gap`: one log, several logs, recordings with photos, and refused input."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def test_a_gap_above_the_limit_fails_with_a_whole_report(logs: Path, tmp_path: P
 
 def test_a_part_is_compared(logs: Path) -> None:
     whole, part = (yamsim("gap", logs / "late.csv", "--json", *flags).json for flags in ((), ("--to", "0.4")))
-    # It stands still at first.
+    # The arm stands still at first.
     assert whole["rms_rad"] > 1e-3 > 1e-4 > part["rms_rad"]
 
 
@@ -100,7 +100,7 @@ def test_other_units_are_refused_before_anything_is_simulated(
 def test_what_was_imported_has_the_gap_that_it_had_before(logs: Path, tmp_path: Path) -> None:
     real = tmp_path / "real"
     assert yamsim("import", logs / "late.csv", "--rig", "single", "--out", real).code == 0
-    # Its rig is that of the dataset.
+    # The rig is that of the dataset.
     before, after, one = (yamsim("gap", path, "--json").json for path in (logs / "late.csv", real, real / "ep_000000"))
     assert after["rms_rad"] == pytest.approx(before["rms_rad"], rel=1e-4)
     assert one["recordings"][0]["rms_rad"] == after["rms_rad"]

@@ -1,4 +1,4 @@
-"""`--offline`, and what a command without a network says."""
+"""`--offline`, and messages without a network."""
 
 from __future__ import annotations
 

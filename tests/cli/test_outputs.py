@@ -1,4 +1,4 @@
-"""One rule for files that commands write: what exists is refused before the work, and `--overwrite` replaces it."""
+"""All commands refuse an existing output before they work, and replace it with `--overwrite`."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import pytest
 
 from tests.cli.run_cli import yamsim
 
-# Command line without its output -> the option that names the output, and its file.
+# Command line without its output -> option that names the output, and its file.
 WRITERS = {
     "excite": (("excite", "--rig", "single"), "--out", "motion.csv"),
     "excite --log": (("excite", "--rig", "single", "--out", "other.csv"), "--log", "log.csv"),

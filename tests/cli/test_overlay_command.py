@@ -1,4 +1,4 @@
-"""`yamsim overlay` as a user runs it: on photos, on a recorded episode, and on what cannot be."""
+"""`yamsim overlay` on photos, on a recorded episode, and on bad input."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ pytestmark = pytest.mark.render
 CAMERA = "width: 640\nheight: 480\nK: [[600, 0, 319.5], [0, 600, 239.5], [0, 0, 1]]\n"
 VGA = CameraModel.pinhole(640, 480, 600.0)
 NEAR = facing(0.0, 0.0, 0.75, 0.6, 0.15)
-# The same camera as raiden saves it, beside another.
+# The same camera in raiden's file, beside another one.
 RAIDEN = {
     "cameras": {
         name: {"intrinsics": {"camera_matrix": K, "distortion_coeffs": [0.0] * 5, "image_size": [640, 480]}}
@@ -40,7 +40,7 @@ JOINTS = "arm1: [0.9, 1.3, 1.1, -0.2, 0.1, 0.3, 0.03]\n"
 def save_photo(
     path: Path, locations: Locations, camera: CameraModel, T_world_in_cam: Array, pushed: float = 0.0, seed: int = 0
 ) -> None:
-    """Save a photo of both boards of russet, without arms; the second base is pushed by some m along y."""
+    """Save a photo of both boards of russet, without arms; the second base is pushed along y, m."""
     rig = load_config(RigConfig, "rigs", "russet", locations)
     placed = []
     for k, arm in enumerate(rig.arms):
@@ -58,7 +58,7 @@ def boards_photo(locations: Locations, tmp_path_factory: pytest.TempPathFactory)
 
 @pytest.fixture
 def folder(tmp_path: Path, boards_photo: Path) -> Path:
-    """A folder as a user has it: a photo, its camera, its joints. The path has a space."""
+    """A user's folder, whose path has a space: a photo, its camera, its joints."""
     path = tmp_path / "my photos"
     path.mkdir()
     (path / "photo.png").write_bytes(boards_photo.read_bytes())
@@ -69,7 +69,7 @@ def folder(tmp_path: Path, boards_photo: Path) -> Path:
 
 
 def no_complaints(run: Run) -> bool:
-    """Nothing on stderr, but that primitives are drawn where no meshes are, and how far a slow machine is."""
+    """Nothing on stderr except notes on primitives and on progress."""
     return all(line.startswith(("The meshes of ", "overlays: ")) for line in run.err.splitlines())
 
 
@@ -114,7 +114,7 @@ def test_a_pose_beyond_the_limits_is_uncertain_and_in_the_report(folder: Path, l
 
 
 def test_boards_from_the_front_give_no_pose_without_a_camera(folder: Path, locations: Locations) -> None:
-    """A long lens far above: it was taken for a usual one near by, both arms ok, metres off."""
+    """Regression: a long lens far above was taken for a usual lens near by, with both arms `ok` metres off."""
     far = facing(0.0, 0.0, 2.0, 0.02, 0.01)
     save_photo(folder / "photo.png", locations, CameraModel.pinhole(1280, 960, 3425.0), far)
     run = yamsim("overlay", "--img", "photo.png", "--rig", "russet", "--json", cwd=folder)
@@ -130,7 +130,7 @@ def test_boards_from_the_front_give_no_pose_without_a_camera(folder: Path, locat
     camera = image["camera"]
     assert (camera["focal_low"] or 0.0) < 3425 < (camera["focal_high"] or 1e9)
     assert image["margin_m"] is None
-    # With the camera, the same photo gives both.
+    # With the camera, the same photo gives both poses.
     (folder / "long.yaml").write_text("width: 1280\nheight: 960\nK: [[3425, 0, 639.5], [0, 3425, 479.5], [0, 0, 1]]\n")
     args = ("overlay", "--img", "photo.png", "--rig", "russet", "--camera", "long.yaml", "--json", "--out", "known")
     known = yamsim(*args, cwd=folder)
@@ -141,7 +141,7 @@ def test_boards_from_the_front_give_no_pose_without_a_camera(folder: Path, locat
 
 @pytest.fixture(scope="module")
 def series(locations: Locations, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Ten photos of both boards of russet; before the sixth the second arm is pushed aside by 4 mm."""
+    """Ten photos of both boards of russet; before the sixth, the second arm is pushed aside by 4 mm."""
     folder = tmp_path_factory.mktemp("series")
     (folder / "camera.yaml").write_text(CAMERA)
     for number in range(10):
@@ -178,10 +178,10 @@ def test_a_wrong_margin_is_told_on_stderr_and_in_json(folder: Path) -> None:
 
 
 def test_what_would_help_a_refused_board_is_told(folder: Path) -> None:
-    """In text and in JSON, where the other board gives a pose; where none does, the error tells."""
+    """Text and JSON name the remedy if the other board gives a pose; otherwise the error does."""
     path = folder / "photo.png"
     photo = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
-    # The lower half, with arm 1's board in it, is far out of focus.
+    # Arm 1's board, in the lower half, is far out of focus.
     photo[240:] = cv2.GaussianBlur(photo, (0, 0), 12)[240:]
     cv2.imwrite(str(path), photo)
     told = yamsim(*ARGS, cwd=folder)
@@ -284,7 +284,7 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_an_episode_is_drawn_where_it_was_recorded(dataset: Path, tmp_path: Path) -> None:
-    """The recorded pictures show the very arm that is drawn: its outline meets theirs."""
+    """The outline of the simulated arm meets the arm's edges in the recorded pictures."""
     run = yamsim("overlay", "--episode", dataset / "ep_000000", "--out", tmp_path / "o", "--json")
     assert run.code == 0, run.err
     assert no_complaints(run)
@@ -295,14 +295,14 @@ def test_an_episode_is_drawn_where_it_was_recorded(dataset: Path, tmp_path: Path
         assert arm["status"] == "recorded"
         assert arm["T_board_in_cam"] is None
         assert np.array(arm["T_base_in_cam"]).shape == (4, 4)
-        # A thing that lies beside the arm has edges too.
+        # An object beside the arm has edges too.
         assert arm["edge_residual_px"] < 1
     assert np.median([image["arms"][0]["edge_residual_px"] for image in run.json["images"]]) < 0.6
 
 
 @pytest.mark.slow
 def test_an_episode_is_drawn_with_its_own_rig(tmp_path: Path) -> None:
-    """Without --rig: two arms, as they were recorded, and not the one of the default."""
+    """Without --rig, the episode's two arms are drawn, and not the default rig."""
     out = tmp_path / "two"
     small = ("--n", "1", "--workers", "1", "--size", "192x144", "--quality", "fast")
     run = yamsim("record", *small, "--rig", "russet", "--out", out)
@@ -317,7 +317,7 @@ def test_an_episode_is_drawn_with_its_own_rig(tmp_path: Path) -> None:
     assert [arm["name"] for arm in image["arms"]] == ["arm1", "arm2"]
     assert [arm["status"] for arm in image["arms"]] == ["recorded", "recorded"]
     assert all(arm["edge_residual_px"] < 1.0 for arm in image["arms"])
-    # What is asked for is done.
+    # A given --rig is used.
     other = yamsim("overlay", "--episode", episode, "--rig", "single", "--out", tmp_path / "s", "--json")
     assert (other.code, "rig 'single'" in other.err) in ((3, True), (0, False))
     moved = yamsim("overlay", "--episode", episode, "--margin", "0.6", "--out", tmp_path / "m")

@@ -1,4 +1,4 @@
-"""What is printed where there is no terminal, or where colours are not wanted."""
+"""Output without a terminal or without colours."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ EVALUATION = {
 
 @pytest.fixture
 def piped(monkeypatch: pytest.MonkeyPatch) -> None:
-    """No width, no colours asked for by the environment, and no terminal to take a width from."""
+    """An environment without terminal width and colours."""
     for name in ("COLUMNS", "FORCE_COLOR", "TTY_COMPATIBLE", "TTY_INTERACTIVE"):
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setattr(os, "get_terminal_size", lambda *_: (_ for _ in ()).throw(OSError))
@@ -86,7 +86,7 @@ def piped(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.usefixtures("piped")
 @pytest.mark.parametrize("path", ["", *COMMANDS])
 def test_help_fits_80_columns_and_has_no_colours(path: str) -> None:
-    # The parser's own help, in this process: one process a command would take half a minute.
+    # In this process: one process per command would take half a minute.
     from typer.testing import CliRunner
 
     from yamsim_cli.main import app
@@ -167,7 +167,7 @@ def test_a_terminal_has_colours_unless_they_are_not_wanted(repository: Path) -> 
 
 
 def on_terminal(arguments: tuple[str, ...], repository: Path, environ: dict[str, str]) -> bytes:
-    """What a command prints to a terminal of 80 columns."""
+    """Return the output of a command in a terminal of 80 columns."""
     ours, its = pty.openpty()
     unset = ("NO_COLOR", "FORCE_COLOR", "COLUMNS", "TERM")
     kept = {key: value for key, value in os.environ.items() if key not in unset}

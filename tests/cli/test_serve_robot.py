@@ -14,7 +14,7 @@ def test_it_serves_for_as_long_as_it_is_told_and_says_how_well(tmp_path: Path) -
     assert run.code == 0, run.err
     assert run.json["channels"] == ["can0"]
     assert run.json["steps"] == pytest.approx(100, abs=1)
-    # Nothing is left there.
+    # The folder is empty afterwards.
     assert list((tmp_path / "buses").iterdir()) == []
 
 

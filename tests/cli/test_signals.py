@@ -1,4 +1,4 @@
-"""Ctrl-C and SIGTERM while a command is still starting: it ends as cleanly as later, whatever is being imported.
+"""Ctrl-C and SIGTERM during the start of a command end it as cleanly as later.
 
 `yamsim view` ends with 0, since a signal is how a viewer ends; any other command with 130 and one line.
 """
@@ -15,7 +15,7 @@ import pytest
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 
-# Runs `python -m yamsim_cli ARGS` and sends itself a signal at the moment when a module is looked for.
+# Runs `python -m yamsim_cli ARGS`, and sends a signal to itself when a given module is looked for.
 SIGNALLED_AT = """
 import os, runpy, sys
 number, module, *args = sys.argv[1:]
@@ -34,7 +34,7 @@ runpy.run_module("yamsim_cli", run_name="__main__")
 
 
 def run(code: str, *args: str, path: Path | None = None) -> tuple[int, str, list[str]]:
-    """Exit code, stdout, and the lines of stderr without the remark that a machine without meshes gets."""
+    """Return exit code, stdout, and stderr without the note on missing meshes."""
     places = [str(place) for place in (path, REPOSITORY) if place]
     done = subprocess.run(
         [sys.executable, "-c", code, *args],
@@ -74,7 +74,7 @@ def test_any_other_command_ends_with_130_and_one_line(module: str) -> None:
 
 
 def test_an_import_is_not_broken_off(tmp_path: Path) -> None:
-    """An extension module that is would call itself broken, and a library might do without it."""
+    """A library might do without an extension module whose import was interrupted."""
     (tmp_path / "slow.py").write_text("import os, signal\nos.kill(os.getpid(), signal.SIGINT)\nwhole = True\n")
     code = """
 import time

@@ -1,4 +1,4 @@
-"""`yamsim tasks`, and what commands say that know only one of the two kinds of tasks."""
+"""`yamsim tasks`, and errors of commands for one of the two kinds of tasks."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Runs commands in forks of a process that has imported yamsim already, see `tests.cli.warm_server`."""
+"""Runs commands in forks of a process that has imported yamsim, see `tests.cli.warm_server`."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from typing import IO, Any
 
 REPOSITORY = Path(__file__).parents[2]
 
-# What Python and its libraries read once, as they start: where it differs, a fork would be another than a new process.
+# Variables that Python and libraries read at their start: with other values, a fork would differ from a new process.
 _READ_AT_START = ("PYTHON", "LD_", "MUJOCO", "PYOPENGL", "OMP_", "OPENBLAS_")
 
 
@@ -33,11 +33,7 @@ class WarmRun:
     code: int | None = None
 
     def wait(self, timeout: float) -> int:
-        """Its exit code, once it has ended.
-
-        Raises:
-            subprocess.TimeoutExpired: it has not.
-        """
+        """Wait for the exit code. Raise subprocess.TimeoutExpired if the command still runs."""
         if self.code is None:
             if not select.select([self.status], [], [], timeout)[0]:
                 raise subprocess.TimeoutExpired("yamsim", timeout)
@@ -46,19 +42,19 @@ class WarmRun:
         return self.code
 
     def send_signal(self, number: signal.Signals) -> None:
-        """Send it a signal, if it still runs."""
+        """Send a signal, if the command still runs."""
         with contextlib.suppress(ProcessLookupError):
             os.kill(self.pid, number)
 
     def kill(self) -> None:
-        """End it, and wait until it has."""
+        """End the command, and wait for its end."""
         if self.code is None:
             self.send_signal(signal.SIGKILL)
             self.wait(10)
 
 
 class WarmProcess:
-    """The process that is forked, from when it is first needed until this one ends."""
+    """The forked process, from its first use until the end of this process."""
 
     def __init__(self) -> None:
         self._environ = dict(os.environ)
@@ -75,7 +71,7 @@ class WarmProcess:
         atexit.register(self._close)
 
     def suits(self, environ: Mapping[str, str]) -> bool:
-        """Whether its forks can run in an environment."""
+        """Whether forks can run in an environment."""
         names = {name for name in {*environ, *self._environ} if name.startswith(_READ_AT_START)} - {"PYTHONPATH"}
         same = all(environ.get(name) == self._environ.get(name) for name in names)
         return same and environ.get("PYTHONPATH") == str(REPOSITORY)
@@ -99,5 +95,5 @@ class WarmProcess:
 
 @functools.cache
 def warm_process() -> WarmProcess:
-    """The one of this process."""
+    """Return this process's warm process."""
     return WarmProcess()

@@ -1,8 +1,8 @@
-"""A process that has imported yamsim, and forks itself for every command that a test runs.
+"""A process that has imported yamsim, and forks for every command that a test runs.
 
-`python -m tests.cli.warm_server FD` reads requests from a socket, see `tests.cli.warm`. What a fork runs is the whole
-executable, from `yamsim_cli.__main__` on, in a process with its own arguments, directory, environment and streams. It
-only finds its imports done, which take most of the time of a short command.
+`python -m tests.cli.warm_server FD` reads requests from a socket, see `tests.cli.warm`. A fork runs the whole
+executable, from `yamsim_cli.__main__` on, with its own arguments, directory, environment and streams. Only the imports
+are done already.
 """
 
 from __future__ import annotations
@@ -28,27 +28,27 @@ import typer.main
 import yamsim_cli
 from tests.known_gl import remember_backend
 
-# Modules that few commands use, and that change what others do: gymnasium's are registered, Ray's takes signals.
+# Modules of few commands that affect others: gymnasium registers environments, Ray replaces signal handlers.
 _LEFT_OUT = ("yamsim_cli.gym_env", "yamsim_cli.recording.ray_pool", "yamsim_cli.__main__")
 
 
 def import_everything() -> None:
-    """Import all that commands import when they run. No OpenGL is loaded with it: forks may yet choose theirs."""
+    """Import everything that commands import, except OpenGL, which forks choose themselves."""
     os.environ["MUJOCO_GL"] = "off"
     names = [module.name for module in pkgutil.walk_packages(yamsim_cli.__path__, "yamsim_cli.")]
     for name in (*names, "rich.progress", "rich.table", "rich.constrain"):
-        # Extras may be missing, which is for the commands to find out.
+        # Commands report missing extras.
         with contextlib.suppress(ModuleNotFoundError):
             if name not in _LEFT_OUT:
                 importlib.import_module(name)
-    # The commands' flags, which Typer would work out anew in every process.
+    # Typer would compute the commands' flags again in every process.
     typer.main.get_command = functools.cache(typer.main.get_command)
     typer.main.get_command(sys.modules["yamsim_cli.main"].app)
 
 
 def serve(requests: socket.socket) -> list[str]:
-    """Fork for each request; returns in the fork, with the arguments."""
-    # Nobody waits for those that only wait themselves.
+    """Fork for each request; return in the fork, with the arguments."""
+    # Children that only wait need no wait call.
     signal.signal(signal.SIGCHLD, signal.SIG_IGN)
     while True:
         data, descriptors, _, _ = socket.recv_fds(requests, 1_000_000, 3)
@@ -65,7 +65,7 @@ def serve(requests: socket.socket) -> list[str]:
 
 
 def _fork_and_report(status: int) -> None:
-    """Go on in a fork, while this process tells the fork's number, and at its end the exit code."""
+    """Go on in a fork, while this process reports the fork's process ID and exit code."""
     signal.signal(signal.SIGCHLD, signal.SIG_DFL)
     child = os.fork()
     if child == 0:
@@ -78,7 +78,7 @@ def _fork_and_report(status: int) -> None:
 
 
 def _become(request: dict[str, Any], streams: list[int]) -> list[str]:
-    """Take on what a new process is given: streams, directory and environment; and its arguments."""
+    """Take on streams, directory, environment and arguments of a request."""
     nothing = os.open(os.devnull, os.O_RDONLY)
     for descriptor, number in zip((nothing, *streams), range(3), strict=True):
         os.dup2(descriptor, number)
@@ -91,7 +91,7 @@ def _become(request: dict[str, Any], streams: list[int]) -> list[str]:
 
 
 def run() -> NoReturn:
-    """Run the executable, and end as Python does, but for the freeing of all that the fork shares with its parent."""
+    """Run the executable, and end as Python does, without freeing memory that the fork shares with its parent."""
     code: object = 0
     try:
         runpy.run_module("yamsim_cli", run_name="__main__", alter_sys=True)
@@ -110,7 +110,7 @@ def run() -> NoReturn:
 if __name__ == "__main__":
     import_everything()
     remember_backend()
-    # So that no fork copies memory only to look through it.
+    # Otherwise a fork copies memory when the garbage collector looks through it.
     gc.freeze()
     sys.argv = ["yamsim", *serve(socket.socket(fileno=int(sys.argv[1])))]
     run()

@@ -11,13 +11,13 @@ import pytest
 from tests.clients.environments import Interpreter, UnavailableError, checkout, commit
 from tests.clients.rows import ROWS
 
-# Row -> the version that a test of this process ran.
+# Row -> tested version.
 _VERSIONS = pytest.StashKey[dict[str, str]]()
 
 
 @pytest.fixture
 def client(request: pytest.FixtureRequest) -> Callable[[str], Interpreter]:
-    """Opens the environment of a row, by its key in `rows.ROWS`; skips the test where that is not to be had."""
+    """Opens the environment of a row of `rows.ROWS`; skips the test if the environment is not available."""
 
     def open_client(name: str) -> Interpreter:
         row = ROWS[name]
@@ -37,7 +37,7 @@ def client(request: pytest.FixtureRequest) -> Callable[[str], Interpreter]:
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo[None]) -> Generator[None, Any, Any]:
-    # What `python -m tests.clients.table` reads afterwards: each test of each client, and how it ended.
+    # For `python -m tests.clients.table`: each test of each client, and its outcome.
     report = yield
     if call.when == "call" and not report.skipped:
         results = Path(str(item.config.rootpath)) / "out" / "clients.jsonl"

@@ -1,4 +1,4 @@
-"""Environments of their own for programs that nobody here wrote: made once from pinned versions, and kept."""
+"""Environments of other programs: made once from pinned versions, and kept."""
 
 from __future__ import annotations
 
@@ -19,23 +19,23 @@ REPOSITORY = Path(__file__).resolve().parents[2]
 REQUIREMENTS = Path(__file__).with_name("requirements")
 SCRIPTS = Path(__file__).with_name("scripts")
 
-# Printed by a Python of a client's environment: the version of an installed distribution.
+# Prints the version of a distribution in a client's environment.
 _VERSION = "import importlib.metadata, sys; print(importlib.metadata.version(sys.argv[1]))"
 
 
 class UnavailableError(Exception):
-    """The environment cannot be made here; the message says why."""
+    """The environment cannot be made here; the message gives the reason."""
 
 
 @dataclass(frozen=True)
 class Environment:
-    """Where a client runs: a Python, and what is installed for it.
+    """A client's Python and packages.
 
     Attributes:
-        requirements: stem of a file in `requirements/`; empty for the environment that runs the tests.
-        python: the Python that is needed, such as 3.12; empty for the one that runs the tests.
-        beside: the packages lie before those of the tests' own environment, which holds the rest: yamsim with another
-            version of a library. Otherwise the client is alone.
+        requirements: stem of a file in `requirements/`; empty for the tests' own environment.
+        python: required version, such as 3.12; empty for the tests' own Python.
+        beside: whether the packages come before those of the tests' environment: yamsim with another version of a
+            library. Otherwise the client is alone.
     """
 
     requirements: str = ""
@@ -43,7 +43,7 @@ class Environment:
     beside: bool = False
 
     def make(self) -> Interpreter:
-        """Its interpreter; the environment is made first where it is not there.
+        """Return its interpreter; make the environment if it is missing.
 
         Raises:
             NotToBeHadError: no such Python, or the packages cannot be fetched.
@@ -67,16 +67,16 @@ class Environment:
 
 @dataclass(frozen=True)
 class Interpreter:
-    """A Python with a client in it, and the variables that it is run with."""
+    """A Python with a client, and its environment variables."""
 
     python: Path
     environ: Mapping[str, str]
 
     def run(self, script: Path | str, *arguments: object, timeout_s: float = 300) -> dict[str, Any]:
-        """The JSON object that a script prints as its last line; a name alone is one of `scripts/`.
+        """Return the JSON object in the last line of a script; a plain name is one of `scripts/`.
 
         Raises:
-            AssertionError: it failed; with all that it printed.
+            AssertionError: the script failed; with all its output.
         """
         path = SCRIPTS / script if isinstance(script, str) else script
         done = self.call([str(path), *map(str, arguments)], timeout_s=timeout_s)
@@ -89,11 +89,11 @@ class Interpreter:
     def call(
         self, arguments: Sequence[str], *, timeout_s: float = 300, cwd: Path | None = None
     ) -> subprocess.CompletedProcess[str]:
-        """Run its Python with arguments; what that printed."""
-        # Packages are installed without bytecode: what a client imports is compiled once, when it is first imported.
+        """Call its Python with arguments, and return the output."""
+        # Packages are installed without bytecode: a module is compiled at its first import.
         unset = ("PYTHONPATH", "PYTHONHOME", "VIRTUAL_ENV", "PYTHONDONTWRITEBYTECODE")
         environ = {key: value for key, value in os.environ.items() if key not in unset}
-        # Nothing may be fetched while a client runs: it would be tested with what happens to be there today.
+        # Nothing is fetched while a client runs: its test would depend on the day's downloads.
         offline = {"HF_HUB_OFFLINE": "1"}
         return subprocess.run(
             [str(self.python), *arguments],
@@ -107,17 +107,18 @@ class Interpreter:
         )
 
     def version(self, distribution: str) -> str:
-        """The version of a distribution that is installed there."""
+        """Return the installed version of a distribution."""
         done = self.call(["-c", _VERSION, distribution])
         assert done.returncode == 0, done.stderr
         return done.stdout.strip()
 
 
 def yamsim_beside(alone: Interpreter, folder: Path, *more: str) -> tuple[Interpreter, Path]:
-    """An environment with yamsim beside LeRobot, which it takes over from another one, and where its packages are.
+    """Install yamsim beside LeRobot, whose packages come from another environment. Return the interpreter and the
+    packages' folder.
 
     Args:
-        more: what else pip is to install: names, or folders of distributions.
+        more: names or folders of further distributions.
     """
     assert alone.call(["-m", "venv", str(folder)]).returncode == 0
     both = Interpreter(folder / "bin" / "python", {})
@@ -131,7 +132,7 @@ def yamsim_beside(alone: Interpreter, folder: Path, *more: str) -> tuple[Interpr
 
 
 def checkout(variable: str) -> Path:
-    """The repository whose path a variable holds.
+    """Return the repository whose path a variable holds.
 
     Raises:
         NotToBeHadError: the variable is not set, or names no repository.
@@ -145,7 +146,7 @@ def checkout(variable: str) -> Path:
 
 
 def commit(repository: Path) -> str:
-    """The commit that a repository is at, in short."""
+    """Return a repository's short commit."""
     command = ["git", "-C", str(repository), "rev-parse", "--short", "HEAD"]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, f"{repository} is no git repository: {done.stderr}"
@@ -153,14 +154,14 @@ def commit(repository: Path) -> str:
 
 
 def find_python(version: str) -> Path:
-    """The Python of a version, such as 3.12: on the path, or among pyenv's; the tests' own for an empty text.
+    """Return the Python of a version, such as 3.12, from the path or pyenv; the tests' own for an empty text.
 
     Raises:
         NotToBeHadError: there is none.
     """
     if not version or version == f"{sys.version_info.major}.{sys.version_info.minor}":
         return Path(sys.executable)
-    # A shim of pyenv's may be on the path and refuse to run: what does not answer is not there.
+    # A shim of pyenv may be on the path and refuse to run: only a Python that answers counts.
     candidates = [
         shutil.which(f"python{version}"),
         *sorted(Path.home().glob(f".pyenv/versions/{version}.*/bin/python")),
@@ -172,7 +173,7 @@ def find_python(version: str) -> Path:
 
 
 def _install(base: Path, requirements: Path, folder: Path, beside: bool) -> None:
-    # The pip of the tests' own environment installs: a pip and bytecode in each would take longer than all the rest.
+    # A pip and bytecode in each environment would take longer than everything else.
     pip = [sys.executable, "-m", "pip", "--disable-pip-version-check"]
     install = ["install", "-q", "--only-binary", ":all:", "--no-deps", "--no-compile", "-r", str(requirements)]
     if beside:

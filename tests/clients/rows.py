@@ -1,4 +1,4 @@
-"""The programs that read what yamsim writes: one row of docs/clients.md each, with the test that runs it."""
+"""Programs that read output of yamsim: one row of docs/clients.md each, with its test."""
 
 from __future__ import annotations
 
@@ -12,12 +12,11 @@ class ClientRow:
     """A client.
 
     Attributes:
-        client: its name, as the table has it.
-        distribution: whose version the table tells.
-        opens: what it is given, and what it does with that.
-        environment: where it runs.
-        heavy: takes many minutes or gigabytes: `make test-clients-heavy` runs it, by hand.
-        checkout: the variable that holds its repository's path, where no registry has it; its version is the commit.
+        client: name in the table.
+        distribution: whose version the table shows.
+        opens: its input, and what it does with the input.
+        heavy: takes many minutes or gigabytes; only `make test-clients-heavy` runs it.
+        checkout: variable with its repository's path, if no registry has it; its version is the commit.
     """
 
     client: str
@@ -36,7 +35,7 @@ _LEROBOT = (
     "`export lerobot`: all frames read; episodes deleted, split and merged; features removed; training starts on both"
 )
 
-# Key, as tests give it to the fixture `client` -> row.
+# Key of the fixture `client` -> row.
 ROWS: dict[str, ClientRow] = {
     "mujoco-3.3": ClientRow("MuJoCo 3.3", "mujoco", _SCENES, Environment("mujoco-3.3")),
     "mujoco-3.11": ClientRow("MuJoCo 3.11", "mujoco", _SCENES, Environment("mujoco-3.11"), heavy=True),

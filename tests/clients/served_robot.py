@@ -1,4 +1,4 @@
-"""`yamsim serve-robot` in a process of its own, and a client's Python on its buses."""
+"""`yamsim serve-robot` in a process, and a client's Python on its buses."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ _ENVIRON = {**os.environ, "PYTHONPATH": str(REPOSITORY)}
 
 @dataclass
 class ServedRobot:
-    """A server that runs.
+    """A running server.
 
     Attributes:
         folder: of its buses.
-        process: its number.
+        process: process ID.
         ports: of portal.
-        chiral: the port of chiral; 0 without.
-        report: what it printed at its end; filled by then.
+        chiral: port of chiral; 0 without.
+        report: its output at its end; filled by then.
     """
 
     folder: Path
@@ -51,7 +51,7 @@ class ServedRobot:
         )
 
     def run(self, client: Interpreter, script: str, *arguments: object, timeout_s: float = 120) -> dict[str, Any]:
-        """The JSON that a script of `scripts/` prints as its last line."""
+        """Return the JSON in the last line of a script of `scripts/`."""
         done = self.call(client, SCRIPTS / script, *arguments, timeout_s=timeout_s)
         assert done.returncode == 0, done.stdout + done.stderr
         answer: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
@@ -60,7 +60,7 @@ class ServedRobot:
 
 @contextmanager
 def served_robot(folder: Path, *flags: str) -> Iterator[ServedRobot]:
-    """`yamsim serve-robot` with flags, once its buses are there."""
+    """Run `yamsim serve-robot` with flags, from the existence of its buses on."""
     command = [sys.executable, "-m", "yamsim_cli", "serve-robot", "--folder", str(folder), "--json", *flags]
     with subprocess.Popen(command, env=_ENVIRON, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         served = ServedRobot(folder, process.pid)

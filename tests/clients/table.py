@@ -1,7 +1,7 @@
-"""The table in docs/clients.md, brought up to date: `python -m tests.clients.table` after `make test-clients`.
+"""Update the table in docs/clients.md: `python -m tests.clients.table` after `make test-clients`.
 
-A row whose tests all passed gets their version and date; one that was not run keeps what it had. Where a test failed,
-it is named, and the table stays as it is.
+A row whose tests all passed gets their version and date; a row that was not run stays. After a failed test, the test is
+named, and the table stays.
 """
 
 from __future__ import annotations
@@ -21,23 +21,19 @@ _HEAD = "| client | version | tested use | passed |\n|---|---|---|---|\n"
 _TABLE = re.compile(re.escape(_HEAD) + r"(?:\|.*\n)*")
 _ROW = re.compile(r"^\| (.*?) \| (.*?) \| (.*?) \| (.*?) \|$", re.MULTILINE)
 
-# Of a row: version, and the day on which it passed last.
+# Version of a row, and day of its last success.
 Passed = Mapping[str, tuple[str, str]]
 
 
 def shown(text: str) -> dict[str, tuple[str, str]]:
-    """Client -> version and date, of the table in a text; empty if there is none."""
+    """Return client -> version and date of the table in a text."""
     found = _TABLE.search(text)
     rows = _ROW.findall(found.group()[len(_HEAD) :]) if found else []
     return {client: (version, date) for client, version, _, date in rows}
 
 
 def rendered(passed: Passed) -> str:
-    """The table, of all rows in their order.
-
-    Args:
-        passed: client -> version and date; what is missing has never passed.
-    """
+    """Return the table of all rows in order. `passed` is client -> version and date, if it has passed."""
     lines = []
     for row in ROWS.values():
         version, date = passed.get(row.client, ("-", "never"))
@@ -46,7 +42,7 @@ def rendered(passed: Passed) -> str:
 
 
 def results(lines: Iterable[str]) -> tuple[dict[str, tuple[str, str]], list[str]]:
-    """What tests found: client -> version and date of those that passed in all, and the tests that failed."""
+    """Return client -> version and date of clients whose tests all passed, and the failed tests."""
     records = [json.loads(line) for line in lines]
     failed = sorted({record["test"] for record in records if not record["passed"]})
     bad = {record["row"] for record in records if not record["passed"]}

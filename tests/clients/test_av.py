@@ -1,4 +1,4 @@
-"""The oldest PyAV that yamsim allows, and those between it and the newest, which all other tests run."""
+"""The oldest PyAV that yamsim allows, and versions up to the newest, which all other tests use."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The environment in gymnasium, the oldest version that the extra admits and the newest."""
+"""The environment in the oldest and the newest gymnasium that the extra admits."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ pytestmark = [pytest.mark.client, pytest.mark.render]
 
 
 def test_the_oldest_checker_passes_the_environment(client: Callable[[str], Interpreter]) -> None:
-    """The newest one's runs in tests/test_gym_env.py."""
+    """The newest checker runs in tests/test_gym_env.py."""
     interpreter = client("gymnasium-1.0")
     assert interpreter.run("gymnasium_check.py")["version"] == interpreter.version("gymnasium")
 
 
 @pytest.mark.parametrize("row", ["gymnasium-1.0", "gymnasium"])
 def test_images_from_processes_of_their_own(row: str, client: Callable[[str], Interpreter]) -> None:
-    """A fork works until the parent has drawn; then it is refused, and what is not forked goes on working."""
+    """A fork renders until its parent has rendered; then it is refused. Other processes go on rendering."""
     told = client(row).run("gymnasium_processes.py", timeout_s=280)
-    # The same pictures whatever started the process.
+    # The same pictures, however the process was started.
     assert told["fork"] == told["forkserver"] > 5
     assert 'context="forkserver"' in told["refused"]
     assert told["seconds"] < 60

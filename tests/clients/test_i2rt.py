@@ -45,7 +45,7 @@ def test_the_sdks_tools_find_motors_registers_and_faults(client: Callable[[str],
         assert " 20  Gr         float   ro      40" in table.stdout
         once = served.call(interpreter, "-m", "i2rt.motor_config_tool.set_timeout", "--motor_id", "2")
         assert "timeout = 8000" in once.stdout and "timeout = 0" in once.stdout
-        # It refuses to start an arm that lacks a motor, and says which.
+        # It refuses to start an arm that lacks a motor, and names the motor.
         arm = served.call(interpreter, "-m", "i2rt.robots.motor_chain_robot", timeout_s=60)
         assert arm.returncode and "motor 3 (DM4340)" in arm.stderr
 
@@ -61,7 +61,7 @@ def test_the_sdks_tools_find_motors_registers_and_faults(client: Callable[[str],
 def test_the_sdk_meets_faults(
     client: Callable[[str], Interpreter], tmp_path: Path, fault: str, seconds: float, running: bool, says: str
 ) -> None:
-    """It stops at a motor that fails, and says which; lost frames it asks for again."""
+    """It stops at a failing motor and names it; it asks for lost frames again."""
     interpreter = client("i2rt")
     with served_robot(tmp_path / "buses", "--fault", fault) as served:
         told = served.run(interpreter, "i2rt_faults.py", "can0", seconds)

@@ -1,4 +1,4 @@
-"""`yamsim import` of files that other programs' own libraries wrote, and `yamsim export` of what came in.
+"""`yamsim import` of files that other programs' libraries wrote, and `yamsim export` of the result.
 
 `YAMSIM_RAIDEN` names a checkout of TRI-ML's repository.
 """
@@ -28,7 +28,7 @@ from yamsim_cli.export.raiden_schema import RaidenOptions
 from yamsim_cli.real.recordings.csv_file import csv_columns
 from yamsim_cli.real.recordings.motion_reading import read_motions
 
-# Seconds; the machine may be busy with other things.
+# s; the machine may be busy
 PATIENCE = 900
 EVERY = 4
 
@@ -41,7 +41,7 @@ def station(locations: Locations) -> RigConfig:
 def same(
     dataset: Path, number: int, truth: RecordedMotion, rig: RigConfig, locations: Locations, atol: float = 1e-6
 ) -> None:
-    """An imported episode holds the joints, openings and commands of a motion."""
+    """Assert that an imported episode has the joints, openings and commands of a motion."""
     (found,) = read_motions([dataset / f"ep_{number:06d}"], rig, locations)
     for arm, other in zip(found.arms, truth.arms, strict=True):
         for key in ("joints", "commands", "openings", "commanded_openings"):
@@ -108,7 +108,7 @@ def test_raidens_own_recordings_come_in(
     dataset = bring_in(tmp_path / "real", [tmp_path / "raw"], station, locations)
     (found,) = read_motions([dataset], station, locations)
     assert len(found.times) == done["frames"]
-    # It records until somebody stops it: the motion's last sample may be there several times.
+    # It records until it is stopped: the motion's last sample may be repeated.
     kept = np.minimum(np.arange(done["frames"]), 99)
     for arm, other in zip(found.arms, motion.arms, strict=True):
         np.testing.assert_allclose(arm.joints, other.joints[kept], atol=1e-6)
@@ -123,7 +123,7 @@ def test_raidens_own_recordings_come_in(
 def test_raiden_shards_an_export_of_real_arms(
     client: Callable[[str], Interpreter], station: RigConfig, locations: Locations, tmp_path: Path
 ) -> None:
-    """Its windows leave out the last 12 frames, of which it lacks the future, and look at two pictures each."""
+    """Its windows omit the last 12 frames, which lack future frames, and have two pictures each."""
     interpreter = client("raiden-records")
     motion = swinging(station, 2.0)
     dataset = with_film(tmp_path, motion, station, locations)
@@ -174,7 +174,7 @@ def test_mcap_by_foxgloves_libraries_comes_in(
 
 
 def test_numpys_own_tables_come_in(locations: Locations, tmp_path: Path) -> None:
-    """By `numpy.savetxt`, and by `csv` with quotes and the line ends of Windows."""
+    """Tables by `numpy.savetxt`, and by `csv` with quotes and the line ends of Windows."""
     rig = load_config(RigConfig, "rigs", "single", locations)
     motion = swinging(rig, 0.5)
     (arm,) = motion.arms

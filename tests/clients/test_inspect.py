@@ -12,7 +12,7 @@ pytestmark = [pytest.mark.client, pytest.mark.render]
 
 
 def test_what_the_table_says_of_it(client: Callable[[str], Interpreter]) -> None:
-    """Three of the tests of our embodiment, which are skipped where the packages are not installed."""
+    """Three tests of yamsim's embodiment, which are skipped without the packages."""
     chosen = "conforms or come_to_rest or two_cups"
     arguments = ["-m", "pytest", "-q", "-p", "no:cacheprovider", "-p", "no:xdist", "-k", chosen, "tests/kitchenbench"]
     done = client("inspect-robots").call(arguments, timeout_s=900, cwd=REPOSITORY)

@@ -31,9 +31,9 @@ KINDS: Mapping[str, dict[tuple[str, ...], Any]] = {
     "two": {("rig",): "russet", ("task",): "handover", ("wrist",): True},
 }
 EPISODES = 3
-# Which of its flags names what a merge writes.
+# Flag that names the output of a merge.
 MERGED = {"lerobot": "--new_repo_id", "lerobot-0.4": "--repo_id"}
-# Seconds; the machine may be busy with other things.
+# s; the machine may be busy
 PATIENCE = 1800
 
 
@@ -63,14 +63,14 @@ def exported(
 
 @dataclass(frozen=True)
 class LeRobot:
-    """One version of it, with datasets of its own under `local/`."""
+    """One version of LeRobot, with its datasets under `local/`."""
 
     name: str
     interpreter: Interpreter
     home: Path
 
     def program(self, name: str, *arguments: str) -> str:
-        """What one of its programs printed; it has to end well."""
+        """Run one of its programs, which must succeed, and return the output."""
         path = self.interpreter.python.with_name(name)
         done = self.interpreter.call([str(path), *arguments], timeout_s=PATIENCE, cwd=self.home)
         assert done.returncode == 0, f"{name} {' '.join(arguments)}:\n{done.stdout[-2000:]}\n{done.stderr[-3000:]}"
@@ -81,22 +81,22 @@ class LeRobot:
         self.program("lerobot-edit-dataset", f"--operation.type={operation}", *arguments)
 
     def path(self, name: str) -> Path:
-        """Of one of its datasets."""
+        """Return the path of one of its datasets."""
         return self.home / "local" / name
 
     def read(self, name: str) -> tuple[dict[str, Any], dict[str, Any]]:
-        """Feature -> values of all frames, as its loader gives them; and what else it tells."""
+        """Return feature -> values of all frames by its loader, and further metadata."""
         out = self.home / f"{name}.npz"
         told = self.interpreter.run("read_lerobot.py", self.path(name), out, timeout_s=PATIENCE)
         return dict(np.load(out)), told
 
     def train(self, name: str) -> dict[str, Any]:
-        """The configuration of an ACT policy after two steps on a dataset."""
+        """Return the config of an ACT policy after two training steps on a dataset."""
         out = self.home / f"trained_{name}"
         self.program(
             "lerobot-train",
             f"--dataset.repo_id=local/{name}",
-            # Its default needs FFmpeg's libraries, which it does not bring.
+            # Its default needs FFmpeg's libraries, which it does not install.
             "--dataset.video_backend=pyav",
             "--policy.type=act",
             "--policy.push_to_hub=false",
@@ -105,7 +105,7 @@ class LeRobot:
             "--num_workers=0",
             "--batch_size=2",
             "--steps=2",
-            # A small one: what counts is that it starts.
+            # A small policy: the test is that training starts.
             *("--policy.dim_model=64", "--policy.n_heads=4", "--policy.dim_feedforward=128"),
             *("--policy.chunk_size=8", "--policy.n_action_steps=8"),
             f"--output_dir={out}",
@@ -170,7 +170,7 @@ def test_episodes_and_features_are_edited(lerobot: LeRobot, exported: Exported) 
         cameras = exported.cameras[:-1] if name == "few" else exported.cameras
         check_numbers(found, [exported.episodes[k] for k in kept], cameras)
         for key in (f"observation.images.{camera}" for camera in cameras):
-            # Pixel for pixel: nothing was encoded again.
+            # Equal pixels: nothing was encoded again.
             np.testing.assert_array_equal(found[key], np.concatenate([whole[key][number == k] for k in kept]))
         assert (set(found) & set(removed) == set()) is (name == "few")
         assert set(told["stats"]) == set(json.loads((lerobot.path(name) / "meta/info.json").read_text())["features"])
@@ -204,7 +204,7 @@ def test_its_doctor_finds_no_failure(client: Callable[[str], Interpreter], expor
 def test_yamsim_is_installed_beside_it(
     client: Callable[[str], Interpreter], exported: Exported, tmp_path: Path
 ) -> None:
-    """pip adds yamsim with its extras to what LeRobot needs and replaces nothing; both run in one environment."""
+    """pip adds yamsim with its extras to LeRobot's packages and replaces none; both run in one environment."""
     alone = client("lerobot")
     both, place = yamsim_beside(alone, tmp_path / "both")
     checked = both.call(["-m", "pip", "check"])

@@ -1,4 +1,4 @@
-"""LeRobot's own programs with the plugins in `integrations/`, found as any plugin of LeRobot's is."""
+"""LeRobot's own programs with the plugins in `integrations/`, found as all plugins of LeRobot."""
 
 from __future__ import annotations
 
@@ -28,20 +28,20 @@ from yamsim_cli.export.lerobot import export_lerobot
 pytestmark = pytest.mark.client_heavy
 
 PLUGINS = tuple(REPOSITORY / "integrations" / name for name in ("lerobot_env_yamsim", "lerobot_robot_yamsim"))
-# Seconds; the machine may be busy with other things.
+# s; the machine may be busy
 PATIENCE = 1800
 JOINTS = [*(f"joint{k}.pos" for k in range(1, 7)), "gripper.pos"]
 
 
 @dataclass(frozen=True)
 class LeRobot:
-    """LeRobot's programs, in an environment with yamsim, its plugins, and a policy that plays what it is given."""
+    """LeRobot's programs, in an environment with yamsim, its plugins, and a policy that plays given actions."""
 
     interpreter: Interpreter
     programs: Path
 
     def run(self, name: str, home: Path, *arguments: str) -> str:
-        """What one of its programs printed and logged; it has to end well."""
+        """Run one of its programs, which must succeed, and return output and log."""
         environ = {"HF_LEROBOT_HOME": str(home), "HF_HOME": str(home / "hf"), "SLURM_JOB_ID": "no bars, please"}
         asked = Interpreter(self.interpreter.python, environ)
         done = asked.call([str(self.programs / name), *arguments], timeout_s=PATIENCE, cwd=home)
@@ -67,7 +67,7 @@ def made() -> dict[str, LeRobot]:
 def open_lerobot(
     client: Callable[[str], Interpreter], made: dict[str, LeRobot], tmp_path_factory: pytest.TempPathFactory
 ) -> Callable[[str], LeRobot]:
-    """Opens the environment of a row; it is made once for all tests here."""
+    """Opens the environment of a row, made once for all tests here."""
 
     def open_row(name: str) -> LeRobot:
         alone = client(name)
@@ -109,7 +109,7 @@ def test_the_plugins_own_tests_pass(
 def test_a_policy_that_plays_the_expert_succeeds(
     open_lerobot: Callable[[str], LeRobot], tmp_path: Path, rig: str, action: str, fps: float, arguments: Sequence[str]
 ) -> None:
-    """In processes of their own, with pictures; and in one process, by joints alone, as sets of real arms have them."""
+    """In several processes with pictures, and in one process by joints alone, as datasets of real arms."""
     lerobot = open_lerobot("lerobot-eval")
     given = (tmp_path / "played", 4, "pickplace", action, fps, rig)
     assert lerobot.interpreter.run("make_played.py", *given, timeout_s=PATIENCE) == {"trials": [0, 1, 2, 3]}
@@ -129,7 +129,7 @@ def test_a_checkpoint_that_it_has_trained_is_evaluated_and_its_trials_recorded(
     locations: Locations,
     tmp_path: Path,
 ) -> None:
-    """Trained on an export for two steps, it does something in each trial, and fails as it does in our own `eval`."""
+    """After two training steps on an export, the policy moves in each trial, and fails as in yamsim's `eval`."""
     lerobot = open_lerobot("lerobot-eval")
     config = make_config({("wrist",): True, ("image", "size_px"): [64, 48]})
     write_dataset(tmp_path / "dataset", config, locations, 2, jpeg)
@@ -145,7 +145,7 @@ def test_a_checkpoint_that_it_has_trained_is_evaluated_and_its_trials_recorded(
         f"--output_dir={tmp_path / 'trained'}",
     )
     checkpoint = tmp_path / "trained" / "checkpoints" / "000002" / "pretrained_model"
-    # It records no second batch.
+    # A second batch is not recorded.
     several = ["--eval.n_episodes=2", "--eval.batch_size=2", "--eval.use_async_envs=false", "--eval.recording=true"]
     words = ["--env.size=64x48", *several]
     found = lerobot.evaluate(tmp_path, checkpoint, *words)
@@ -163,7 +163,7 @@ def test_a_checkpoint_that_it_has_trained_is_evaluated_and_its_trials_recorded(
 
 
 def test_it_records_the_expert_and_plays_it_again(open_lerobot: Callable[[str], LeRobot], tmp_path: Path) -> None:
-    """Two episodes, one scene after the other; each is a success, and replayed by the clock it still is one."""
+    """Two episodes of different scenes; each succeeds, also when replayed in real time."""
     lerobot = open_lerobot("lerobot-record")
     robot = ["--robot.type=yamsim", "--robot.id=sim", "--robot.quality=fast", "--robot.size=64x48"]
     robot += ["--robot.seed=3", "--robot.cameras=[scene_camera]"]
@@ -173,7 +173,7 @@ def test_it_records_the_expert_and_plays_it_again(open_lerobot: Callable[[str], 
         *robot,
         *("--robot.by_clock=false", "--teleop.type=yamsim_expert", "--teleop.robot_id=sim"),
         *("--dataset.repo_id=local/two", "--dataset.no_stamp=true", "--dataset.push_to_hub=false"),
-        # A busy machine has time for all of its 240 frames, too.
+        # A busy machine needs time for all of the 240 frames.
         *("--dataset.num_episodes=2", "--dataset.episode_time_s=40", "--dataset.reset_time_s=1"),
         *("--dataset.single_task=put the banana on the plate", "--play_sounds=false"),
     )
@@ -188,7 +188,7 @@ def test_it_records_the_expert_and_plays_it_again(open_lerobot: Callable[[str], 
     for number in (0, 1):
         mine = found["episode_index"] == number
         state, action = found["observation.state"][mine], found["action"][mine]
-        # It begins at rest, moves, and lets go; once it is done, it stays.
+        # The arm starts at rest, moves, and releases; afterwards it stays.
         assert np.abs(state[0] - action[0]).max() < 0.05
         assert np.ptp(action[:, 0]) > 0.1 and 0 <= action[:, 6].min() < action[:, 6].max() <= 1
         assert len(action) > 240 and (action[240:] == action[239]).all()

@@ -1,4 +1,4 @@
-"""Composed scenes in MuJoCo 3.3 and newer and in dm_control: they load, stand still, and move as they were recorded."""
+"""Composed scenes in MuJoCo 3.3 and newer and in dm_control: they load, are stable, and move as recorded."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from yamsim_cli.core.scene.blueprint import Blueprint, task_blueprint
 from yamsim_cli.viewers.show.compose import compose_at_home, first_attempt_start, write_scene
 
 Client = Callable[[str], Interpreter]
-# The oldest one that can load composed scenes, the last one of the third version, and one between them.
+# The oldest version that can load composed scenes, the last 3.x, and one between.
 OLDER = (
     pytest.param("mujoco-3.3", marks=pytest.mark.client),
     pytest.param("mujoco-3.11", marks=pytest.mark.client_heavy),
@@ -36,12 +36,12 @@ SCENES: dict[str, tuple[str, str | None, str, bool]] = {
     "friction": ("single_linear", "pickplace", "contact", True),
     "handover": ("bimanual", "handover", "weld", True),
 }
-# Those of them that are replayed: a weld, pads that press, and two arms.
+# The replayed ones: a weld, pads that press, and two arms.
 EPISODES = ("pickplace", "friction", "handover")
 SEED = 8
 
-# The most that an episode may differ between MuJoCo 3.3 and 4.0 because their contacts and welds do: rad of the arms'
-# joints, m of objects. An episode succeeds within 0.05 m.
+# rad and m, largest difference of an episode between MuJoCo 3.3 and 4.0, whose contacts and welds differ. An episode
+# succeeds within 0.05 m.
 MOST = 0.001
 
 
@@ -72,7 +72,7 @@ def scenes(
 def episodes(
     tmp_path_factory: pytest.TempPathFactory, make_config: Callable[..., RecordConfig], locations: Locations
 ) -> dict[str, Path]:
-    """What acted in an episode of each, tick by tick, as recordings hold it, and the states that it went through."""
+    """Actions of an episode of each, tick by tick, as in recordings, and its states."""
     folder = tmp_path_factory.mktemp("episodes")
     for name in EPISODES:
         config = _config(name, make_config)
@@ -105,7 +105,7 @@ def test_scenes_load_and_stand_still(key: str, client: Client, scenes: dict[str,
         arms = 2 if name.startswith(("bimanual", "russet", "handover")) else 1
         things = 2 if name in EPISODES else 0
         assert (scene["nq"], scene["nu"]) == (8 * arms + 7 * things, 7 * arms), name
-        # Closed crank fingers press each other apart by 0.2 mm, and things settle into the table by 0.3.
+        # Closed crank fingers push each other apart by 0.2 mm, and objects sink into the table by 0.3 mm.
         assert scene["moved"] < 0.0005, name
 
 
@@ -123,7 +123,7 @@ def test_an_episode_moves_as_in_mujoco_4(
     old = _replay(client(key), scenes[name], episodes[name], tmp_path / "old.npz")
     new = _replay(client("mujoco-4"), scenes[name], episodes[name], tmp_path / "new.npz")
     states = np.abs(old.pop("states") - new.pop("states"))
-    # The model is the same to the rounding of an inertia's axes, which 3.3 works out otherwise.
+    # Equal up to the rounding of an inertia's axes, which 3.3 computes in another way.
     for field, value in new.items():
         np.testing.assert_allclose(old[field], value, rtol=0, atol=1e-10, err_msg=field)
     with np.load(episodes[name]) as episode:
@@ -151,8 +151,8 @@ def test_an_episode_moves_as_it_was_recorded(
         frames, every = episode["frames"], -(-len(episode["ctrl"]) // len(episode["frames"]))
     differences = np.abs(found["states"][every - 1 :: every][: len(frames) - 1] - frames[1:])
     print(f"{name}: {differences.max():.1e} from what was recorded")
-    # Composed, the objects stand elsewhere at first, so MuJoCo rounds their inverse weights otherwise, by 1e-11; an
-    # object that falls makes more of it.
+    # In the composed scene the objects start elsewhere, so MuJoCo rounds their inverse weights differently, by 1e-11. A
+    # falling object amplifies that.
     assert differences.max() < 1e-4
 
 

@@ -1,4 +1,4 @@
-"""Servers of policies with the real packages on their side, and what the real client sends."""
+"""Servers of policies with the real packages, and messages of the real client."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ pytest.importorskip("msgpack", reason="yamsim[remote] is not installed")
 
 HERE = Path(__file__).parent
 TRIALS = 2
-# What the served expert is told besides, and at which rate its plan is: one action a control tick.
+# Mapping with further values for the served expert, whose plan has one action per control tick.
 TELLS_ALL = "time: time\nseed: seed\n"
 MAPPINGS = {"act": ("molmoact2_yam", "hz: 30"), "ws": ("openpi_aloha", "hz: 50")}
 
@@ -38,7 +38,7 @@ MAPPINGS = {"act": ("molmoact2_yam", "hz: 30"), "ws": ("openpi_aloha", "hz: 50")
 def experts(
     make_config: Callable[..., RecordConfig], locations: Locations
 ) -> tuple[RecordConfig, list[TrialResult], Mapping[int, np.ndarray]]:
-    """Of a task for a station's two arms that hold by friction: what the scripted policy does."""
+    """For a task with grasps by friction on two arms: the actions of the scripted policy."""
     config = make_config(
         {
             ("rig",): "yam_station_linear_4310_d405",
@@ -52,13 +52,13 @@ def experts(
         }
     )
     local, plans = expert_plans(config, locations)
-    # These protocols know no weld.
+    # These protocols have no weld.
     return config, local, {seed: rows[:, :14] for seed, rows in plans.items()}
 
 
 @contextmanager
 def serving(interpreter: Interpreter, script: str, *arguments: object) -> Iterator[int]:
-    """The port of a server that runs in a client's environment."""
+    """Return the port of a server that runs in a client's environment."""
     command = [str(interpreter.python), str(SCRIPTS / script), *map(str, arguments)]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
@@ -157,7 +157,7 @@ class _StubClient:
 def test_a_checkpoint_of_lerobots_answers_as_in_lerobot(
     client: Callable[[str], Interpreter], locations: Locations, tmp_path: Path
 ) -> None:
-    """The same numbers as its own inference gives, and trials that run to their end."""
+    """The same actions as by its own inference, and trials that run to their end."""
     rng = np.random.default_rng(0)
     state, scene = rng.uniform(-1, 1, 7).astype(np.float32), rng.integers(0, 255, (48, 64, 3), dtype=np.uint8)
     np.savez(tmp_path / "observed.npz", state=state, scene=scene)
@@ -179,5 +179,5 @@ def test_a_checkpoint_of_lerobots_answers_as_in_lerobot(
     assert done.returncode == 0, done.stderr
     report = json.loads(done.stdout)
     assert report["stats"]["ended"] == {"time_limit": 2}
-    # Fifty ticks: four actions of two ticks between two questions.
+    # Fifty ticks: four actions of two ticks between two requests.
     assert report["stats"]["chunks"] == {"chunks": 14, "actions": 112, "stale": 0, "waited_s": 0.0}

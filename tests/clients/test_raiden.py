@@ -1,4 +1,4 @@
-"""raiden's own code on our exports; `YAMSIM_RAIDEN` names a checkout of it, with the submodule `third_party/i2rt`."""
+"""raiden's own code on exports; `YAMSIM_RAIDEN` names a checkout with the submodule `third_party/i2rt`."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from yamsim_cli.export.raiden_schema import RaidenOptions
 
 pytestmark = [pytest.mark.client_heavy, pytest.mark.render]
 
-# `rd shardify` leaves out the last 12 of an episode's frames, of which it lacks the future.
+# Frames at an episode's end that `rd shardify` omits, because they lack future frames.
 LEFT_OUT = 12
 
 Read = Callable[..., dict[str, Any]]
@@ -31,7 +31,7 @@ Read = Callable[..., dict[str, Any]]
 
 @pytest.fixture
 def read(client: Callable[[str], Interpreter], tmp_path: Path, locations: Locations) -> Read:
-    """Exports a dataset, and gives what raiden makes of it, see `scripts/read_raiden.py`."""
+    """Export a dataset, and return raiden's output for it, see `scripts/read_raiden.py`."""
 
     def run(dataset: Path, arms: str, options: RaidenOptions) -> dict[str, Any]:
         interpreter = client("raiden")
@@ -61,12 +61,12 @@ def one_arm(
 
 
 def shares(found: dict[str, Any], locations: Locations) -> list[float]:
-    """Of each episode, the fastest joint that `rd replay` asks for, of what its motor does."""
+    """Return, for each episode, the largest commanded joint speed of `rd replay` as a share of the motor's."""
     return [float((np.array(episode["peak"][0]) / motors(locations)).max()) for episode in found["replay"].values()]
 
 
 def motors(locations: Locations) -> np.ndarray:
-    """How fast each joint's motor turns, rad/s."""
+    """Maximum speed of each joint's motor, rad/s."""
     return np.array([joint.motor_rad_s for joint in load_config(ArmModel, "robots", "i2rt_yam", locations).joints])
 
 
@@ -87,7 +87,7 @@ def test_it_shards_shows_and_plays_one_arm(read: Read, one_arm: Path, locations:
     assert shards["controls"] == ["plan"]
     assert shards["said"] == ["pick up the banana and put it on the plate"]
     assert found["visualized"]["pictures"] == 2 * counts["0000"]
-    # The right arm, which is not there, stands still.
+    # The missing right arm stands still.
     assert shards["still"]
     assert all("right" in key for key in shards["still"])
     assert max(shares(found, locations)) < 1
@@ -112,7 +112,7 @@ def test_arrays_of_one_arm_leave_nothing_that_stands_still(read: Read, one_arm: 
 
 
 def same(apart: dict[str, float], *, hand: float) -> None:
-    """What its converter makes again is the same; hands, and cameras on them, to within so many metres."""
+    """Its converter gives the same values; hands, and cameras on them, within a tolerance in m."""
     for key, value in apart.items():
         limit = 1e-6
         if key in ("action", "actual_poses") or (key.startswith("extrinsics") and "wrist" in key):
@@ -134,7 +134,7 @@ def test_by_its_own_kinematics_the_hands_are_the_very_same_and_the_joints_come_b
     assert found["visualized"]["pictures"] == 3 * found["counts"]["0000"]
     off = np.concatenate([episode["off"] for episode in found["replay"].values()])
     assert off.max() < 0.002
-    # Where its viewer has the right hand in the left base: T_left_from_right is the right way round.
+    # Its viewer's right hand in the left base shows that T_left_from_right has the right direction.
     hands = [frame["T_left_from_right"] @ np.append(frame["action"][13:16], 1) for frame in found["frames"]]
     np.testing.assert_allclose(found["visualized"]["right_hand"], np.array(hands)[:, :3], atol=1e-5)
     assert np.array(found["visualized"]["right_hand"])[:, 1].max() < 0

@@ -1,4 +1,4 @@
-"""Our .rrd files, read by rerun of two versions: the oldest that docs/exports.md promises, and the newest."""
+"""yamsim's .rrd files in two versions of rerun: the oldest that docs/exports.md promises, and the newest."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def test_rerun_reads_all_that_was_recorded(
         hashes = [hashlib.sha256(episode.image(camera, k)).hexdigest() for k in range(len(frames))]
         assert columns[f"{place}/rgb:EncodedImage:blob"] == hashes
         stored = column(place, "Pinhole:image_from_camera")
-        # Column by column, as rerun stores matrices.
+        # rerun stores matrices column by column.
         intrinsics = [np.ravel(frame["intrinsics"][camera], "F") for frame in frames]
         np.testing.assert_allclose(stored, intrinsics, rtol=1e-6)
         np.testing.assert_array_equal(column(place, "Pinhole:resolution"), [SIZE] * len(frames))

@@ -1,4 +1,4 @@
-"""raiden's policies, unmodified, on a served robot; and its cameras and LeRobot's on served pictures.
+"""raiden's policies, unmodified, on a served robot; its cameras and LeRobot's on served pictures.
 
 `YAMSIM_CHIRAL` and `YAMSIM_RAIDEN` name checkouts of TRI-ML's repositories.
 """
@@ -60,7 +60,7 @@ def test_lerobots_cameras_see(client: Callable[[str], Interpreter], tmp_path: Pa
     assert told["shape"] == [120, 160, 3]
     assert told["of_config"] == [120, 160, 30]
     assert told["contrast"] > 5 and told["swapped"] < 1 and told["same"] < 1
-    # Each was read once: no faster than they are drawn.
+    # Each picture was read once: no faster than rendered.
     assert told["a_second"] < 35
     assert told["late"]
     assert "9x9" in told["refused"] and "give serve-robot --size" in told["refused"]

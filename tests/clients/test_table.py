@@ -1,4 +1,4 @@
-"""The table of clients in docs/clients.md against the rows that tests run; runs no client."""
+"""The table of clients in docs/clients.md agrees with the rows of the tests; runs no client."""
 
 from __future__ import annotations
 

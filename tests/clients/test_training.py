@@ -13,9 +13,9 @@ from tests.clients.environments import Interpreter, yamsim_beside
 
 pytestmark = pytest.mark.render
 
-# Enough to learn one demonstration by heart.
+# Enough to learn one demonstration.
 STEPS = 600
-# Seconds; the machine may be busy with other things.
+# s; the machine may be busy
 PATIENCE = 1800
 
 

@@ -1,4 +1,4 @@
-"""Markup that cannot be broken out of, and axes with round numbers."""
+"""Escaped markup, and axes with round numbers."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A motion holds what was recorded, with as many rows as there are times."""
+"""A motion holds the recorded values, with one row per time."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Requests of web pages: those of other sites are refused by every server, in the same way."""
+"""All servers refuse requests from web pages of other sites in the same way."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def test_other_sites_are_refused(hosts: list[str], origins: list[str], bound: st
 
 
 def _asked(port: int, method: str, path: str, body: bytes | None = None, **headers: str) -> int:
-    """The status of an answer to a request with these headers."""
+    """Return the status of the answer to a request with these headers."""
     connection = http.client.HTTPConnection("127.0.0.1", port, timeout=10)
     try:
         connection.putrequest(method, path, skip_host="Host" in headers)

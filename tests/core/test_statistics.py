@@ -55,7 +55,7 @@ def test_successes_and_failures_mirror_each_other(count):
 
 @given(counts)
 def test_its_bounds_are_where_the_rate_is_196_standard_errors_away(count):
-    """What defines the interval: the rate that was seen is just as far off as 95 % allows, seen from either bound."""
+    """By definition, from either bound, the observed rate is just as far away as 95 % allows."""
     successes, n = count
     for bound in wilson95(successes, n):
         if 0 < bound < 1:

@@ -1,4 +1,4 @@
-"""Where two episodes first differ, and by how much."""
+"""First difference between two episodes, and its size."""
 
 from __future__ import annotations
 

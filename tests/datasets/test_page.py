@@ -1,4 +1,4 @@
-"""The report's page: all there, nothing fetched, and nothing in a dataset can become part of its markup."""
+"""The report page: complete, self-contained, and without markup from a dataset."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def headings(text: str) -> list[str]:
 
 
 def needs_nothing_else(text: str) -> Reader:
-    """Whether a page is whole by itself: no script, no link, no address but those in it."""
+    """Whether a page is self-contained: no script, no link, no external address."""
     reader = read(text)
     names = {name for name, _ in reader.tags}
     assert not names & FETCHING
@@ -128,7 +128,7 @@ def test_a_plain_recording(sample: SampleDataset, tmp_path: Path, locations: Loc
 
 
 def test_nothing_in_a_dataset_becomes_markup(sample: SampleDataset, tmp_path: Path, locations: Locations) -> None:
-    """Every text that a dataset can hold is hostile; names of cameras and things are refused as they are read."""
+    """Every text of the dataset is hostile; names of cameras and objects are refused when read."""
     made = sample.episodes[1]
     for frame in made.frames:
         frame[EVIL] = EVIL

@@ -1,4 +1,4 @@
-"""Looking through a dataset by worker processes."""
+"""Checking a dataset by worker processes."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def test_no_worker_is_started_for_nothing(tmp_path: Path, locations: Locations, 
 
 
 class CrashingChecker(EpisodeChecker):
-    """Ends its process on one episode, as a file that crashes a decoder would."""
+    """Ends its process on one episode, as for a file that crashes a decoder."""
 
     def run(self, job: EpisodeDirectory) -> EpisodeFacts:
         if job.number == 1:

@@ -1,4 +1,4 @@
-"""A batch's page: all its figures, whole by itself, and nothing in it can become markup."""
+"""The page of a batch: all figures, self-contained, and without markup from names."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`yamsim verify` on real episodes: whole ones agree bit for bit, and whatever was changed is named."""
+"""`yamsim verify` on real episodes: valid ones agree bit for bit, and each change is named."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def verifier(original: Path, locations: Locations) -> EpisodeVerifier:
 
 @pytest.fixture
 def verdict(dataset: Path, verifier: EpisodeVerifier) -> Callable[[], EpisodeVerdict]:
-    """Checks the dataset's second episode."""
+    """Check the dataset's second episode."""
     return lambda: verifier.run((1, dataset / "ep_000001"))
 
 
@@ -125,7 +125,7 @@ def test_an_episode_that_shows_other_meshes_than_its_dataset_is_named(
         assert verifier.run((1, dataset / "ep_000001")).agrees
         change_record(dataset / "ep_000001", meshes=said | {"i2rt_yam_crank": "primitives"})
         result = verifier.run((1, dataset / "ep_000001"))
-        # One of an earlier version does not say.
+        # An earlier version does not state it.
         assert verifier.run((0, dataset / "ep_000000")).agrees
     told = "it shows other meshes than config.yaml says: i2rt_yam_crank: primitives here, full 000000000000 there"
     assert result.problems == {"episode.json": told}
@@ -240,7 +240,7 @@ def test_the_command_tells_what_differs_in_one_line_with_the_versions_that_chang
 
 
 def verdict_without_version(dataset: Path, locations: Locations, name: str) -> EpisodeVerdict:
-    """The verdict on an episode of an earlier yamsim, whose record does not state the version `name`."""
+    """Check an episode of an earlier yamsim, whose record lacks the version `name`."""
     record = json.loads((dataset / "ep_000000" / "episode.json").read_text(encoding="utf-8"))
     change_record(
         dataset / "ep_000000", versions={key: text for key, text in record["versions"].items() if key != name}

@@ -18,7 +18,7 @@ import numpy as np
 from yamsim_cli.core.geometry.se3 import Array
 
 CHROMIUM, CHROMEDRIVER = Path("/usr/bin/chromium"), Path("/usr/bin/chromedriver")
-ELEMENT = "element-6066-11e4-a52e-4f735466cecf"  # the key under which WebDriver names an element
+ELEMENT = "element-6066-11e4-a52e-4f735466cecf"  # key under which WebDriver names an element
 CHROMIUM_ARGS = [
     "--headless=new",
     "--no-sandbox",
@@ -29,16 +29,16 @@ CHROMIUM_ARGS = [
     "--disable-component-update",
     "--use-angle=swiftshader",
     "--enable-unsafe-swiftshader",
-    "--window-size=900,600",  # without a GPU, the time for each picture is proportional to its pixels
+    "--window-size=900,600",  # without a GPU, each picture's time is proportional to its pixels
 ]
-PAGE_TIMEOUT_S = 300  # s, limit on a script, a page load and a request: the processor draws, and is shared
+PAGE_TIMEOUT_S = 300  # s, for a script, a page load and a request: the shared processor renders
 
 
 class WebDriverError(Exception):
-    """What WebDriver could not do.
+    """An error of WebDriver.
 
     Attributes:
-        error: the protocol's name of what went wrong, such as `no such element`.
+        error: the protocol's name of the error, such as `no such element`.
     """
 
     def __init__(self, request: str, error: str, message: str) -> None:
@@ -84,8 +84,9 @@ class Browser:
         return self._call("POST", "/goog/cdp/execute", {"cmd": command, "params": parameters})
 
     def screenshot(self, file: Path | None = None) -> Array:
-        """The page as it is drawn now, BGR; also written to a PNG file, if one is given."""
-        # WebDriver's own screenshot fails after 10 s, which a busy machine needs for a live page. This has no limit.
+        """The page as rendered now, BGR; also written to a PNG file, if one is given."""
+        # WebDriver's own screenshot fails after 10 s, which is too short for a live page on a busy machine. This
+        # command has no limit.
         png = base64.b64decode(self.devtools("Page.captureScreenshot", format="png")["data"])
         if file is not None:
             file.parent.mkdir(parents=True, exist_ok=True)
@@ -96,7 +97,7 @@ class Browser:
         return self._call("POST", "/execute/sync", {"script": script, "args": list(args)})
 
     def keys(self, text: str) -> None:
-        """Press keys with nothing focused."""
+        """Press keys without focus."""
         down_up = [{"type": kind, "value": key} for key in text for kind in ("keyDown", "keyUp")]
         self._act({"type": "key", "id": "keys", "actions": down_up})
 
@@ -107,7 +108,7 @@ class Browser:
             x, y = (round(a + (b - a) * share) for a, b in zip(start, end, strict=True))
             return {"type": "pointerMove", "duration": duration, "x": x, "y": y}
 
-        # The page has to draw a few pictures with the pointer on something before that can be dragged.
+        # The page must render a few pictures with the pointer on an object before a drag.
         pause = {"type": "pause", "duration": 2000}
         steps = [move(0, 0), pause, move(0.02, 50), pause, {"type": "pointerDown", "button": 0}, pause]
         steps += [move(k / 8, 150) for k in range(1, 9)]
@@ -146,7 +147,7 @@ class Browser:
 
 
 def _told(request: str, status: int, text: str) -> WebDriverError:
-    """A refusal in the driver's own words; its stack trace is left out."""
+    """An error in the driver's own words, without its stack trace."""
     try:
         value = json.loads(text)["value"]
         return WebDriverError(request, value["error"], value["message"])

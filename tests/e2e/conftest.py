@@ -21,7 +21,7 @@ def browser(tmp_path: Path) -> Iterator[Browser]:
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
-    # One at a time: two that draw without a GPU take each other's time until something gives up.
+    # One at a time: two browsers that render without a GPU slow each other down until a timeout.
     with exclusive_lock(Path(tempfile.gettempdir()) / "yamsim-tests-browser.lock"):
         yield from _drive(port, tmp_path / "profile")
 
@@ -40,7 +40,7 @@ def _drive(port: int, profile: Path) -> Iterator[Browser]:
 
 @pytest.fixture(scope="session")
 def screens(repository: Path) -> Path:
-    """Where pictures of screens are kept for people to look at; git does not know it."""
+    """Folder of screenshots for people, ignored by git."""
     return repository / "out" / "screens"
 
 

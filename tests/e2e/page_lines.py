@@ -1,13 +1,13 @@
-"""How the pages' command lines are run by a test: what is made smaller, what serves, and what cannot run."""
+"""How a test runs the pages' command lines: smaller sizes, servers, and lines that cannot run."""
 
 from __future__ import annotations
 
 import re
 import shlex
 
-# Pattern -> what stands there in a test. Pages ask for as much as a user wants; a few say whether it works.
+# Pattern -> replacement in a test; pages use larger sizes than a test needs.
 SMALLER = {
-    # Later lines name the fourth episode of this one.
+    # Later lines name the fourth episode of this dataset.
     r"--n 500 --workers 4$": "--n 4 --workers 2",
     r"--n \d{2,}": "--n 1",
     r"--task handover (.*)--n \d": r"--task handover \1--n 1",
@@ -17,7 +17,7 @@ SMALLER = {
     r"/data/episodes": "episodes",
 }
 
-# Words that a line begins with -> flags that it gets unless it has them, for time's sake.
+# Start of a line -> flags to add for speed.
 CHEAPER = {
     "yamsim record": "--workers 1 --quality fast --size 160x120",
     "yamsim teleop": "--quality fast --size 160x120",
@@ -25,13 +25,13 @@ CHEAPER = {
     "yamsim render-views": "--quality fast --size 160x120",
     "yamsim serve-robot": "--seconds 1 --quality fast --size 160x120",
     "yamsim excite": "--seconds 20",
-    # The test's stand-ins for a user's files are mugs with 24 sides, and their certificates fail.
+    # The test's stand-ins for a user's files are mugs with 24 sides, whose certificates fail.
     "yamsim assets import my_mug.glb": "--no-certify",
     "yamsim assets import scan.obj": "--no-certify",
 }
 
-# Words that a line begins with -> flags without which it serves until a signal ends it. It prints its URL first,
-# and its exit code is 0 after SIGINT. It runs until its block's last line is done.
+# Start of a line -> flags without which it serves until a signal. It prints its URL first, and its exit code is 0 after
+# SIGINT. It runs until its block's last line is done.
 SERVERS = {
     "yamsim view": (),
     "yamsim replay": ("--video",),
@@ -39,7 +39,7 @@ SERVERS = {
     "yamsim serve-policy": (),
 }
 
-# Pattern -> why a line that it is found in is not run.
+# Pattern -> why a line with it is not run.
 NOT_RUN = {
     r"^make\b": "it is what set this environment up, or what CI runs beside this test",
     r"^inspect-robots\b": "another program, which tests/clients/test_inspect.py runs in an environment of its own",
@@ -62,12 +62,12 @@ NOT_RUN = {
 
 
 def reason_not_to_run(line: str) -> str | None:
-    """Why a line is not run; None for one that is."""
+    """Return why a line is not run; None if it is run."""
     return next((reason for pattern, reason in NOT_RUN.items() if re.search(pattern, line)), None)
 
 
 def serves(line: str) -> bool:
-    """Whether a line has no end but a signal."""
+    """Whether only a signal ends a line."""
     return any(
         line.startswith(begin) and not any(flag in shlex.split(line) for flag in ended_by)
         for begin, ended_by in SERVERS.items()
@@ -75,10 +75,10 @@ def serves(line: str) -> bool:
 
 
 def prepared(line: str, policy_port: int) -> str:
-    """A line as a test runs it.
+    """Return a line as a test runs it.
 
     Args:
-        policy_port: stands for the port 8080 that a page gives a policy; free on this machine.
+        policy_port: a free port for a page's 8080.
     """
     for pattern, smaller in SMALLER.items():
         line = re.sub(pattern, smaller, line)
@@ -90,7 +90,7 @@ def prepared(line: str, policy_port: int) -> str:
 
 
 def _with_flags(line: str, flags: str) -> str:
-    """The line with those of the flags that it lacks, each with its value if it has one."""
+    """Return the line with the flags that it lacks, each with its value."""
     for flag in re.findall(r"--\S+(?: (?!--)\S+)?", flags):
         if flag.split()[0] not in shlex.split(line):
             line = f"{line} {flag}"

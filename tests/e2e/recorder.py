@@ -1,4 +1,4 @@
-"""Start `yamsim record` as a user does, look at its processes, and make small filesystems to record into."""
+"""Start `yamsim record` as a user does, inspect its processes, and make small filesystems."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def start(out: Path, *flags: str, env: dict[str, str] | None = None) -> subproce
 
 
 def run(out: Path, *flags: str) -> tuple[int, str]:
-    """Exit code, and what it wrote to stderr but for the lines of progress that a slow machine gets."""
+    """Return exit code, and stderr without lines of progress."""
     done = yamsim("record", "--out", out, *SMALL, *flags, fresh="ray" in flags)
     return done.code, without_progress(done.err)
 
@@ -43,7 +43,7 @@ def without_progress(err: str) -> str:
 
 
 def workers_of(pid: int) -> list[int]:
-    """Processes that the recorder `pid` has spawned."""
+    """Processes that the recorder `pid` has started."""
     try:
         children = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
         return [int(child) for child in children if b"spawn_main" in Path(f"/proc/{child}/cmdline").read_bytes()]
@@ -70,7 +70,7 @@ def episodes(dataset: Path) -> list[str]:
 
 
 def digest(dataset: Path) -> dict[str, str]:
-    """Every file of a dataset with its hash."""
+    """Hash of every file of a dataset."""
     return {
         path.relative_to(dataset).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest()
         for path in sorted(dataset.rglob("*"))
@@ -80,7 +80,7 @@ def digest(dataset: Path) -> dict[str, str]:
 
 @functools.cache
 def _may_mount() -> str | None:
-    """Why this kernel does not let us mount in a namespace of our own; None if it does."""
+    """Return why this kernel forbids mounting in a namespace; None if it allows it."""
     try:
         probe = ["unshare", "-rm", "sh", "-c", "mount -t tmpfs -o size=64k none /mnt"]
         done = subprocess.run(probe, capture_output=True, text=True, timeout=20, check=False)
@@ -90,7 +90,7 @@ def _may_mount() -> str | None:
 
 
 def in_namespace(script: str, **values: object) -> subprocess.CompletedProcess[str]:
-    """Run a shell script in a user and mount namespace of its own, where it may mount; skip where that is forbidden.
+    """Run a shell script in a user and mount namespace; skip if that is forbidden.
 
     Args:
         script: `$record FLAGS` in it records; other `$names` are `values`.

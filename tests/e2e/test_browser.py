@@ -1,4 +1,4 @@
-"""The tests' own WebDriver client, against a driver that refuses."""
+"""The tests' WebDriver client, against a driver that refuses."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Reply = tuple[int, object]
 
 
 class Driver(HTTPServer):
-    """Answers as told: path's end -> its replies, the last one again and again."""
+    """A scripted driver: end of a path -> its replies, the last one repeatedly."""
 
     def __init__(self) -> None:
         super().__init__(("127.0.0.1", 0), Handler)

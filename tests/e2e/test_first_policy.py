@@ -1,4 +1,4 @@
-"""The page that teaches policies: its policy as it stands picks the banana, and fails as the page says."""
+"""The page on policies: its policy picks the banana as written, and fails as the page says."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ SHOWN, RAISED = (block.text for block in blocks(TEXT) if block.language == "")
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    """Where the user is, with the policy saved as the page says."""
+    """The user's folder, with the policy saved as on the page."""
     (tmp_path / "first_policy.py").write_text(POLICY)
     return tmp_path
 
@@ -40,7 +40,7 @@ def test_its_policy_picks_the_banana(folder: Path) -> None:
 
 
 def test_what_it_shows_has_the_form_of_what_comes(folder: Path) -> None:
-    """Its first lines, but for the counts."""
+    """The output has the form of the page, apart from the counts."""
     run = yamsim("eval", "--policy", "first_policy.py", "--n", "1", "--workers", "1", cwd=folder)
     for shown, came in zip(SHOWN.splitlines()[:6], run.out.splitlines(), strict=False):
         assert re.sub(r"[\d.]+", "0", shown) == re.sub(r"[\d.]+", "0", came)

@@ -1,4 +1,4 @@
-"""SIGKILL at random moments, over and over: what is recorded in the end is what an undisturbed run records."""
+"""SIGKILL at random moments, repeatedly: the final recording equals an undisturbed one."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def test_kills_lose_no_episode(tmp_path: Path) -> None:
     began = time.monotonic()
     while sum(kills.values()) < KILLS:
         with start(path, *FLAGS, "--resume") as process:
-            # Half of the kills fall into the start, and into the opening of what is there.
+            # Half of the kills hit the start and the opening of the dataset.
             time.sleep(rng.uniform(0, 2) if rng.random() < 0.5 else rng.uniform(2, 8))
             workers = workers_of(process.pid)
             victim = rng.choice(["recorder", "worker"]) if workers else "recorder"
@@ -39,7 +39,7 @@ def test_kills_lose_no_episode(tmp_path: Path) -> None:
                 os.kill(process.pid if victim == "recorder" else rng.choice(workers), signal.SIGKILL)
                 kills[victim] += 1
             if victim == "worker":
-                # The recorder goes on; it is killed in its turn.
+                # The recorder goes on until it is killed.
                 time.sleep(rng.uniform(0, 4))
                 if process.poll() is None:
                     process.kill()
@@ -49,7 +49,7 @@ def test_kills_lose_no_episode(tmp_path: Path) -> None:
         wait_until(lambda workers=workers: not any(map(is_alive, workers)), seconds=10)
         assert [found.fault for found in inspect_episodes(path) if found.fault] == [] if path.exists() else True
         if process.returncode == 0:
-            # All there already: begin again, so that every kill meets a recording.
+            # After the last episode, start again, so that every kill hits a recording.
             assert digest(path) == digest(undisturbed)
             path.rename(tmp_path / f"whole-{ended}")
     code, err = run(path, *FLAGS, "--resume")

@@ -1,4 +1,4 @@
-"""What a recorder and its workers keep of each episode: next to nothing."""
+"""Memory of a recorder and its workers per episode."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from yamsim_cli.recording.executor_factories import ProcessExecutorFactory
 from yamsim_cli.recording.recorder import record
 from yamsim_cli.recording.recording_output import RecordingOutput
 
-# What 2,000 episodes may add to any one process.
+# MB, that 2,000 episodes may add to any process.
 LIMIT_MB = 50.0
 EPISODES = 2000
 
@@ -47,7 +47,7 @@ def test_two_thousand_episodes_fit_into_memory(
     used: dict[int, dict[int, float]] = {}
 
     def measure(done: int, wanted: int, attempts: int) -> None:
-        # Several episodes may have come at once.
+        # Several episodes may arrive at once.
         mark = 180 if done >= 180 else 60
         if done >= 60 and mark not in used:
             used[mark] = {pid: resident_mb(pid) for pid in (os.getpid(), *workers_of(os.getpid()))}

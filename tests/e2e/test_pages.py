@@ -1,4 +1,4 @@
-"""Every command line that README and docs show, run in the order of their pages in one folder, as a user would."""
+"""Every command line of README and docs, in the order of the pages in one folder, as a user would run them."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ from yamsim_cli.core.scene.assets import AssetStore, load_lock
 
 pytestmark = [pytest.mark.slow, pytest.mark.render]
 
-# A line that takes longer than this, s, hangs: or it serves, and page_lines.SERVERS does not know.
+# s; a longer line hangs, or serves and is missing in page_lines.SERVERS
 LIMIT = 300
 Process = WarmRun | subprocess.Popen[bytes]
 EXTRAS = ("av", "gymnasium", "msgpack", "pyarrow", "reportlab", "rerun", "viser")
@@ -45,13 +45,13 @@ EXTRAS = ("av", "gymnasium", "msgpack", "pyarrow", "reportlab", "rerun", "viser"
 
 @dataclass(frozen=True)
 class Shell:
-    """A user's shell: the folder it is in, and its environment."""
+    """A user's shell: its folder and environment."""
 
     folder: Path
     environ: dict[str, str]
 
     def start(self, line: str, log: Path) -> Process:
-        """Start a line; what it prints goes to a file. Lines of yamsim alone run in forks, which start sooner."""
+        """Start a line, with output to a file. Lines of yamsim alone run in forks, which start sooner."""
         with log.open("wb") as file:
             name, *words = shlex.split(line)
             if name == "yamsim" and ">" not in words:
@@ -66,7 +66,7 @@ class Shell:
             )
 
     def run(self, line: str, log: Path) -> str | None:
-        """Run a line to its end; what is wrong with that, if anything."""
+        """Run a line to its end; return what is wrong, if anything."""
         process = self.start(line, log)
         try:
             code = process.wait(LIMIT)
@@ -77,7 +77,7 @@ class Shell:
 
     @contextmanager
     def serving(self, line: str, log: Path, failures: list[str]) -> Iterator[None]:
-        """Run a line that serves, from when it has printed its URL on."""
+        """Run a line that serves, from its printed URL on."""
         process = self.start(line, log)
         end = time.monotonic() + LIMIT
         while not (printed := re.search(r"http://127\.0\.0\.1:\d+", log.read_text())):
@@ -115,11 +115,11 @@ def shell(tmp_path: Path, repository: Path, locations: Locations) -> Shell:
     programs.mkdir()
     (programs / "yamsim").write_text(f'#!/bin/sh\nexec "{sys.executable}" -m yamsim_cli "$@"\n')
     (programs / "yamsim").chmod(0o755)
-    # `assets import` adds to the store, which is the user's.
+    # `assets import` writes into the user's store.
     if locations.assets.is_dir():
         shutil.copytree(locations.assets, assets)
     write_inputs(folder, locations)
-    # A page rather than a window, and no width or colour but what a pipe has.
+    # A page instead of a window, and no width or colour, as for a pipe.
     environ = {key: value for key, value in os.environ.items() if key not in ("DISPLAY", "WAYLAND_DISPLAY", "COLUMNS")}
     environ |= {
         "PATH": f"{programs}{os.pathsep}{os.environ['PATH']}",
@@ -130,7 +130,7 @@ def shell(tmp_path: Path, repository: Path, locations: Locations) -> Shell:
 
 
 def write_inputs(folder: Path, locations: Locations) -> None:
-    """What a user brings: the pages' own text where they show some, else what a test can make."""
+    """Write a user's files: the text of the page if it has some, else files of the test."""
     (folder / "my_policy.py").write_text(snippet("python", "class MyPolicy"))
     (folder / "first_policy.py").write_text(snippet("python", "class FirstPolicy"))
     (folder / "stream.jsonl").write_text(snippet("json", '"event": "start"'))
@@ -167,7 +167,7 @@ def failure(line: str, problem: str, log: Path) -> str:
 
 
 def no_meshes(line: str, locations: Locations) -> str | None:
-    """Why a line that would fetch meshes, or read them, is not run; None where they are here, or it does neither."""
+    """Return why a line that fetches or reads meshes is not run; None if it can run."""
     lock, store = load_lock(locations), AssetStore(locations.assets)
     if line.startswith(("yamsim assets fetch", "yamsim assets import 0")) and not all(
         store.resolve(assets) for assets in lock.sets.values()
@@ -192,7 +192,7 @@ def test_every_command_line_of_the_pages_works(shell: Shell, locations: Location
 
 
 def once_each(shown: list[Block]) -> Iterator[Block]:
-    """The blocks without lines that an earlier page shows too: what they make is there, and would be in the way."""
+    """Omit lines that an earlier page shows too: their outputs exist already."""
     seen: set[str] = set()
     for lines in shown:
         new = [line for line in lines.commands if line not in seen]
@@ -201,7 +201,7 @@ def once_each(shown: list[Block]) -> Iterator[Block]:
 
 
 def no_extra(line: str) -> str | None:
-    """Why a line that reads a thing's file cannot run here."""
+    """Return why a line that reads an object file cannot run here."""
     reads = any(name in line for name in ("my_mug.glb", "scan.obj"))
     return "the extra for import is not installed" if reads and not has_import_extra() else None
 

@@ -1,4 +1,4 @@
-"""Recordings of tasks: killed and resumed, and made again bit for bit."""
+"""Recordings of program tasks: killed and resumed, and reproduced bit for bit."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ from yamsim_cli.session_opener import SessionOpener
 
 pytestmark = [pytest.mark.render, pytest.mark.slow]
 
-# Of the folds, which take a minute each, one.
+# One of the folds, which take a minute each.
 NAMES = Locations.find(os.environ).config_names("tasks")
 SHIPPED = [name for name in NAMES if not name.startswith("fold_") or name == "fold_napkin"]
 
 
 @pytest.fixture(scope="module")
 def flags(tmp_path_factory: pytest.TempPathFactory) -> tuple[str, ...]:
-    """Four episodes of a small task, in which both of its casts play."""
+    """Flags of a small task, whose four episodes use both casts."""
     task = written(tmp_path_factory.mktemp("task"), ONTO_PLATE)
     return ("--task", str(task), "--n", "4")
 

@@ -1,4 +1,4 @@
-"""Recording on a Ray cluster: the bytes that processes of this machine write, whatever happens to a node."""
+"""Recording on a Ray cluster: the same bytes as with local processes, whatever happens to a node."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The main job, as a user runs it: record, summarize, interrupt, resume."""
+"""The main job of a user: record, summarize, interrupt, resume."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ SMALL = ("--size", "96x72", "--wrist", "--seed", "3")
 
 
 def digest(dataset: Path) -> dict[str, str]:
-    """Every file of a dataset with its hash."""
+    """Hash of every file of a dataset."""
     return {
         path.relative_to(dataset).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest()
         for path in sorted(dataset.rglob("*"))
@@ -36,7 +36,7 @@ def digest(dataset: Path) -> dict[str, str]:
 
 
 def frames(dataset: Path) -> list[int]:
-    """How many frames each episode says that it has."""
+    """Number of frames in each episode's record."""
     return [json.loads(file.read_text())["frames"] for file in sorted(dataset.glob("ep_*/episode.json"))]
 
 
@@ -72,7 +72,7 @@ def test_layout_on_the_disk(dataset: Path) -> None:
 
 
 def test_lowdim_reads_without_yamsim(dataset: Path) -> None:
-    """A consumer has numpy and pickle, and the documented keys."""
+    """A consumer has only numpy and pickle, and the documented keys."""
     every = [pickle.loads(file.read_bytes()) for file in sorted((dataset / "ep_000000" / "lowdim").iterdir())]
     number, frame = next((k, frame) for k, frame in enumerate(every) if frame["magnet"])
     assert list(frame) == [
@@ -152,7 +152,7 @@ def test_damage_is_named_and_fails(dataset: Path, tmp_path: Path) -> None:
 def test_interrupted_then_resumed_gives_the_same_bytes(
     dataset: Path, tmp_path: Path, first: signal.Signals, second: signal.Signals | None
 ) -> None:
-    """One signal waits for the episode in hand, two do not; nothing is lost either way."""
+    """One signal waits for the present episode, two do not; nothing is lost either way."""
     path = tmp_path / "interrupted"
     flags = ["--n", "3", "--workers", "1", "--out", str(path), *SMALL]
     with subprocess.Popen(
@@ -160,7 +160,7 @@ def test_interrupted_then_resumed_gives_the_same_bytes(
     ) as process:
         assert process.stderr
         wait_for(path / "ep_000000" / "episode.json")
-        # The next attempt, which takes seconds, is handed out as soon as the ledger is written.
+        # The next attempt, which takes seconds, starts as soon as the ledger is written.
         time.sleep(0.3)
         process.send_signal(first)
         assert process.stderr.readline().startswith("Stopping once the attempts in progress are done.")
@@ -215,7 +215,7 @@ def test_resuming_with_another_seed_is_refused(dataset: Path) -> None:
 
 
 def test_the_quality_that_was_chosen_is_kept(dataset: Path) -> None:
-    """`auto` is settled before anything is drawn, and what it stood for is in the dataset, with what drew."""
+    """`auto` is resolved before rendering; the dataset has its value and the renderer."""
     config = yaml.safe_load((dataset / "config.yaml").read_text())
     renderer = json.loads((dataset / "ep_000000" / "episode.json").read_text())["renderer"]
     assert config["render"]["name"] == ("balanced" if GlBackend("egl", renderer).software else "high")
@@ -223,7 +223,7 @@ def test_the_quality_that_was_chosen_is_kept(dataset: Path) -> None:
 
 
 def test_resuming_with_another_quality_is_refused(dataset: Path) -> None:
-    """As on another machine, where `auto` stands for another one."""
+    """For example on another machine, where `auto` has another value."""
     before = digest(dataset)
     run = yamsim("record", "--n", "4", "--out", dataset, *SMALL, "--quality", "fast", "--resume")
     assert run.code == 3

@@ -1,4 +1,4 @@
-"""What was recorded stays reproducible: the same seeds give the bytes that they gave before."""
+"""Recordings stay reproducible: the same seeds give the same bytes as before."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Faults as they happen: killed processes, full and read-only disks, two recorders at once, a clock that jumps."""
+"""Real faults: killed processes, full and read-only disks, two recorders at once, a clock that jumps."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ def test_a_second_recorder_is_refused(undisturbed: dict[str, str], tmp_path: Pat
     path = tmp_path / "d"
     with start(path, "--n", "4", "--workers", "1") as first:
         wait_until(lambda: (path / ".lock").exists() and (path / "config.yaml").exists())
-        # However long the others take, it is still at it.
+        # Still recording, however long the others take.
         first.send_signal(signal.SIGSTOP)
         for flag in ("--resume", "--overwrite", "--no-wrist"):
             code, err = run(path, "--n", "4", flag)
@@ -93,7 +93,7 @@ def test_a_second_recorder_is_refused(undisturbed: dict[str, str], tmp_path: Pat
     assert digest(path) == undisturbed
 
 
-# Records in the background; `spoil` is done once an episode is there, and undone before the rest is recorded.
+# Records in the background; `spoil` acts once an episode exists, and is undone before the rest is recorded.
 SPOILED = """
 mkdir -p "$disk"
 mount -t tmpfs -o "$options" none "$disk"
@@ -109,7 +109,7 @@ record --n 4 --workers 2 --resume 2>> "$log"
 echo "exit $?"
 cp -r "$out" "$result"
 """
-# Not the directory itself, but a view of it that does not allow writing: what is open stays open, as on a failing disk.
+# A read-only view of the directory: open files stay open, as on a failing disk.
 READ_ONLY = 'mount --bind "$out" "$out" && mount -o remount,bind,ro "$out"'
 
 
@@ -144,7 +144,7 @@ def test_a_disk_that_turns_bad_loses_nothing(
     assert "continue with --resume" in log
     assert len(log.splitlines()) == 1, log
     assert episodes(files["copy"])
-    # The disk may turn bad between an episode and its line in the ledger, which `--resume` then writes.
+    # The disk may fail between an episode and its ledger line, which `--resume` then writes.
     problems = yamsim("summarize", files["copy"], "--json").json["problems"]
     assert {problem["file"] for problem in problems} <= {"manifest.json", "attempts.jsonl"}
     assert all("--resume" in problem["advice"] for problem in problems)
@@ -203,7 +203,7 @@ def test_a_clock_that_is_set_back_changes_nothing(undisturbed: dict[str, str], t
         pytest.skip("libfaketime is not installed")
     path, clock = tmp_path / "d", tmp_path / "clock"
     clock.write_text("+0")
-    # libfaketime refuses the call that Python sleeps by (clock_nanosleep, EINVAL), so another one has to do.
+    # libfaketime refuses Python's sleep call (clock_nanosleep, EINVAL), so another one is used.
     (tmp_path / "sitecustomize.py").write_text(
         "import select, time\ntime.sleep = lambda seconds: select.select([], [], [], seconds)\n"
     )

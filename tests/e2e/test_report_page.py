@@ -1,4 +1,4 @@
-"""The report in a real browser: drawn whole, from nothing but itself, in light and dark, wide and narrow."""
+"""The report in a real browser: complete, self-contained, in light and dark, wide and narrow."""
 
 from __future__ import annotations
 

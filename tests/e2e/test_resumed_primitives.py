@@ -1,4 +1,4 @@
-"""A dataset that shows primitives goes on with primitives, whatever meshes have come since."""
+"""A dataset with primitives continues with primitives, even if meshes exist meanwhile."""
 
 from __future__ import annotations
 

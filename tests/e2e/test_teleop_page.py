@@ -1,4 +1,4 @@
-"""The teleoperation page in a real browser: what a person does there ends as an episode."""
+"""The teleoperation page in a real browser: a user's actions end as an episode."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ REPOSITORY = Path(__file__).parents[2]
 
 pytestmark = [pytest.mark.slow, pytest.mark.render]
 
-# As React is told of a person's typing, a number at a time.
+# Set an input as React expects it from a person's typing.
 SET_NUMBER = """
 const fields = [...document.querySelectorAll('input')].filter(input => input.type === 'text').slice(-4);
 const input = fields[arguments[0]];
@@ -52,7 +52,7 @@ X, Y, Z, HEADING = range(4)
 
 
 def pixel(config: RecordConfig, browser: Browser, point: Array) -> tuple[float, float]:
-    """Where a point of `world` is in the page's picture."""
+    """Return the pixel of a point of `world` in the page's picture."""
     view = task_viewpoint(config)
     forward = (view.look_at - view.position) / view.distance
     right = np.cross(forward, (0, 0, 1))
@@ -65,7 +65,7 @@ def pixel(config: RecordConfig, browser: Browser, point: Array) -> tuple[float, 
 
 @contextmanager
 def driving(config: RecordConfig, locations: Locations, out: Path) -> Iterator[tuple[str, TeleopScene]]:
-    """A page on which an arm is driven: its URL, and the session behind it. How well time was kept is printed."""
+    """A teleoperation page: its URL, and its session. Prints the jitter."""
     urls: list[str] = []
     scenes: list[TeleopScene] = []
     stop = StopRequest()
@@ -86,7 +86,7 @@ def driving(config: RecordConfig, locations: Locations, out: Path) -> Iterator[t
 
 
 def at(driven: TeleopScene, place: Array, tolerance: float = 0.006) -> bool:
-    """Whether the hand is there, and at rest."""
+    """Whether the hand is at a place, at rest."""
     near = np.linalg.norm(driven.data.site("pinch_site").xpos - place) < tolerance
     return bool(near and np.abs(driven.data.qvel[:6]).max() < 0.02)
 
@@ -122,7 +122,7 @@ def test_every_key_counts_and_none_overtakes_a_number(
         browser.keys("iiyyyhk")
         wanted = (x + 0.01, 0.08, z + 0.02)
         wait_until(lambda: np.allclose(driven.target[:3, 3], wanted, atol=1e-6))
-        # A place is sent whole: who types before the page has followed would send the rest as it was.
+        # All numbers are sent at once: before the page has followed, the other numbers would be old.
         wait_until(lambda: np.allclose([float(n) for n in browser.run(NUMBERS)[:3]], wanted, atol=6e-4))
         browser.run(SET_NUMBER, X, "0.300")
         wait_until(lambda: at(driven, np.array((0.3, *wanted[1:]))))
@@ -156,7 +156,7 @@ def test_what_is_done_on_the_page_is_an_episode(
         browser.click("Point down")
         wait_until(lambda: driven.target[2, 2] < -0.999)
         heading = math.degrees(math.atan2(T_grasp[1, 1], T_grasp[0, 1]))
-        # The hand is the same the other way round.
+        # A gripper turned by 180 degrees is equivalent.
         heading = heading if heading > 0 else heading + 180
         browser.run(SET_NUMBER, HEADING, f"{heading:.1f}")
         wait_until(lambda: hand_heading(driven.target) == pytest.approx(math.radians(heading), abs=0.001))
@@ -182,7 +182,7 @@ def test_what_is_done_on_the_page_is_an_episode(
         wait_until(lambda: "1 episode, 0 failed" in browser.text())
         assert "attempt 0: ep_000000" in browser.text()
 
-        # A second one, thrown away, and a target that no hand can reach.
+        # A second, discarded recording, and a target out of reach.
         browser.keys("r")
         wait_until(lambda: driven.recording)
         wait_until(lambda: browser.run(NUMBERS) == home)

@@ -62,7 +62,7 @@ def test_an_image_that_shows_something_else_is_named(dataset: Path) -> None:
         first = run.json["first_divergence"]
         assert (first["check"], first["frame"], first["quantity"]) == ("images", 30, "rgb/scene_camera/000030.jpg")
         assert 1 < first["difference"] < 255
-        # Without images, nothing else is wrong with it.
+        # Without images, nothing else is wrong.
         assert yamsim("verify", dataset, "--episodes", "1").code == 0
         assert yamsim("verify", dataset, "--episodes", "1", "--images", "--image-tolerance", "255").code == 0
     finally:

@@ -31,7 +31,7 @@ pytestmark = pytest.mark.slow
 
 @contextmanager
 def served(live: LiveRig, *, pictures: bool = False) -> Iterator[str]:
-    """The URL of a page on which the rig runs."""
+    """The URL of a page with the running rig."""
     urls: list[str] = []
     ended = threading.Event()
     thread = threading.Thread(
@@ -79,7 +79,7 @@ def test_a_slider_and_the_buttons_move_the_arm(live: LiveRig, browser: Browser, 
 def test_the_boards_on_the_page_are_the_rigs_own(
     live: LiveRig, browser: Browser, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Seen from straight above, every marker is read, and in its place: not mirrored, not turned."""
+    """From straight above, every marker is read at its place: neither mirrored nor rotated."""
     rig = live.rig
     places = {}
     for k, arm in enumerate(rig.arms):
@@ -88,10 +88,10 @@ def test_the_boards_on_the_page_are_the_rigs_own(
         for number, corners in zip(arm.board.board.ids, arm.board.board.corners(), strict=True):
             places[number] = (T_board_in_world @ (*corners.mean(axis=0), 1.0))[:2]
     middle = np.array([*np.mean(list(places.values()), axis=0), 0.0])
-    # The picture's right is then world +x, its top world +y. A hair off the vertical, where "up" has no meaning.
+    # The picture's right is world +x, its top world +y. Slightly off the vertical, where "up" is undefined.
     above = Viewpoint(middle, distance=0.75, azimuth_deg=90, elevation_deg=-89.5)
     monkeypatch.setattr("yamsim_cli.viewers.show.viewer.rig_viewpoint", lambda _: above)
-    # Out of the way: arms up and back.
+    # Arms up and back, out of view.
     for k in range(2):
         live.data.ctrl[7 * k : 7 * k + 3] = (0, 0, 0)
     with served(live) as url:
@@ -126,7 +126,7 @@ def test_margin_and_cameras_on_the_page(live: LiveRig, browser: Browser, screens
         wait_until(lambda: "real time" in browser.text())
         browser.click("Take pictures")
         wait_until(lambda: browser.run("return document.querySelectorAll('img[src^=\"blob:\"]').length") == 2)
-        # The margin's slider is the one after both arms' seven.
+        # The slider of the margin follows seven sliders of each arm.
         script = "document.querySelectorAll('[role=slider]')[14].focus()"
         browser.run(script)
         browser.keys("\ue014" * 100)

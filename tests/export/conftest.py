@@ -1,4 +1,4 @@
-"""Datasets to export: a few episodes in real physics, their pictures drawn by a formula."""
+"""Datasets to export: a few episodes in real physics, with pictures by a formula."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def frames_of(dataset: Path) -> list[int]:
 
 
 def ignore(done: int, total: int) -> None:
-    """A progress callback that does nothing."""
+    """Ignore progress."""
 
 
 def jpeg(camera: str, episode: int, frame: int) -> bytes:
@@ -41,7 +41,7 @@ def jpeg(camera: str, episode: int, frame: int) -> bytes:
 
 
 def depth(camera: str, episode: int, frame: int) -> dict[str, bytes]:
-    """Of the scene camera alone."""
+    """Depth of the scene camera alone."""
     if camera != "scene_camera":
         return {}
     stream = io.BytesIO()
@@ -71,7 +71,7 @@ def dataset_with_depth(
 def two_armed(
     tmp_path_factory: pytest.TempPathFactory, make_config: Callable[..., RecordConfig], locations: Locations
 ) -> Path:
-    """One hand-over, with both wrist cameras."""
+    """One handover, with both wrist cameras."""
     path = tmp_path_factory.mktemp("exports") / "two_armed"
     config = make_config({("rig",): "russet", ("task",): "handover", ("wrist",): True})
     write_dataset(path, config, locations, 1, jpeg)

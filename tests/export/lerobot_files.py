@@ -1,4 +1,4 @@
-"""What is in a LeRobot dataset, file by file, and what was recorded, to hold it against."""
+"""Content of a LeRobot dataset, file by file, and of the recording, for comparison."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ import numpy as np
 from yamsim_cli.core.dataset.lowdim import load_frame
 from yamsim_cli.core.images.jpeg import decode_jpeg
 
-# One episode's frames, as they were recorded.
+# Frames of one episode, as recorded.
 Frames = list[dict[str, Any]]
 
 
 def rows(root: Path, pattern: str) -> dict[str, list[Any]]:
-    """The columns of a series of Parquet files, as lists."""
+    """Return the columns of a series of Parquet files, as lists."""
     import pyarrow.parquet as parquet
 
     tables = [parquet.read_table(file).to_pydict() for file in sorted(root.glob(pattern))]
@@ -24,19 +24,19 @@ def rows(root: Path, pattern: str) -> dict[str, list[Any]]:
 
 
 def recorded(dataset: Path) -> list[Frames]:
-    """What a dataset's episodes hold."""
+    """Return the content of a dataset's episodes."""
     folders = sorted(dataset.glob("ep_*/lowdim"))
     return [[load_frame(file.read_bytes()) for file in sorted(folder.iterdir())] for folder in folders]
 
 
 def jpegs(dataset: Path, camera: str) -> np.ndarray:
-    """All pictures of a camera, (frames, height, width, 3)."""
+    """Return all pictures of a camera, (frames, height, width, 3)."""
     files = [file for folder in sorted(dataset.glob(f"ep_*/rgb/{camera}")) for file in sorted(folder.iterdir())]
     return np.array([decode_jpeg(file.read_bytes()) for file in files])
 
 
 def check_numbers(found: Mapping[str, Any], episodes: Sequence[Frames], cameras: Iterable[str]) -> None:
-    """Every number of an export of these episodes, in this order, is the recorded one, to single precision."""
+    """Assert that an export of these episodes, in this order, has all recorded numbers, in single precision."""
     frames = [frame for episode in episodes for frame in episode]
 
     def same(key: str, wanted: Any) -> None:

@@ -17,9 +17,9 @@ from yamsim_cli.export import raiden_schema as schema
 
 Form = tuple[str, tuple[int, ...]]  # dtype and shape of an array, or a plain type and ()
 
-# An arm has six joints and its gripper; a hand its position, its rotation row by row, and the gripper.
+# An arm has six joints and its gripper; a hand its position, its row-major rotation, and the gripper.
 _ARM, _HAND = 7, 13
-# Key -> form of a frame's values for one arm, in order. The left arm comes first; a hand is in its own arm's base.
+# Key -> form of a frame's values for one arm, in order; the left arm comes first, a hand is in its own arm's base.
 _FRAME: Mapping[str, Form] = {
     "intrinsics": ("float32", (3, 3)),
     "extrinsics": ("float32", (4, 4)),
@@ -32,7 +32,7 @@ _FRAME: Mapping[str, Form] = {
 }
 _OF_CAMERAS = ("intrinsics", "extrinsics")
 
-# Keys of the JSON files, those of inner objects after a dot. The real stack has neither `hand_frame` nor `pictures`.
+# Keys of the JSON files, nested keys with dots. raiden itself has neither `hand_frame` nor `pictures`.
 _METADATA = """
     info.name info.raw_id info.tags labels cameras resolution framerate language.task language.prompt num_frames
     rgb.extension intrinsics.model extrinsics.transform extrinsics.metric action.format action.dims control
@@ -42,7 +42,7 @@ _NEAREST = "pictures.recorded_frames pictures.recorded_period_s"
 _DEPTH = "depth.extension depth.sparse depth.metric"
 _SPLIT = "size.n_seqs size.n_samples size.n_frames"
 _CALIBRATION = "version timestamp coordinate_frame hand_frame.name hand_frame.description"
-# The real stack does not have the last key, which is the inverse of the first.
+# raiden itself does not have the last key, which is the inverse of the first.
 _BIMANUAL = " ".join(
     f"bimanual_transform.{key}"
     for key in ("right_base_to_left_base", "computed_from_calibration", "description", "T_right_base_in_left_base")
@@ -69,7 +69,7 @@ def column(frames: list[dict[str, Any]], key: str) -> np.ndarray:
 
 
 def differences(root: Path, *, arms: int = 1, single: bool = False) -> list[str]:
-    """The differences of an export of `arms` arms, one text each; with `single`, arrays hold one arm."""
+    """Return the differences of an export of `arms` arms, one text each; with `single`, arrays hold one arm."""
     return list(_dataset(root, arms, 1 if single else 2))
 
 

@@ -20,7 +20,7 @@ def bring_in(out: Path, sources: list[Path], rig: RigConfig, locations: Location
 
 
 def with_film(folder: Path, motion: RecordedMotion, rig: RigConfig, locations: Locations) -> Path:
-    """A dataset of two arms, with commands, a film of one camera, and a prompt."""
+    """A dataset of two arms, with commands, a video of one camera, and a prompt."""
     return bring_in(folder / "real", [write_lerobot_v2(folder / "lerobot", motion, rig)], rig, locations)
 
 

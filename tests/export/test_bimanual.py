@@ -1,4 +1,4 @@
-"""Exports of two arms: each arm's numbers in their place, held against the simulation's own poses."""
+"""Exports of two arms: each arm's numbers at their place, against the simulation's poses."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ def test_raidens_hands_are_where_the_simulation_had_them_each_in_its_own_base(tw
         actual = hands(column(found, "actual_poses"), number)
         np.testing.assert_allclose(base @ actual, column(was, "ee_pose")[:, number], atol=1e-6)
         np.testing.assert_array_equal(column(found, "actual_poses")[:, 13 * number + 12], joints[:, 7 * number + 6])
-        # A command is for the end of the first of a frame's two control ticks.
+        # A command's target time is the end of a frame's first control tick.
         commanded = np.array(hands(column(found, "action"), number))[:-1, :3, 3]
         here = np.array(actual)[:, :3, 3]
         halfway = (here[:-1] + here[1:]) / 2
@@ -101,11 +101,11 @@ def test_raidens_hands_are_where_the_simulation_had_them_each_in_its_own_base(tw
 
 
 def test_raidens_cameras_are_in_the_left_base_and_its_calibration_says_so_too(two_armed: Path, raiden: Path) -> None:
-    """As the real stack computes it: between the bases, kinematics, hand-eye."""
+    """As raiden itself computes it: transform between bases, kinematics, hand-eye pose."""
     was, found = recorded(two_armed), exported(raiden)
     calibration = json.loads((raiden / "calibration_results.json").read_text())
     between = calibration["bimanual_transform"]
-    # Its converter inverts what this name holds.
+    # Its converter inverts the value of this name.
     T_right_in_left = inverse(np.array(between["right_base_to_left_base"]))
     np.testing.assert_allclose(T_right_in_left[:3, 3], (0, -0.591, 0), atol=1e-6)
     np.testing.assert_allclose(between["T_right_base_in_left_base"], T_right_in_left, atol=1e-9)
@@ -113,11 +113,11 @@ def test_raidens_cameras_are_in_the_left_base_and_its_calibration_says_so_too(tw
         name = f"{side}_wrist_camera"
         entry = calibration["cameras"][name]["hand_eye_calibration"]
         T_cam_in_hand = pose(entry["translation_vector"], entry["rotation_matrix"])
-        # Its converter turns the right one, which hangs upside down on a real arm.
+        # Its converter rotates the right camera, which is mounted upside down on a real arm.
         assert entry["upside_down"] is (side == "right")
         if side == "right":
             T_cam_in_hand = T_cam_in_hand @ np.diag([-1.0, -1.0, 1.0, 1.0])
-        # What the fork at the lab reads, it does not turn.
+        # The lab's fork does not rotate it.
         other = calibration["cameras"][name]["extrinsics"]
         assert other["reference_frame"] == f"{side}_grasp_site"
         np.testing.assert_allclose(

@@ -1,4 +1,4 @@
-"""Exports for the eye: videos and a contact sheet, held against the recorded pictures; files for the rerun viewer."""
+"""Exports for the eye: videos and a contact sheet against the recorded pictures; files for the rerun viewer."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""LeRobotDataset v3.0: its files read back one by one. lerobot itself reads and edits them in `tests/clients`."""
+"""LeRobotDataset v3.0: its files, one by one. lerobot itself reads and edits them in `tests/clients`."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from yamsim_cli.export.lerobot_stats import PixelCounts, RunningStats, column_st
 av = pytest.importorskip("av", reason="yamsim[lerobot] is not installed")
 parquet = pytest.importorskip("pyarrow.parquet", reason="yamsim[lerobot] is not installed")
 
-# H.264 of smooth pictures against the JPEGs it was made of, mean of an image's pixels, of 255.
+# Of 255, mean difference of H.264 from its source JPEGs, for smooth pictures.
 CLOSE = 5.0
 
 
@@ -36,7 +36,7 @@ def export(dataset: Path, locations: Locations, tmp_path_factory: pytest.TempPat
 
 @pytest.fixture(scope="module")
 def of_numbers(dataset: Path, locations: Locations, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Without pictures, and with where things are."""
+    """Without pictures, and with object poses."""
     out = tmp_path_factory.mktemp("lerobot") / "numbers"
     export_lerobot(open_source(dataset, None, locations), out, ignore, pictures=False, environment_state=True)
     return out
@@ -44,7 +44,7 @@ def of_numbers(dataset: Path, locations: Locations, tmp_path_factory: pytest.Tem
 
 @pytest.fixture(scope="module")
 def split(dataset: Path, locations: Locations, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The same, with a new file of numbers for every episode or two."""
+    """The same, with a new data file for every episode or two."""
     out = tmp_path_factory.mktemp("lerobot") / "split"
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(lerobot_schema, "DATA_FILE_MB", 0.001)
@@ -65,7 +65,7 @@ def test_numbers_are_the_recorded_ones(which: str, dataset: Path, request: pytes
 def test_episodes_say_where_their_frames_and_images_are(
     which: str, dataset: Path, request: pytest.FixtureRequest
 ) -> None:
-    """As a loader looks them up: by file, and by time in it."""
+    """As a loader finds them: by file, and by time in it."""
     root: Path = request.getfixturevalue(which)
     info = json.loads((root / "meta" / "info.json").read_text())
     episodes = rows(root, "meta/episodes/*/*.parquet")
@@ -162,14 +162,14 @@ def test_elements_of_matrices_are_named_by_row_and_column(export: Path, dataset:
 
 
 def test_videos_are_described_so_that_lerobot_encodes_them_alike(export: Path) -> None:
-    """What its editing has to encode again, it encodes by these."""
+    """Its editing tools encode again with these settings."""
     features = json.loads((export / "meta" / "info.json").read_text())["features"]
     info = features["observation.images.scene_camera"]["info"]
     told = {key: info[f"video.{key}"] for key in ("codec", "pix_fmt", "g", "crf", "preset", "extra_options")}
     same = {"codec": "h264", "pix_fmt": "yuv420p", "g": 2, "crf": 21, "preset": "veryfast"}
     assert told == same | {"extra_options": {"bf": "0", "mbtree": "0"}}
     with av.open(str(next(export.glob("videos/*scene_camera/*/*.mp4")))) as container:
-        # BT.601, which decoders that overlook the tag take videos for.
+        # BT.601, which decoders assume that ignore the tag.
         assert container.streams.video[0].codec_context.colorspace == 6
 
 

@@ -36,7 +36,7 @@ _EXPORTS: dict[str, Callable[[SimulatedSource, Path, Locations], object]] = {
 
 @pytest.fixture
 def crafted(dataset: Path, tmp_path: Path) -> Path:
-    """A dataset whose camera has a path as its name, with pictures where that path leads."""
+    """A dataset whose camera's name is a path, with pictures at that path."""
     path = tmp_path / "in" / "dataset"
     shutil.copytree(dataset, path)
     for directory in sorted(path.glob("ep_*")):

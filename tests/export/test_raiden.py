@@ -1,4 +1,4 @@
-"""The real stack's layout: held against its schema, and read as the real stack's users read it."""
+"""raiden's layout: against its schema, and read as raiden's users read it."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from yamsim_cli.export.export_source import open_source
 from yamsim_cli.export.raiden import export_raiden
 from yamsim_cli.export.raiden_schema import RaidenOptions
 
-# The recorded frames and no others; and what needs nothing drawn, at raiden's own rate.
+# The recorded frames only; and at raiden's rate without rendering.
 SOURCE = RaidenOptions(fps=None)
 NEAREST = RaidenOptions(pictures="nearest")
 
@@ -76,7 +76,7 @@ def test_differences_are_noticed(export: Path, tmp_path: Path) -> None:
 
 
 def test_frames_hold_what_was_recorded(dataset: Path, export: Path) -> None:
-    """A lone arm is the left one, its wrist camera too, in its own base; grippers are a share of the opening."""
+    """A single arm is the left one, its wrist camera too, in its own base; grippers are shares of the opening."""
     for k in (0, 20, frame_count(dataset / "ep_000001") - 1):
         was = load_frame((dataset / "ep_000001" / "lowdim" / f"{k:06d}.pkl").read_bytes())
         frame = pickle.loads((export / "0001" / "lowdim" / f"{k:010d}.pkl").read_bytes())
@@ -86,7 +86,7 @@ def test_frames_hold_what_was_recorded(dataset: Path, export: Path) -> None:
             np.testing.assert_array_equal(frame[key][7:], 0)
         np.testing.assert_array_equal(frame["extrinsics"]["left_wrist_camera"], was["extrinsics"]["right_wrist_camera"])
         np.testing.assert_array_equal(frame["intrinsics"]["scene_camera"], was["intrinsics"]["scene_camera"])
-        # Kinematics of the joints is where the simulation had the hand.
+        # Kinematics of the joints give the simulated hand pose.
         np.testing.assert_allclose(frame["actual_poses"][:3], was["ee_pose"][:3, 3], atol=1e-6)
         np.testing.assert_allclose(frame["actual_poses"][3:12].reshape(3, 3), was["ee_pose"][:3, :3], atol=1e-6)
         for key in ("language_task", "language_prompt"):
@@ -157,18 +157,18 @@ def test_at_30_hz_frames_at_recorded_times_are_the_recorded_ones(export: Path, a
 
 
 def played(frames: list[dict[str, Any]]) -> np.ndarray:
-    """The fastest that raiden's replay asks of each joint (6,), rad/s: it takes straight lines, 30 frames a second."""
+    """Largest joint speeds (6,) of raiden's replay, rad/s: straight lines at 30 frames a second."""
     return np.abs(np.diff(column(frames, "action_joints")[:, :6], axis=0)).max(axis=0) * 30
 
 
 def test_raidens_replay_keeps_to_the_motors_speeds_at_30_hz_alone(
     dataset: Path, export: Path, at_30_hz: Path, locations: Locations
 ) -> None:
-    """Raiden plays all frames at 30 Hz, so those that were recorded at 15.625 Hz would be 1.92 times too fast."""
+    """raiden plays all frames at 30 Hz, so those recorded at 15.625 Hz would be 1.92 times too fast."""
     motors = np.array([joint.motor_rad_s for joint in load_config(ArmModel, "robots", "i2rt_yam", locations).joints])
     before = [(played(frames_of(export / f"{k:04d}")) / motors).max() for k in range(EPISODES)]
     after = [(played(frames_of(at_30_hz / f"{k:04d}")) / motors).max() for k in range(EPISODES)]
-    # What was simulated, which raiden's replay must not outdo.
+    # The simulated speed, which raiden's replay must not exceed.
     for k in range(EPISODES):
         record = json.loads((dataset / f"ep_{k:06d}" / "episode.json").read_text())
         assert after[k] <= record["outcome"]["margins"]["velocity_share"] * 1.02 < before[k]
@@ -209,9 +209,9 @@ def test_the_makers_hand_is_some_millimetres_from_ours_and_turned_the_same(
         assert (apart > 0.006).all()
         assert (apart < 0.0095).all()
         np.testing.assert_allclose(column(ours, key)[:, 3:13], column(theirs, key)[:, 3:13], atol=2e-5)
-    # Joints are joints.
+    # Joints do not depend on the kinematics.
     np.testing.assert_array_equal(column(ours, "action_joints"), column(theirs, "action_joints"))
-    # A hand-eye pose by another's kinematics is as good as can be.
+    # A hand-eye pose by other kinematics is only approximate.
     entry = json.loads((out / "calibration_results.json").read_text())["cameras"]["left_wrist_camera"]
     T_cam_in_hand = pose(entry["hand_eye_calibration"]["translation_vector"], entry["extrinsics"]["rotation_matrix"])
     for frame in theirs:
@@ -221,7 +221,7 @@ def test_the_makers_hand_is_some_millimetres_from_ours_and_turned_the_same(
 
 
 def test_the_labs_fork_reads_the_same_poses(export: Path) -> None:
-    """It reads `extrinsics` of either kind of camera, and names what they are in."""
+    """It reads `extrinsics` of either kind of camera, and names their frame."""
     cameras = json.loads((export / "calibration_results.json").read_text())["cameras"]
     assert cameras["scene_camera"]["extrinsics"]["reference_frame"] == "left_arm_base"
     assert cameras["left_wrist_camera"]["extrinsics"]["reference_frame"] == "left_grasp_site"

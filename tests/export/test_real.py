@@ -1,4 +1,4 @@
-"""Exports of real recordings hold what was recorded, and nothing else."""
+"""Exports of real recordings hold the recorded data, and nothing else."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class Real:
 
 @pytest.fixture(scope="module")
 def filmed(tmp_path_factory: pytest.TempPathFactory, station: RigConfig, locations: Locations) -> Real:
-    """0.5 s of two arms at 100 Hz, with a film."""
+    """0.5 s of two arms at 100 Hz, with a video."""
     motion = swinging(station, 0.5)
     return Real(with_film(tmp_path_factory.mktemp("filmed"), motion, station, locations), motion, station)
 
@@ -121,7 +121,7 @@ def test_uneven_times_are_reported_or_made_even(single: RigConfig, locations: Lo
     assert (even.frames, even.notes) == (50, ())
     found = rows(tmp_path / "even", "data/*/*.parquet")
     np.testing.assert_allclose(found["timestamp"], np.arange(50) / 50, atol=1e-6)
-    # In the gap the frame before it stays, and then the one after it, whichever is nearer.
+    # In the gap, the frame before it stays, and then the one after it, whichever is nearer.
     assert max(np.abs(np.array(found["recorded_time"]) - found["timestamp"])) == pytest.approx(0.15, abs=0.011)
     outside = (np.array(found["timestamp"]) < 0.39) | (np.array(found["timestamp"]) > 0.7)
     np.testing.assert_allclose(
@@ -191,7 +191,7 @@ def test_rerun_has_the_recorded_times_and_nothing_else(
     export_rerun(open_real_source(blind, None, locations), tmp_path / "blind", ignore)
 
     def read(file: Path) -> tuple[set[str], dict[str, list[float]]]:
-        """Entities, and the seconds at which each joint was logged."""
+        """Return entities, and the seconds at which each joint was logged."""
         entities, times = set(), {}
         for chunk in chunks.RrdReader(file).stream():
             entities.add(chunk.entity_path)
@@ -203,7 +203,7 @@ def test_rerun_has_the_recorded_times_and_nothing_else(
 
     entities, _ = read(tmp_path / "filmed/ep_000000.rrd")
     logged = {f"/{key}/{name}" for key in ("joints", "ctrl") for name in DRIVES}
-    # What the file says of itself is under /__properties.
+    # The file's own properties are under /__properties.
     assert {path for path in entities if not path.startswith("/__")} == {
         *logged,
         "/cameras/top/rgb",

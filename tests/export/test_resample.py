@@ -1,4 +1,4 @@
-"""Frames at other times than the recorded ones: held against the simulation itself, and against its plan."""
+"""Frames at other times than the recorded ones, against the simulation and its plan."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def simulator(dataset: Path, locations: Locations) -> Iterator[Simulator]:
 def test_times_begin_with_the_first_frame_and_do_not_go_beyond_the_last() -> None:
     times = frame_times(57, PERIOD, 30)
     assert (len(times), times[0], times[-1]) == (108, 0.0, 107 / 30)
-    # A rate that has the last frame's time among its own keeps it, whatever is rounded.
+    # A rate that includes the last frame's time keeps it, despite rounding.
     np.testing.assert_allclose(frame_times(57, PERIOD, 1 / PERIOD), np.arange(57) * PERIOD, atol=1e-12)
     assert nearest_frames(np.array([0.0, 0.03, 0.04, 9.0]), 57, PERIOD) == [0, 0, 1, 56]
 
@@ -54,7 +54,7 @@ def test_times_begin_with_the_first_frame_and_do_not_go_beyond_the_last() -> Non
 def test_between_frames_the_states_are_the_simulations_and_the_commands_the_plans(
     dataset: Path, simulator: Simulator, number: int
 ) -> None:
-    """At every control tick, and the plan's reference is known at each: it is made again from the seed."""
+    """The plan's reference, made again from the seed, is known at every control tick."""
     episode = open_episode(dataset / f"ep_{number:06d}")
     ticks = 2 * episode.record.frames - 1
     seen = StateSampler(simulator.scene.model, np.arange(ticks) * TICK)
@@ -70,7 +70,7 @@ def test_between_frames_the_states_are_the_simulations_and_the_commands_the_plan
     found_commands = np.array([frame["action_joints"] for frame in found.frames])
     np.testing.assert_array_equal(found_commands[::2], plan[0:ticks:2].astype(np.float32))
     off = np.abs(found_commands - plan[:ticks])
-    # Straight lines between the recorded commands would be up to 22 mrad off, in the second of these.
+    # Straight lines between recorded commands would be up to 22 mrad off, in the second case.
     assert off[:, :6].max() < 0.004
     assert off[:, 6].max() < 0.0007
 
@@ -81,7 +81,7 @@ def test_between_two_steps_a_state_lies_on_the_way(dataset: Path, simulator: Sim
     halves = resample_episode(simulator, episode, 1000.0)
     np.testing.assert_array_equal(halves.qpos[::2], steps.qpos)
     middle = (steps.qpos[:-1] + steps.qpos[1:]) / 2
-    # Quaternions turn, the rest is straight.
+    # Quaternions are interpolated on the sphere, the rest linearly.
     np.testing.assert_allclose(halves.qpos[1::2], middle[: len(halves.qpos[1::2])], atol=1e-4)
     for adr in _quaternions(simulator.scene.model):
         np.testing.assert_allclose(np.linalg.norm(halves.qpos[:, adr : adr + 4], axis=1), 1.0, atol=1e-9)
@@ -115,7 +115,7 @@ def test_physics_that_deviates_is_refused(dataset: Path, locations: Locations, t
 def drawn_dataset(
     tmp_path_factory: pytest.TempPathFactory, make_config: Callable[..., RecordConfig], locations: Locations
 ) -> Path:
-    """One episode, with noise of its own."""
+    """One episode, with its own noise."""
     path = tmp_path_factory.mktemp("drawn") / "dataset"
     config = make_config(SMALL | {("wrist",): True, ("randomization",): "default"})
     write_rendered_dataset(path, config, locations, 1)
@@ -136,7 +136,7 @@ def test_pictures_drawn_anew_are_the_recorded_ones_at_recorded_times(
         pictures = [cv2.imread(str(episode / "rgb" / name / f"{k:010d}.png")) for k in range(done.frames)]
         recorded = (drawn_dataset / "ep_000000" / "rgb" / camera / "000000.jpg").read_bytes()
         assert cv2.imencode(".jpg", pictures[0], quality)[1].tobytes() == recorded
-        # None is held: each has noise, and what moves, of its own.
+        # No image is repeated: each has its own noise and motion.
         assert all((one != other).any() for one, other in itertools.pairwise(pictures))
         for k, frame in ((0, 0), (48, 25)):
             with np.load(episode / "depth" / name / f"{k:010d}.npz") as found:

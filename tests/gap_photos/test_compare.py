@@ -1,4 +1,4 @@
-"""The simulated arm against photos of the real one: where they agree, where they do not, and which photos count."""
+"""The simulated arm against photos of the real one: agreement, disagreement, and selection of photos."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from yamsim_cli.gap_photos.photo_comparison import (
 from yamsim_cli.real.gap.gap_figures import MotionGap, measure_gap
 
 TIMES = np.arange(12) * 0.064
-# Photographed samples, and the one where the arm is elsewhere than its simulation.
+# Photographed samples, and the sample with a simulation error.
 TAKEN, OFF = (0, 4, 8, 11), 8
 SCENE_CAMERA = "scene_camera"
 VIEW = looking((0.9, -0.35, 0.6), (0.05, 0.0, 0.12))
@@ -50,7 +50,7 @@ def gap(tmp_path_factory: pytest.TempPathFactory) -> MotionGap:
 
 @pytest.fixture(scope="module")
 def photographed(gap: MotionGap, locations: Locations) -> MotionGap:
-    """The same with photos of some of its samples, and frames that say what took them."""
+    """The same with photos of some samples, and frames with the cameras' data."""
     with RigPhotographer("single", locations, CAMERA) as studio:
         for k in TAKEN:
             (stand,) = postures_at(gap.motion, k, studio.rig)
@@ -87,7 +87,7 @@ def test_the_photo_where_the_arm_was_elsewhere_is_the_worst(photographed: Motion
     assert off["frame"] == OFF == report["worst"]["frame"]
     assert off["outline_px"] > 3 > 1 > max(frame["outline_px"] for frame in others)
     assert off["iou"] < 0.95 < min(frame["iou"] for frame in others)
-    # Where its joints were measured, every photo has the arm.
+    # At the measured joints, every photo fits.
     assert report["measured_outline_px"]["worst"] < 1
     assert "Frame 8 of" in shown[0].caption
     picture = decode_jpeg(shown[0].jpeg)

@@ -1,6 +1,6 @@
-"""Small pictures of every rig, and the three questions a picture is asked: where, which pixels, which colours.
+"""Small pictures of every rig, and three tests of a picture: positions, pixels, colours.
 
-In that order, since a picture whose colours agree on average may still show a board in the wrong place.
+In that order, since a picture with correct mean colours may still show a board at the wrong place.
 """
 
 from __future__ import annotations
@@ -28,10 +28,10 @@ SIZE = (320, 240)
 RIGS = ("single", "bimanual", "russet")
 VIEWS = ("front", "near_top", "low_close_up")
 
-# Parts of a mask, and the body that each part's bodies hang from.
+# Parts of a mask, and the root body of each part.
 PARTS = ("arm", "arm2_arm", "base_board", "arm2_base_board", "base_mount", "arm2_base_mount")
 
-# Where each rig's board centres are in `world`, m: margin and board offset, by hand and not through any code of ours.
+# Board centres of each rig in `world`, m: from margin and board offset, independent of yamsim's code.
 BOARD_CENTRES = {
     "single": {"base_board": (0.0196, 0.17523, -0.0047)},
     "bimanual": {
@@ -44,7 +44,7 @@ BOARD_CENTRES = {
     },
 }
 
-# Within these a picture is the golden one. Software renderers agree to the bit; GPUs differ at edges.
+# Tolerances of a golden picture. Software renderers agree to the bit; GPUs differ at edges.
 MAX_CENTRE_PX = 1.0
 MIN_IOU = 0.97
 MAX_MEAN_COLOUR = 2.0
@@ -52,7 +52,7 @@ MAX_MEAN_COLOUR = 2.0
 
 @dataclass(frozen=True)
 class GoldenPicture:
-    """A picture of a rig: colours (h, w, 3), and the part seen at each pixel (h, w): 0 or index in PARTS + 1."""
+    """A picture of a rig: colours (h, w, 3), and the part at each pixel (h, w): 0 or index in PARTS + 1."""
 
     colour: np.ndarray
     mask: np.ndarray
@@ -62,7 +62,9 @@ class GoldenPicture:
 def take(
     rig: RigConfig, locations: Locations, tamper: Callable[[mujoco.MjModel], None] | None = None
 ) -> dict[str, GoldenPicture]:
-    """The pictures of a rig by view, on primitives, which are always here; `tamper` may spoil the model first."""
+    """Return the pictures of a rig by view, with primitives, which are always available; `tamper` may change the model
+    first.
+    """
     scene = load_config(SceneConfig, "scenes", "studio", locations)
     quality = load_config(RenderConfig, "quality", "fast", locations)
     stage = set_up_views(Blueprint(rig, scene), locations, quality, SIZE)
@@ -87,7 +89,7 @@ def _part(model: mujoco.MjModel, body: int) -> int:
 
 
 def golden(rig: str, view: str) -> tuple[np.ndarray, np.ndarray]:
-    """The committed colours and mask of a picture."""
+    """Return the committed colours and mask of a picture."""
     colour = cv2.imread(str(DATA / f"{rig}_{view}.png"), cv2.IMREAD_COLOR)
     mask = cv2.imread(str(DATA / f"{rig}_{view}_mask.png"), cv2.IMREAD_UNCHANGED)
     assert colour is not None, "no golden picture: make golden-update"
@@ -96,7 +98,7 @@ def golden(rig: str, view: str) -> tuple[np.ndarray, np.ndarray]:
 
 
 def faults(shot: GoldenPicture, rig: str, view: str) -> list[str]:
-    """What is wrong with a picture that should be the golden one, the gravest first; empty when nothing is."""
+    """Return the differences from the golden picture, the gravest first."""
     found = centre_faults(shot, rig, view)
     colour, mask = golden(rig, view)
     for number, part in enumerate(PARTS, start=1):
@@ -111,7 +113,7 @@ def faults(shot: GoldenPicture, rig: str, view: str) -> list[str]:
 
 
 def centre_faults(shot: GoldenPicture, rig: str, view: str) -> list[str]:
-    """Boards whose middle is not seen where the figures put it; looked for from above, where nothing hides them."""
+    """Boards whose middle is not where the figures put it, seen from above, where nothing hides them."""
     found = []
     for part, centre in BOARD_CENTRES[rig].items() if view == "near_top" else ():
         rows, columns = np.nonzero(shot.mask == PARTS.index(part) + 1)
@@ -126,7 +128,7 @@ def centre_faults(shot: GoldenPicture, rig: str, view: str) -> list[str]:
 
 
 def save_failure(shot: GoldenPicture, rig: str, view: str) -> Path:
-    """Write expected, actual and their difference side by side, for a person to look at."""
+    """Write expected and actual picture and their difference side by side, for a person."""
     colour, mask = golden(rig, view)
     FAILED.mkdir(exist_ok=True)
     difference = np.minimum(np.abs(shot.colour.astype(int) - colour) * 4, 255).astype(np.uint8)

@@ -1,4 +1,4 @@
-"""Golden pictures, each with negative twins: pictures with a known mistake, which have to fail."""
+"""Golden pictures, and negative twins: pictures with a known mistake, which must fail."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def test_picture_is_the_golden_one(name: str, view: str, shots: Shots) -> None:
 
 
 def _boards_upright(model: mujoco.MjModel) -> None:
-    """The best-known mistake: the pose inside the mocap body is forgotten, and the board stands on its edge."""
+    """A known mistake: without the pose inside the mocap body, the board stands on its edge."""
     for name in ("base_board", "arm2_base_board"):
         if (geom := mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_GEOM, name)) >= 0:
             model.geom_quat[geom] = np.array([1.0, 1.0, 0.0, 0.0]) / np.sqrt(2)
@@ -98,7 +98,7 @@ def test_a_wrong_rig_fails(name: str, mistake: Callable[[RigConfig], RigConfig],
 
 
 def test_a_margin_2_cm_off_is_seen_in_the_centres_alone(shots: Shots) -> None:
-    """The first question suffices: it needs no golden picture, only the figures."""
+    """The first test needs no golden picture, only the figures."""
     shot = shots("russet", _margin_2_cm_off)["near_top"]
     assert any("base_board is seen" in fault for fault in centre_faults(shot, "russet", "near_top"))
 
@@ -111,7 +111,7 @@ def test_every_marker_is_found_from_above(name: str, locations: Locations) -> No
     rig, size = _rig(name, locations), (1280, 960)
     scene = load_config(SceneConfig, "scenes", "studio", locations)
     quality = load_config(RenderConfig, "quality", "fast", locations)
-    # Where a shadow ends on a marker, the plain detector takes its corners amiss.
+    # Where a shadow ends on a marker, the plain detector misplaces its corners.
     quality = quality.model_copy(update={"shadow_map_px": 0})
     stage = set_up_views(Blueprint(rig, scene), locations, quality, size)
     with stage.renderer() as renderer:
@@ -121,7 +121,7 @@ def test_every_marker_is_found_from_above(name: str, locations: Locations) -> No
     expected = list(range(217, 226 if name == "single" else 235))
     assert sorted(ids.ravel().tolist()) == expected
 
-    # And each marker's corners are where the rig says: a board turned or mirrored in its place would show here.
+    # Each marker's corners agree with the rig: a rotated or mirrored board would show here.
     camera = stage.cameras["near_top"]
     for arm in range(len(rig.arms)):
         board = rig.arms[arm].board

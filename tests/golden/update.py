@@ -1,4 +1,4 @@
-"""`make golden-update`: make today's pictures the golden ones. Look at every one of them before committing."""
+"""`make golden-update`: make today's pictures the golden ones. Look at each before you commit it."""
 
 from __future__ import annotations
 

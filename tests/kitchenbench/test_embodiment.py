@@ -1,4 +1,4 @@
-"""The station as an embodiment of Inspect Robots: what it declares, how scenes rest, and what checkers are told."""
+"""The station as an embodiment of Inspect Robots: its declaration, resting scenes, and answers to checkers."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ from yamsim_cli.kitchenbench.success_judges import KitchenWorld
 REALIZED = ("place_cutlery", "stack", "place_in_rack", "handoff", "sort_cutlery", "fold_cloth")
 SCENES = {scene.id: scene for name in REALIZED for scene in tasks.TASK_FACTORIES[name]().scenes}
 
-# Where a blueprint puts things into each other, so that they cannot come to rest where it says; and how far off those
-# are that it puts onto a tray's wall, mm.
+# Scenes whose blueprint lets objects overlap, so that they cannot rest at the required place; and mm, distance of
+# objects that it puts onto a tray's wall.
 APART = {"place-in-rack-plate", "place-in-rack-bowl-tilt", "place-in-rack-cup-narrow", "place-in-rack-rightmost-slot"}
 APART |= {"place-in-rack-wet-slippery", "fold-cloth-crumpled-start"}
 ON_A_WALL = 25.0
@@ -105,7 +105,7 @@ def test_scenes_come_to_rest_and_answer_all_queries(name: str, base: Any) -> Non
             assert world.opening_fraction(item.name) == 0.0
             assert 0.0 <= world.contained_fraction(blueprint.objects[0].name, item.name) <= 1.0
             if item.asset != COMPARTMENT:
-                # Of crumpled cloth, little lies in the block around it when it is flat.
+                # The box of crumpled cloth contains little of the flat cloth.
                 assert world.contained_mass_g(item.name, item.name) > (0.1 if "crumple" in name else 1.0)
         verdict = make_success_checker(blueprint, world)(world)
         assert not verdict.success and "unknown" not in verdict.explanation
@@ -124,7 +124,7 @@ def _places(realized: Any) -> dict[str, Any]:
 
 
 def test_cutlery_on_a_wall_of_the_tray_lies_beside_it(embodiment: YamsimEmbodiment) -> None:
-    """Spoons side by side from x = -20 cm on, of which one lies on the wall at x = 0: those before it make room."""
+    """Spoons side by side from x = -20 cm on, of which one lies on the wall at x = 0: the earlier ones make room."""
     scene = SCENES["sort-cutlery-spoon-heavy"]
     embodiment.reset(scene, seed=seed_of(scene))
     spoons = {
@@ -141,7 +141,7 @@ def test_cutlery_on_a_wall_of_the_tray_lies_beside_it(embodiment: YamsimEmbodime
 
 
 def test_things_lie_where_the_bench_has_them(embodiment: YamsimEmbodiment) -> None:
-    """x to the robot's right is our -y; the left arm's gripper is at -x."""
+    """x to the robot's right is yamsim's -y; the left arm's gripper is at -x."""
     scene = SCENES["stack-tight-spacing"]
     embodiment.reset(scene, seed=seed_of(scene))
     world = embodiment.world
@@ -161,7 +161,7 @@ def test_things_lie_where_the_bench_has_them(embodiment: YamsimEmbodiment) -> No
 
 
 def test_what_is_inside_is_counted_by_volume(base: Any) -> None:
-    """A knife that is put into a compartment by hand, then half out of it."""
+    """A knife that the test places in a compartment, then half out of it."""
     scene = SCENES["sort-cutlery-sparse"]
     realized = build_benchmark_scene(build_blueprint(scene, seed_of(scene)), base)
     motion = SceneStepper(realized, 10)
@@ -209,7 +209,7 @@ def test_doing_nothing_scores_nothing(embodiment: YamsimEmbodiment) -> None:
     for _ in range(10):
         result = embodiment.step(Action(start))
         assert not result.terminated and not result.info["success"]
-    # The drives are springs: what gravity compensation does not know of, the wrist's camera, pulls them off a little.
+    # The drives are springs: the weight of the wrist camera, which gravity compensation omits, deflects them.
     assert np.abs(result.observation.state[JOINTS] - start).max() < 0.02
 
 

@@ -1,4 +1,4 @@
-"""The expert for the benchmark's tasks that have physics here."""
+"""The expert for the benchmark's tasks."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ def test_larger_things_are_stacked_first() -> None:
 
 
 def test_a_stack_stands_where_arms_reach_least_far() -> None:
-    """Of plates side by side, the outermost would be the worst."""
+    """The outermost of plates side by side would be the worst."""
     scene = SCENES["stack-plates"]
     blueprint = build_blueprint(scene, derive_seed(0, scene.init_seed, 2))
     names = [item.name for item in blueprint.objects]
@@ -91,12 +91,12 @@ def test_a_stack_stands_where_arms_reach_least_far() -> None:
 
 
 def test_references_bear_the_arm_at_the_end_of_a_motion(expert_bench: PlanningContext) -> None:
-    """And not what slows it down: an arm that is at rest would stand beside its place by that."""
+    """Acceleration torques are not part of them: an arm at rest would be off by their deflection."""
     hand = expert_bench.hands[0]
     goal = hand.ready_joints + np.array((0.5, 0.0, 0.0, 0.0, 0.0, 0.0))
     segment = expert_bench.make_segment({hand: expert_bench.plan_free_path(hand, goal)})
     *_, last = segment_actions(expert_bench, segment, 10)
-    # Nothing hangs on the first joint, whose axis is upright; what brakes it is newton metres.
+    # Nothing loads the first joint, whose axis is vertical; braking takes newton metres.
     assert last[7 * hand.number] == pytest.approx(goal[0], abs=0.002)
     assert abs(segment.paths[hand.number].torques[-1][0] / hand.arm.position_gain[0]) > 0.005
 
@@ -137,7 +137,7 @@ def test_what_lies_in_its_compartment_stays_there_and_the_uppermost_comes_first(
         assert isinstance(sort, Sort)
         left = sort.remaining_objects(world, cast, {})
         assert left[0] == "knife_1" and sorted(left) == ["fork_1", "fork_2", "knife_1", "spoon_1"]
-        # After a failure, what lies below still waits.
+        # After a failure, lower objects still wait.
         after_failure = sort.remaining_objects(world, cast, {"knife_1": 1})
         below = {name for name in after_failure if _overlap(world, name, "knife_1") and name != "knife_1"}
         assert below and all(after_failure.index(name) > after_failure.index("knife_1") for name in below)
@@ -152,14 +152,14 @@ def test_what_lies_in_its_compartment_stays_there_and_the_uppermost_comes_first(
 
 
 def _overlap(world: SimWorld, one: str, other: str) -> bool:
-    """Return whether two things overlap, seen from above."""
+    """Whether two objects overlap, seen from above."""
     return (
         footprint_distance(*(footprint_corners(world.local_box(name), world.pose(name)) for name in (one, other))) < 0
     )
 
 
 def test_a_leaning_piece_gets_the_height_of_its_attitude() -> None:
-    """At the height of an upright piece, its lower end would be pressed into the floor."""
+    """At an upright object's height, its lower end would be pressed into the floor."""
     planning = _planning_scene("sort-cutlery-balanced-pile")
     try:
         bench, roles = planning.context, planning._simulator.roles
@@ -201,7 +201,7 @@ def test_a_grip_that_slipped_is_not_tried_again(expert_bench: PlanningContext, m
 
 
 def test_a_piece_is_put_down_where_it_can_be_taken_on() -> None:
-    """A hand takes it there by the most reliable grip."""
+    """Where a hand grasps it by the most reliable grip."""
     planning = _planning_scene("sort-cutlery-balanced-pile")
     try:
         bench, roles = planning.context, planning._simulator.roles
@@ -225,7 +225,7 @@ def test_a_piece_is_put_down_where_it_can_be_taken_on() -> None:
 
 @pytest.fixture
 def tray_scene() -> Iterator[PlanningScene]:
-    """Cutlery that lies in the cells of a tray, a fork beside the wall on its left."""
+    """Cutlery in a tray's compartments, a fork beside the left wall."""
     scene = SCENES["sort-cutlery-overlapping"]
     seed = derive_seed(0, scene.init_seed, 0)
     planning = PlanningScene(
@@ -236,7 +236,7 @@ def tray_scene() -> Iterator[PlanningScene]:
 
 
 def test_beside_a_wall_fingers_come_nearer_than_arms(tray_scene: PlanningScene) -> None:
-    """A fork for which there is no grip otherwise."""
+    """A fork that otherwise has no grip."""
     bench = tray_scene.context
     hand, T = bench.hands[0], bench.world.pose("cutlery_2")
 
@@ -282,7 +282,7 @@ def test_the_arm_that_receives_is_the_one_that_is_asked_for() -> None:
     [
         ("cup-narrow", {"slot_index": 1, "slot_width_cm": 6}, -120.0),
         ("cup-narrow", {"slot_index": 5, "slot_width_cm": 6}, 120.0),
-        # Slots of 8 cm: three of them have room, and the last is the nearest to the fifth.
+        # Slots of 8 cm: three have room, and the last is the nearest to the fifth.
         ("cup-narrow", {"slot_index": 5, "slot_width_cm": 8}, 80.0),
         # A bowl over the outermost slot would stand in the bow.
         ("bowl-tilt", {"slot_index": 3}, 35.0),
@@ -374,10 +374,10 @@ class _Still:
         self.config = PolicyConfig()
 
     def reset(self, scene: Scene) -> None:
-        """There is nothing to forget."""
+        """Do nothing."""
 
     def act(self, observation: Observation) -> ActionChunk:
-        """Where the arms are already."""
+        """Hold the present joints."""
         return ActionChunk([Action(observation.state[JOINTS])])
 
 
@@ -392,7 +392,7 @@ class _Still:
     ],
 )
 def test_the_expert_solves_scenes_of_the_benchmark(name: str, scene: str, tmp_path: object) -> None:
-    """By the benchmark's own task, scored by its own scorer."""
+    """By the benchmark's own task and scorer."""
     task = tasks.TASK_FACTORIES[name]()
     task.scenes = [one for one in task.scenes if one.id == scene]
     task.epochs = 1

@@ -1,4 +1,4 @@
-"""The benchmark's cloth: what it is here, how it starts, and how an expert folds it."""
+"""The benchmark's cloth: its config, its start, and the expert's folds."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def test_a_flat_cloth_is_folded_through_lines_of_points(turned_deg: float) -> No
     assert corners == {(0, 0), (0, 8), (12, 0), (12, 8)}
     for way in whole:
         for point, to in way.corners:
-            # A corner comes onto another one.
+            # One corner comes onto another one.
             off = np.linalg.norm(points[[0, 0, 12, 12], [0, 8, 0, 8]] - to, axis=1)
             assert off.min() < 1e-9 and np.linalg.norm(points[point] - to) > 0.3
     if not turned_deg:
@@ -112,7 +112,7 @@ def test_what_the_expert_aims_at_is_what_the_checker_asks(name: str) -> None:
 
 
 class _Square:
-    """A world in which every cloth lies flat, and is so long and wide, m."""
+    """A world in which every cloth lies flat, a square with this side, m."""
 
     def __init__(self, world: KitchenWorld, side: float) -> None:
         self._side = side
@@ -130,7 +130,7 @@ def test_crumpled_cloth_starts_the_same_way_each_time_and_not_folded() -> None:
     try:
         assert np.array_equal(first.start, again.start)
         (cloth,) = first.simulator.scene.cloths.values()
-        # Its cells are half as wide as those of cloth that lies flat, and hands hold it by layers.
+        # Cells are half as wide as those of flat cloth, and hands hold it by layers.
         assert cloth.grid == (17, 25) and cloth.held_by_layers
         assert first.simulator.scene.model.opt.solver == mujoco.mjtSolver.mjSOL_CG
         points = cloth.points(first.start)

@@ -1,4 +1,4 @@
-"""Our own tasks as tasks of Inspect Robots: which there are, what they ask for, and that our goal judges."""
+"""yamsim's tasks as tasks of Inspect Robots: which exist, their instructions, and that yamsim's goal judges."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Scenes of the benchmark as tasks that are data: what becomes of them, and that they are judged as it judges."""
+"""Scenes of the benchmark as program tasks: their conversion, and the same verdicts as the benchmark's."""
 
 from __future__ import annotations
 
@@ -121,7 +121,7 @@ def _off(arrangement: dict[str, Any], place: tuple[float, float]) -> float:
 
 
 class Queries:
-    """What the benchmark's checker asks, of a recorded task's state."""
+    """Queries of the benchmark's checker, on a recorded task's state."""
 
     def __init__(self, world: SimWorld) -> None:
         self.aabb, self.contained_fraction = world.aabb, world.volume_fraction_inside
@@ -163,7 +163,7 @@ def test_cutlery_is_put_onto_a_napkin_that_bends(locations: Locations) -> None:
         world = make_sim_world(simulator.scene, data, arm_sides(simulator.config))
         checker = make_success_checker(build_blueprint(scene, task["arrangements"][0]["seed"]), Queries(world))  # type: ignore[arg-type]
         assert checker(Queries(world)).success  # type: ignore[arg-type]
-        # The fork lies on the fabric, let go, and did not go through it.
+        # The fork lies on the fabric, released, and did not go through it.
         assert world.are_touching("cutlery", "napkin") and not world.holding_sides("cutlery")
         assert not world.are_touching("cutlery", "table")
 

@@ -141,7 +141,7 @@ def package():
 
 @pytest.fixture
 def checkout(package, tmp_path, monkeypatch, contents):
-    """A MENAGERIE_ROOT in which the files have names of their own."""
+    """A MENAGERIE_ROOT with renamed files."""
     folder = tmp_path / "menagerie/i2rt_yam/assets/linear"
     folder.mkdir(parents=True)
     (folder / "renamed_part.stl").write_bytes(contents["part.stl"])

@@ -13,7 +13,7 @@ from yamsim_cli.mesh_download.fetch import default_sources, fetch
 
 @dataclass
 class Fake:
-    """A source that gives what it was made with, or fails, and remembers being asked."""
+    """A source that returns given files, or fails, and counts requests."""
 
     name: str
     files: dict[str, bytes] | None = None

@@ -1,4 +1,4 @@
-"""What a command shows and the store lacks is fetched once, unless the user is offline or wants primitives."""
+"""A set that a command shows and the store lacks is fetched once, unless offline or with primitives."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ Look = Callable[..., tuple[Meshes, list[str]]]
 
 @pytest.fixture
 def look(world: AssetFixture, local_pip: None, monkeypatch: pytest.MonkeyPatch) -> Look:
-    """Look for the tiny set as a command does: the folders of meshes, and what the user is told."""
+    """Look for the small set as a command does. Return the folders of meshes, and the notes to the user."""
     monkeypatch.setenv("MENAGERIE_ROOT", str(world.index))
 
     def found(**environ: str) -> tuple[Meshes, list[str]]:

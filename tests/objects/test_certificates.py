@@ -1,4 +1,4 @@
-"""Certificates on the disk, and what a recording makes of them."""
+"""Certificates on the disk, and their effect on a recording."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def test_a_certificate_is_of_one_thing_as_it_was(bowl: ObjectConfig, tmp_path: P
     assert find_certificate(tmp_path, bowl, lock) == (stands := find_certificate(tmp_path, bowl, lock))
     assert (stands.status, stands.path) == (CertificateStatus.GOOD, path)
     assert find_certificate(tmp_path, changed(bowl), lock).status is CertificateStatus.STALE
-    # The kitchen's bowl is called the same, and is another thing.
+    # The kitchen's bowl has the same name, and is another object.
     ours = load_config(ObjectConfig, "objects", "kitchen_bowl", locations)
     assert find_certificate(tmp_path, ours, lock).status is CertificateStatus.NONE
     store_certificate(tmp_path, bowl, lock, BAD, {})

@@ -1,4 +1,4 @@
-"""What is fitted to surfaces that are known."""
+"""Fits to surfaces with known parameters."""
 
 from __future__ import annotations
 
@@ -112,7 +112,7 @@ def test_a_bowl_is_a_floor_and_rings_to_put_things_in() -> None:
     assert made.data["preposition"] == "in"
     assert "grasp" not in made.data
     assert made.data["rest_height"] == 0.0
-    # Nothing stands in the hollow.
+    # Nothing is in the hollow.
     hollow = np.array([(r, 0, z) for r, z in ((0.0, 0.02), (0.03, 0.02), (0.06, 0.045))])
     assert (signed_distance(made.fit.parts, hollow) > 0.005).all()
 

@@ -1,4 +1,4 @@
-"""What a read thing becomes: mass, hollows, looks, and the config of what moves."""
+"""Import of a read object: mass, hollows, looks, and configs of moving parts."""
 
 from __future__ import annotations
 
@@ -95,7 +95,7 @@ def test_the_first_proposed_place_of_a_faceted_mug_keeps_the_fingers_off_its_han
     made = import_file(file, UnitOptions(), ImportOptions("mug", mass=0.3), where, tmp_path / "mug.yaml")
     item = load_config(ObjectConfig, "objects", str(made.path), where)
     assert item == made.config and item.grasp is not None and item.grasp.friction is not None
-    # Straight down across 19 degrees, where the body is narrowest, a finger would come down on the handle.
+    # Straight down across 19 degrees, the narrowest direction, a finger would hit the handle.
     angles = [point.axis_deg for point in item.grasp.friction.points]
     assert angles[-1] == 19 and item.grasp.axis_deg == angles[0]
     assert min(abs(item.grasp.axis_deg), abs(item.grasp.axis_deg - 180)) > 45

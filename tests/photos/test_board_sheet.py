@@ -41,7 +41,7 @@ def reportlab():
 
 
 def detect(image, dictionary="DICT_6X6_250", refine=cv2.aruco.CORNER_REFINE_NONE):
-    """Id -> corners (4, 2) of the markers in an image."""
+    """Return id -> corners (4, 2) of the markers in an image."""
     parameters = cv2.aruco.DetectorParameters()
     parameters.cornerRefinementMethod = refine
     known = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, dictionary))
@@ -50,7 +50,7 @@ def detect(image, dictionary="DICT_6X6_250", refine=cv2.aruco.CORNER_REFINE_NONE
 
 
 def assert_true_size(image, px_per_mm, board):
-    """All markers found, as far apart as on the board: within 0.1 mm and, over the whole board, 0.1 %."""
+    """Assert that all markers are found, at the board's distances: within 0.1 mm and, over the whole board, 0.1 %."""
     found = detect(image, board.dictionary, cv2.aruco.CORNER_REFINE_SUBPIX)
     assert tuple(sorted(found)) == board.ids
     seen = np.array([found[i] for i in board.ids]) / px_per_mm
@@ -58,7 +58,7 @@ def assert_true_size(image, px_per_mm, board):
     assert np.abs((seen - seen.mean((0, 1))) - (true - true.mean((0, 1)))).max() < 0.1
     edges = np.linalg.norm(seen - np.roll(seen, 1, axis=1), axis=2)
     assert np.abs(edges - board.marker_length * 1000).max() < 0.1
-    # Centres: the edge's smear cancels out.
+    # Centres, because the edge's blur cancels out.
     spread = np.linalg.norm(seen.mean(1)[-1] - seen.mean(1)[0]) / np.linalg.norm(true.mean(1)[-1] - true.mean(1)[0])
     assert spread == pytest.approx(1, abs=1e-3)
 
@@ -182,7 +182,7 @@ def test_a_png_prints_at_true_size(board):
     assert np.array(image.shape) / px_per_metre * 1000 == pytest.approx([297, 210], abs=0.05)
     assert_true_size(image, px_per_metre / 1000, board)
 
-    # The marker's edge, pixel by pixel: its scale is off by what the whole number of pixels per metre loses.
+    # The marker's edge, pixel by pixel: its scale differs by the rounding of pixels per metre to an integer.
     column = np.flatnonzero((image < 128).sum(axis=0) > 0.1 * image.shape[0])
     runs = np.split(column, np.flatnonzero(np.diff(column) > 1) + 1)
     edges = [len(run) for run in runs if len(run) > 200]
@@ -233,7 +233,7 @@ def test_a_camera_sees_the_corners_where_the_board_frame_puts_them():
     cell, quiet = 20, 2
     image = board_image(BOARD, cell, quiet)
     camera = Intrinsics(640, 480, 600, 600, 319.5, 239.5)
-    # Facing the camera, turned by 180 degrees about x, then tilted and turned.
+    # Facing the camera, rotated by 180 degrees about x, then tilted and turned.
     T_board_in_cam = pose((0.01, -0.02, 0.35), rotation_from_vector((0.3, 0.4, 0.2)) @ np.diag([1.0, -1.0, -1.0]))
     scale = BOARD.marker_length / (8 * cell)
     middle = (np.array(image.shape[::-1]) - 1) / 2

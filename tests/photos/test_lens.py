@@ -1,4 +1,4 @@
-"""Projection, viewing rays and bent pictures, against OpenCV's own projection."""
+"""Projection, viewing rays and distorted pictures, against OpenCV's projection."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ CAMERAS = pytest.mark.parametrize("camera", [PLAIN, WEBCAM, WIDE], ids=["plain",
 
 
 def whole_image(camera: CameraModel, step: int = 16) -> np.ndarray:
-    """Pixels (n, 2) on a grid up to the very corners."""
+    """Pixels (n, 2) on a grid up to the corners."""
     x, y = (np.append(np.arange(-0.5, side - 0.5, step), side - 0.5) for side in (camera.width, camera.height))
     return np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
 
@@ -48,7 +48,7 @@ def test_the_ray_field_is_the_rays(camera: CameraModel) -> None:
     field = viewing_ray_grid(camera, x, y)
     assert field.shape == (len(y), len(x), 2)
     exact = viewing_rays(camera, np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)).reshape(field.shape)
-    # In pixels, the interpolation's and single precision's share together.
+    # In pixels, the error of interpolation and single precision together.
     assert np.abs(field - exact).max() * camera.focal < 5e-4
 
 
@@ -61,7 +61,7 @@ def test_nothing_in_nothing_out() -> None:
 def test_points_of_an_ideal_picture_come_out_where_the_lens_has_them(camera: CameraModel, supersample: int) -> None:
     warp = LensWarp(camera, supersample)
     ideal = warp.ideal
-    # A soft blob for each viewing ray, drawn where the ideal camera has it.
+    # A soft blob for each viewing ray, where the ideal camera has it.
     pixels = np.stack(np.meshgrid(np.linspace(40, camera.width - 40, 5), np.linspace(40, camera.height - 40, 4)), -1)
     pixels = pixels.reshape(-1, 2) + 0.3
     directions = viewing_rays(camera, pixels)
@@ -79,7 +79,7 @@ def test_points_of_an_ideal_picture_come_out_where_the_lens_has_them(camera: Cam
         weights = bent[patch]
         r, c = np.mgrid[patch]
         found = np.array([(weights * c).sum(), (weights * r).sum()]) / weights.sum()
-        # A blob on a bent grid is itself bent a little.
+        # A blob on a distorted grid is itself distorted a little.
         assert np.linalg.norm(found - (x, y)) < 0.06
 
 
@@ -96,7 +96,7 @@ def test_labels_stay_labels(camera: CameraModel) -> None:
 
 @CAMERAS
 def test_flattening_undoes_the_lens(camera: CameraModel) -> None:
-    """A photo bent by the lens and flattened again is the ideal picture it was made of, wherever the lens sees."""
+    """A distorted photo, undistorted, is the ideal picture, wherever the lens sees."""
     warp = LensWarp(camera, 1)
     ideal = warp.ideal
     rows, columns = np.mgrid[: ideal.height, : ideal.width]

@@ -1,4 +1,4 @@
-"""What is laid over a photo, and that it hides as little as it can."""
+"""Drawings over a photo hide as little as possible."""
 
 from __future__ import annotations
 

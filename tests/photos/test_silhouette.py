@@ -1,4 +1,4 @@
-"""Outlines, the edges beside them, and what moves one onto the other."""
+"""Outlines, edges beside them, and the motion from one to the other."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ K = np.array([[500.0, 0, 160], [0, 500, 120], [0, 0, 1]])
 def disk(
     centre: tuple[float, float] = CENTRE, radius: float = RADIUS, shape: tuple[int, int] = (240, 320)
 ) -> np.ndarray:
-    """A grey disk on a lighter ground, smooth as a lens leaves it; its edge where the brightness is half."""
+    """A grey disk on a lighter ground with a blurred edge at half brightness."""
     rows, columns = np.mgrid[: shape[0], : shape[1]]
     inside = np.clip(radius - np.hypot(columns - centre[0], rows - centre[1]) + 0.5, 0, 1)
     return cv2.GaussianBlur((180 - 120 * inside).astype(np.float32), (0, 0), 0.7).astype(np.uint8)
@@ -79,7 +79,7 @@ def test_what_has_no_edge_counts_as_far() -> None:
 
 
 def test_large_photos_are_looked_at_in_larger_grains() -> None:
-    """The same picture four times as large has four times the offset, not one out of reach."""
+    """The same picture at four times the size has four times the offset, and stays within reach."""
     assert [grain_px((480, 640)), grain_px((720, 1280, 3)), grain_px((3000, 4000))] == [1, 1, 4]
     shape = (2400, 3200)
     line = mask_outline(mask((1600.0, 1200.0), 600.0, shape))
@@ -89,11 +89,11 @@ def test_large_photos_are_looked_at_in_larger_grains() -> None:
 
 
 def test_a_flat_disk_is_pulled_back_onto_its_picture() -> None:
-    """Seen straight on from 1 m with 500 px, 6 px to the side is 12 mm; what edges cannot tell is left as it was."""
+    """Seen straight on from 1 m with 500 px, 6 px to the side is 12 mm; directions without information stay."""
     photo = disk((166.0, 116.0))
     T = pose((0, 0, 1.0))
     so_far = np.zeros(6)
-    # A disk's turn hardly shows; left free, it would make up for some of the shift.
+    # A disk's rotation hardly shows; left free, it would compensate some of the shift.
     weak = np.diag([1e6] * 3 + [10.0] * 3)
     for reach in search_radii():
         centre = (160 + 500 * T[0, 3] / T[2, 3], 120 + 500 * T[1, 3] / T[2, 3])
@@ -112,7 +112,7 @@ def test_what_the_boards_know_is_not_given_up() -> None:
     part = edge_equations(line, np.ones(len(line.points)), offsets, K, np.array([0, 0, 1.0]))
     sure = np.diag([1e8] * 3 + [1e10] * 3)
     assert np.linalg.norm(solve_correction([part], np.array([0, 0, 1.0]), sure, np.zeros(6)).step) < 1e-5
-    # And having left it, it is drawn back.
+    # The correction brings it back.
     back = solve_correction([part], np.array([0, 0, 1.0]), sure, np.array([0, 0, 0, 0.01, 0, 0])).step
     assert back[3] == pytest.approx(-0.01, abs=1e-4)
 

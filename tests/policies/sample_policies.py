@@ -12,12 +12,12 @@ from typing import Any, ClassVar
 import numpy as np
 
 HOME = np.array([0, 1.92, 2.22, -1.55, 0, 0, 0.0375])
-# The arm turned about its base, the fingers half closed.
+# The arm rotated about its base, the fingers half closed.
 ASIDE = np.array([0.5, 1.92, 2.22, -1.55, 0, 0, 0.0175])
 
 
 class Still:
-    """Stays at the start, blind."""
+    """Stays at the start, without images."""
 
     images = ()
 
@@ -29,7 +29,7 @@ class Still:
 
 
 class Seeing(Still):
-    """Wants the wrist camera alone, and tells what it saw by where it goes."""
+    """Requests the wrist camera alone, and encodes the picture in its action."""
 
     images = ("wrist",)
 
@@ -40,7 +40,7 @@ class Seeing(Still):
 
 
 class Faulty(Still):
-    """Every third trial goes wrong in another way; which, it tells by its seed."""
+    """Every third trial has a fault, which the seed selects."""
 
     def reset(self, seed: int) -> None:  # type: ignore[override]
         self.seed, self.calls = seed % 5, 0
@@ -61,7 +61,7 @@ class Faulty(Still):
 
 
 class Suicidal(Still):
-    """Ends its process in the second trial, whoever asks."""
+    """Ends its process in the second trial."""
 
     def reset(self, seed: int) -> None:  # type: ignore[override]
         self.seed = seed
@@ -73,7 +73,7 @@ class Suicidal(Still):
 
 
 class Random(Still):
-    """Trembles, by its seed alone."""
+    """Random motion that depends on its seed alone."""
 
     def reset(self, seed: int) -> None:  # type: ignore[override]
         self.rng = np.random.default_rng(seed)
@@ -100,7 +100,7 @@ class WantsTooMuch(Still):
 
 
 class Forker(Still):
-    """Leaves a copy of its process behind in every trial, which goes on as if it were the first; counts its calls."""
+    """Leaves a fork of its process in every trial, which goes on as if it were the original; counts its calls."""
 
     def reset(self) -> None:
         self.calls = 0
@@ -108,19 +108,19 @@ class Forker(Still):
     def __call__(self, observation: Mapping[str, Any]) -> Mapping[str, Any]:
         self.calls += 1
         if self.calls == 2 and os.fork() == 0:
-            # Should it live on all the same, not for ever.
+            # In case it survives.
             signal.alarm(20)
         return {"ctrl": HOME, "done": self.calls == 3}
 
 
 class Blind(Still):
-    """Could see, and does not look."""
+    """Could render, and does not."""
 
     images = ("scene", "wrist")  # type: ignore[assignment]
 
 
 class Knowing(Still):
-    """Is told where things are and how fast the joints move, and keeps what it was told."""
+    """Requests object poses and joint velocities, and keeps its observations."""
 
     wants = ("objects", "velocities")
     seen: ClassVar[list[Mapping[str, Any]]] = []
@@ -135,7 +135,7 @@ class Knowing(Still):
 
 
 class Remembering(Still):
-    """Looks at a picture only when the next one is there."""
+    """Reads a picture only when the next one exists."""
 
     images = ("scene",)  # type: ignore[assignment]
     seen: ClassVar[list[Mapping[str, Any]]] = []
@@ -151,7 +151,7 @@ class Remembering(Still):
 
 
 class Swallows(Still):
-    """Goes on whatever happens when it looks."""
+    """Ignores all exceptions of reading."""
 
     images = ("scene",)  # type: ignore[assignment]
 
@@ -162,14 +162,14 @@ class Swallows(Still):
 
 
 class OnGpu:
-    """As a tensor that no array can be made of."""
+    """A tensor that cannot become an array."""
 
     def __array__(self, *args: Any, **kwargs: Any) -> Any:
         raise TypeError("can't convert cuda:0 device type tensor to numpy")
 
 
 class Unsendable(Still):
-    """Answers with what cannot travel; with what, it is told by the time."""
+    """Answers with unsendable values, which the time selects."""
 
     ANSWERS: ClassVar[list[Any]] = [
         {"ctrl": object()},
@@ -186,7 +186,7 @@ class Unsendable(Still):
 
 
 class Chunked(Still):
-    """Answers with a chunk of actions, each lasting two control ticks, that turn the arm's base further and further."""
+    """Answers with a chunk of actions, each of two control ticks, that rotate the arm's base further and further."""
 
     def __init__(self, actions: int = 10, step: float = 0.01) -> None:
         self._actions, self._step = actions, step

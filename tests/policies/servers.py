@@ -1,4 +1,4 @@
-"""Small servers for policies' clients: honest ones, and ones that say whatever a test wants."""
+"""Small servers for policy clients: correct ones, and ones with any answer."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Infer = Callable[[Mapping[str, Any]], Any]
 
 @contextmanager
 def act_server(infer: Infer) -> Iterator[str]:
-    """An /act server; what `infer` gives is the answer, bytes as they are. Its port, as a URL."""
+    """An /act server; `infer` returns the answer, bytes unchanged. Returns its URL."""
 
     class Handler(BaseHTTPRequestHandler):
         protocol_version = "HTTP/1.1"
@@ -47,7 +47,7 @@ def act_server(infer: Infer) -> Iterator[str]:
 
 @contextmanager
 def openpi_server(answer: Callable[[bytes], bytes | str], metadata: bytes = b"\x80") -> Iterator[str]:
-    """A WebSocket server of another library that answers bytes with bytes or a text. Its URL."""
+    """A WebSocket server of another library that answers bytes with bytes or a text. Returns its URL."""
     from websockets.sync.server import ServerConnection, serve
 
     def handle(connection: ServerConnection) -> None:
@@ -93,7 +93,7 @@ def read_request(connection: socket.socket) -> bytes:
 
 @contextmanager
 def raw_server(answer: Callable[[socket.socket], None]) -> Iterator[int]:
-    """A port whose every connection is handed to `answer`, and closed after it.
+    """A port whose every connection is passed to `answer`, and closed afterwards.
 
     An `answer` that speaks HTTP reads each request with `read_request`.
     """
@@ -108,7 +108,7 @@ def raw_server(answer: Callable[[socket.socket], None]) -> Iterator[int]:
                 with connection, suppress(OSError):
                     connection.settimeout(5)
                     answer(connection)
-                    # Closed with something unread, it would take back what it said.
+                    # Closing with unread data would discard the sent answer.
                     connection.shutdown(socket.SHUT_WR)
                     while connection.recv(65536):
                         pass

@@ -1,4 +1,4 @@
-"""What a policy server may answer: limits of bytes, values and actions, for all protocols."""
+"""Limits of a policy server's answer: bytes, values and actions, for all protocols."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from yamsim_cli.policies.policy_client import MAX_VALUES, DamagedMessageError, R
 from yamsim_cli.policies.policy_protocol import ActionChunk, InvalidActionError, read_chunk
 from yamsim_cli.policies.remote_policy import MessageError, RemotePolicy, pack_message, unpack_message
 
-_MOST_MEMORY = 40_000_000  # Bytes while an answer is read: ten times the largest one that is read.
+_MOST_MEMORY = 40_000_000  # bytes during the reading of an answer: ten times the largest accepted one
 
 
 def _peak(work: Callable[[], Any]) -> int:
-    """The largest number of bytes that Python and numpy had allocated at once."""
+    """Largest number of bytes that Python and numpy had allocated at once."""
     tracemalloc.start()
     try:
         work()
@@ -126,7 +126,7 @@ def test_a_chunk_has_a_horizon() -> None:
 
 
 def test_chunks_that_can_act_no_more_are_dropped() -> None:
-    """Asked after each action, a player that does not average keeps two chunks at most."""
+    """With a request after each action, a scheduler without averaging keeps at most two chunks."""
     player = ChunkScheduler(ChunkSettings(execute=1), 0.032, 1, np.zeros((1, 7)))
     for tick in range(200):
         player.add_chunk(ActionChunk(np.full((1000, 1, 7), tick), np.zeros((1000, 1), bool), False), tick, 0.0)

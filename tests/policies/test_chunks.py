@@ -1,4 +1,4 @@
-"""What acts when: chunks of actions that follow each other, overlap, come late, or run out."""
+"""Scheduling of chunks that follow each other, overlap, come late, or run out."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ REST = np.full((1, 7), -1.0)
 
 
 def chunk(first: float, actions: int, *, ticks: int = 1, done: bool = False, welds: bool = False) -> ActionChunk:
-    """Actions that count up from a number, by which they are known."""
+    """Actions that count up from a number, which identifies them."""
     ctrl = np.repeat(first + np.arange(actions, dtype=float), 7).reshape(actions, 1, 7)
     return ActionChunk(ctrl, np.full((actions, 1), welds), done, ticks * TICK)
 
 
 def played(player: ChunkScheduler, ticks: int, actions: int = 5, *, per: int = 1, seconds: float = 0.0) -> list[float]:
-    """What acts on each tick, where every chunk's actions are the ticks that they are for, plus a thousandth for each
-    chunk before.
+    """Return the executed actions per tick. Each chunk's actions are its ticks, plus a thousandth for each earlier
+    chunk.
     """
     acted, asked = [], 0
     for now in range(ticks):
@@ -43,7 +43,7 @@ def test_all_of_a_chunk_acts_before_the_next_is_asked_for() -> None:
 def test_actions_may_last_several_ticks_or_parts_of_one() -> None:
     assert played(ChunkScheduler(ChunkSettings(), TICK, 1, REST), 5, per=2) == [0, 0, 2, 2, 4]
     player = ChunkScheduler(ChunkSettings(), TICK, 1, REST)
-    # At 50 a second on ticks of 32 ms: the action that is for the tick's beginning.
+    # At 50 a second on ticks of 32 ms: the action of the tick's beginning.
     rows = chunk(0, 5)
     player.add_chunk(ActionChunk(rows.ctrl, rows.magnet, False, 0.020), 0, 0.0)
     assert [player.next_command(now)[0][0, 0] for now in range(4)] == [0, 1, 3, 4]
@@ -59,12 +59,12 @@ def test_without_a_period_an_action_lasts_as_long_as_the_policy_says() -> None:
 
 def test_the_next_chunk_takes_over_after_some_actions() -> None:
     assert played(ChunkScheduler(ChunkSettings(execute=2), TICK, 1, REST), 6) == [0, 1, 2.001, 3.001, 4.002, 5.002]
-    # More than there are is all.
+    # More than the chunk has means all.
     assert played(ChunkScheduler(ChunkSettings(execute=9), TICK, 1, REST), 6) == [0, 1, 2, 3, 4, 5.001]
 
 
 def test_an_answer_that_comes_late_is_taken_up_where_it_would_be() -> None:
-    """In the meantime the arm goes on with what it has, then stays."""
+    """Meanwhile the arm continues with earlier actions, then stays."""
     player = ChunkScheduler(ChunkSettings(execute=3, latency=2 * TICK), TICK, 1, REST)
     #                            waits   stale 0, 1       asked at 3: 0.001 from 5 on
     assert played(player, 9) == [-1, -1, 2, 3, 4, 5.001, 6.001, 7.001, 8.002]

@@ -1,4 +1,4 @@
-"""The clients of other programs' policies: what is sent, what is understood, and that no peer does any harm."""
+"""Clients of other programs' policies: messages, answers, and harmless peers."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ MESSAGE = {"picture": np.arange(60, dtype=np.uint8).reshape(4, 5, 3), "state": n
 
 
 def doubled(message: Mapping[str, Any]) -> dict[str, Any]:
-    """Actions by which it is seen that all of a message arrived."""
+    """Actions that show whether the whole message arrived."""
     assert message["picture"].dtype == np.uint8
     assert message["picture"][3, 4, 2] == 59
     assert message["prompt"] == "p"
@@ -63,7 +63,7 @@ def test_openpi_sends_arrays_and_understands_them() -> None:
         client.begin(0)
         for _ in range(3):
             np.testing.assert_array_equal(client.infer(MESSAGE)["actions"], np.full((3, 14), 2.0))
-        # Longer than a frame's short forms of a length.
+        # Longer than the short forms of a frame's length.
         client.infer({**MESSAGE, "more": np.zeros(300_000, np.uint8)})
         client.close()
 
@@ -207,7 +207,7 @@ def test_what_is_no_answer_of_openpi_is_told(said: bytes, told: str) -> None:
         except RemoteError as error:
             assert re.search(told, str(error)), str(error)
         else:
-            # A type of msgpack's own that nobody knows is only a value that is none.
+            # An unknown type of msgpack is an invalid value.
             assert "ExtType" in told
         client.close()
 
@@ -285,7 +285,7 @@ def test_arrays_survive_both_formats(dtype: str) -> None:
 
 @pytest.mark.parametrize("seed", range(4))
 def test_noise_is_refused_or_read_and_nothing_else(seed: int) -> None:
-    """A good message with bytes that were changed."""
+    """A good message with changed bytes."""
     rng = np.random.default_rng(seed)
     good = {"actions": np.zeros((3, 14)), "n": 1, "text": "t"}
     for load, data in ((load_json, dump_json(good)), (unpack_openpi, pack_openpi(good))):
@@ -300,7 +300,7 @@ def test_noise_is_refused_or_read_and_nothing_else(seed: int) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("make", [ActClient, OpenpiClient])
 def test_thousands_of_spoilt_answers_are_refused_or_read_and_memory_stays(make: Callable[..., Any]) -> None:
-    """Over the wire: bytes changed anywhere in good answers, the protocol's own heads included, or cut short."""
+    """Over the wire: changed bytes anywhere in good answers, the protocol's headers included, or cut short."""
     rng = np.random.default_rng(0)
     good = {"actions": np.zeros((30, 14)), "dt_ms": 20.0}
     whole = http_answer(dump_json(good)) if make is ActClient else frame(pack_openpi(good))
@@ -343,7 +343,7 @@ def test_an_array_is_no_larger_than_its_bytes() -> None:
 
 
 def test_no_client_unpickles() -> None:
-    """Neither they nor what they are made of know pickle."""
+    """Neither clients nor their modules use pickle."""
     folder = Path(__file__).parents[2] / "yamsim_cli/policies"
     for path in folder.glob("*.py"):
         assert not re.search(r"(?<!\.)\b(pickle|allow_pickle|np\.load|eval\(|exec\()", path.read_text()), path.name

@@ -1,4 +1,4 @@
-"""Where things are as a row of numbers: the same in an export, and in what a policy is told."""
+"""Object poses as a row of numbers: the same in an export, and in a policy's observation."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from yamsim_cli.policies.lerobot import check_rows
 
 
 class StateOnlyClient:
-    """A client that is only told things."""
+    """A client that only receives observations."""
 
     def begin(self, seed: int) -> None: ...
 
@@ -54,7 +54,7 @@ def test_a_row_has_a_position_two_axes_and_joints() -> None:
     ("rig", "task", "grasp", "things", "width"),
     [
         ("single", "pickplace", "weld", ["banana", "plate"], 18),
-        # Its base is not at the world's origin.
+        # The base is not at the world's origin.
         ("russet", "handover", "weld", ["banana", "plate"], 18),
         ("yam_station_linear_4310_d405", "drawer", "contact", ["cabinet", "cube"], 19),
     ],

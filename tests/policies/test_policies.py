@@ -1,4 +1,4 @@
-"""What a policy may answer, how it is found, and what travels to another process."""
+"""Answers of a policy, loading of policies, and messages to another process."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def test_several_actions_are_a_chunk() -> None:
     assert (chunk.magnet.tolist(), chunk.period) == ([[False], [True], [True]], 0.02)
     two = read_chunk({"ctrl": np.zeros((2, 14)), "magnet": [[0, 1], [1, 0]]}, 2, 7)
     assert (two.ctrl.shape, two.magnet.tolist()) == ((2, 2, 7), [[False, True], [True, False]])
-    # One for all of them.
+    # One value for all of them.
     assert read_chunk({"ctrl": np.zeros((3, 7)), "magnet": True}, 1, 7).magnet.tolist() == [[True]] * 3
 
 
@@ -152,7 +152,7 @@ def test_messages_come_back_as_they_went() -> None:
         np.testing.assert_array_equal(found[key], message[key])
         assert found[key].dtype == message[key].dtype  # type: ignore[attr-defined]
     assert (found["flag"], found["text"], found["n"], found["x"]) == (True, "banana", 3, 0.5)
-    # It may be written to.
+    # The array is writable.
     found["image"][0, 0, 0] = 9
 
 

@@ -1,4 +1,4 @@
-"""A policy in another process: the same answers as here, and every fault told to the client."""
+"""A policy in another process: the same answers, and every fault reported to the client."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ def test_images_and_ticks_are_the_servers_policys() -> None:
 def test_faults_are_told_as_those_of_a_policy_here(
     make_config: Callable[..., RecordConfig], locations: Locations
 ) -> None:
-    # One after the other: the server answers nobody else while it does not answer in the last one.
+    # One after the other: the server answers nobody else while it hangs in the last one.
     config = make_config({("episodes",): 4, ("workers",): 1})
     with served("Faulty") as url:
         found = evaluate(Session(config, locations), PolicyChoice(url, HERE, call_seconds=2.0), lambda *_: None)
@@ -93,7 +93,7 @@ def test_faults_are_told_as_those_of_a_policy_here(
     assert re.fullmatch(
         r"KeyError: 'no such thing' \(.*sample_policies.py:\d+, in __call__\), after 3 ticks", told[0][1]
     )
-    # The server's, whole.
+    # The server's whole traceback.
     assert found.results[0].traceback.startswith("Traceback (most recent call last):")
     assert 'raise KeyError("no such thing")' in found.results[0].traceback
     assert "yamsim_cli" not in found.results[0].traceback

@@ -1,4 +1,4 @@
-"""Attempts without robots: small payloads that follow from their numbers alone, made in the test's own process."""
+"""Fake attempts: small payloads that follow from their numbers, made in the test's process."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The room that `record` asks for before it starts, of tasks as data."""
+"""The disk space that `record` requires before it starts, for program tasks."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def test_a_programs_typical_duration_is_near_what_was_recorded(task: str) -> Non
 
 
 def test_a_task_as_data_starts_on_a_disk_that_has_room_for_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Three episodes of `tower` took 9.1 MB and 2193 files where they were measured."""
+    """Source: three episodes of `tower` took 9.1 MB and 2193 files."""
     disk = SimpleNamespace(f_frsize=4096, f_bavail=14_000_000 // 4096, f_files=10_000, f_favail=3_000)
     monkeypatch.setattr(os, "statvfs", lambda place: disk)
     told: list[str] = []
@@ -78,7 +78,7 @@ def test_what_is_recorded_takes_about_the_room_that_was_estimated(
     record(tmp_path / "d", 1, seed=3, task=task, size=(64, 48), quality="fast")
     episode = tmp_path / "d" / "ep_000000"
     real = len(list(episode.rglob("*")))
-    # As many inodes as 0.7 and 2 episodes have: the estimate lies between.
+    # Inodes of 0.7 and 2 episodes: the estimate lies between.
     for inodes, fits in ((2 * real, True), (real * 7 // 10, False)):
         disk = SimpleNamespace(f_frsize=4096, f_bavail=10**9, f_files=10**6, f_favail=inodes)
         told: list[str] = []

@@ -1,4 +1,4 @@
-"""A task that cannot work is given up soon, whoever made the attempts; one that only fails often is not."""
+"""An impossible task is given up soon, with any executor; one that only fails often is not."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def recording(make_config: Make, tmp_path: Path) -> Recording:
 
 @pytest.fixture
 def asked(monkeypatch: pytest.MonkeyPatch) -> Asked:
-    """What was asked of the starts, all of which are out of reach."""
+    """Record the requested starts, all of which are out of reach."""
     asked: Asked = []
 
     def answer(session: Session, cause: FailureCause, first: int) -> bool:
@@ -135,7 +135,7 @@ def test_a_task_that_works_too_rarely_is_given_up_with_what_there_is(recording: 
 
 
 def test_a_lone_episode_is_given_as_many_attempts(recording: Recording) -> None:
-    """With 20 attempts, one recording of 87 of a task that works one time in five would be given up."""
+    """With 20 attempts, one in 87 recordings of a task with success rate 1/5 would be given up."""
     recording.config = recording.config.model_copy(update={"episodes": 1})
     report = recording.run(Inline(failing(FailureCause.SLIPPED, but=lambda attempt: attempt == 60)))
     assert (report.episodes, report.attempts) == (1, 61)
@@ -162,7 +162,7 @@ FARTHER_AND_FARTHER = {("task", "starts", role, "x"): [0.55, 1.00] for role in (
             {("task", "starts", "target", "apart"): 0.9}, FailureCause.NO_LAYOUT, True, marks=pytest.mark.slow
         ),
         ({("task", "starts", "target", "apart"): 0.1}, FailureCause.NO_LAYOUT, False),
-        # Which is for physics to say.
+        # Only physics can tell.
         (FAR, FailureCause.SLIPPED, False),
     ],
 )

@@ -27,7 +27,7 @@ def test_without_ray_its_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None
 
 @pytest.fixture(scope="module")
 def cluster() -> Iterator[Any]:
-    """A head without a CPU, and two nodes with one each: so a node can be lost and the rest goes on."""
+    """A head without a CPU, and two nodes with one each, so that a node can be lost."""
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
     pytest.importorskip("ray")
     from ray.cluster_utils import Cluster
@@ -79,7 +79,7 @@ class TestOnACluster:
     def test_a_node_that_would_draw_otherwise_is_refused_at_the_start(
         self, cluster: Any, config: RecordConfig, locations: Locations
     ) -> None:
-        """As one does whose meshes, or whose yamsim, are not the recorder's."""
+        """For example because its meshes or its yamsim differ from the recorder's."""
         noted = config.model_copy(update={"meshes": {"i2rt_yam_crank": "full " + "0" * 64, "ycb": "primitives"}})
         with RayExecutorFactory(cluster[0].address).open(Session(noted, locations), 1) as executor:
             executor.submit(AttemptJob(0, 0))

@@ -1,4 +1,4 @@
-"""Every single call that changes the disk fails once, or is the last one ever: --resume mends it, nothing is lost."""
+"""Each call that changes the disk fails once, or is the last one: --resume repairs the dataset, nothing is lost."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def run(config: RecordConfig, path: Path, mode: OpenMode, *, staged: bool = Fals
 
 @pytest.fixture(autouse=True)
 def _no_waiting_for_the_disk(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What is flushed shows only after a power cut; here flushing only counts, and fails."""
+    """Flushing matters only after a power failure; here it only counts, and fails."""
     monkeypatch.setattr(os, "fsync", lambda descriptor: None)
 
 
@@ -71,7 +71,7 @@ def config(make_config: Callable[..., RecordConfig]) -> RecordConfig:
 
 
 def assert_whole(path: Path) -> None:
-    """What there is can be read, and nothing half-written has a final name."""
+    """Assert that everything is readable, and nothing incomplete has a final name."""
     if not path.is_dir():
         return
     assert all(found.fault is None for found in inspect_episodes(path))
@@ -94,7 +94,7 @@ def every_third(calls: int, fault: Fault) -> range:
 def test_whichever_call_fails_nothing_is_lost(
     config: RecordConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fault: Fault, staged: bool
 ) -> None:
-    """With a stage two threads write, so that the n-th call is not always the same one."""
+    """With a stage two threads write, so the n-th call varies."""
     with monkeypatch.context() as patch:
         disk = FailingDisk(patch)
         run(config, tmp_path / "undisturbed", OpenMode.NEW, staged=staged)
@@ -113,7 +113,7 @@ def test_whichever_call_fails_nothing_is_lost(
                 assert "injected" in str(error) or "cannot be" in str(error), nth
         assert_whole(path)
         if survived:
-            # Only what tidies up may fail without a word.
+            # Only clean-up may fail silently.
             assert wanted.items() <= tree(path).items(), nth
         run(config, path, OpenMode.RESUME, staged=staged)
         assert tree(path) == wanted, nth
@@ -126,7 +126,7 @@ def test_whichever_call_fails_nothing_is_lost(
 def test_whichever_call_fails_in_resuming_nothing_is_lost(
     config: RecordConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fault: Fault
 ) -> None:
-    """From the state with the most to mend: a damaged episode, a lost one, a cut-off ledger, no manifest."""
+    """From the state with the most to repair: a damaged episode, a lost one, a truncated ledger, no manifest."""
 
     def damaged(path: Path) -> None:
         run(config, path, OpenMode.NEW)

@@ -35,7 +35,7 @@ def undisturbed(make_config: Make, tmp_path: Path) -> dict[str, bytes]:
 
 
 class Target:
-    """Stands at the dataset's door: lets so many episodes in, then refuses or keeps them waiting."""
+    """Lets a number of episodes into the dataset, then refuses or blocks them."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.room = 0
@@ -68,7 +68,7 @@ def waiting(recording: Recording) -> list[str]:
 
 
 def keep_all_in_the_stage(recording: Recording, target: Target, room: int = 0) -> None:
-    """Record while the target takes in no more than `room` episodes, and stop before the rest has arrived."""
+    """Record while the target accepts at most `room` episodes, and stop before the rest has arrived."""
     target.room, target.refuse = room, False
     stop = recording.stop
 
@@ -149,7 +149,7 @@ def test_a_user_who_does_not_wait_for_the_rest_finds_it_in_the_stage(
 ) -> None:
     keep_all_in_the_stage(recording, target)
     assert len(waiting(recording)) == 5
-    # As after the end of that process: its mover is stuck for good.
+    # As after the end of that process: its mover hangs forever.
     monkeypatch.undo()
     executor = Inline()
     recording.resume(executor)
@@ -177,7 +177,7 @@ def test_no_more_than_so_many_are_on_their_way(
 
     def release() -> None:
         target.reached.wait(30)
-        # Long enough for all five, did nothing hold them back.
+        # Long enough for all five if nothing blocked them.
         threading.Event().wait(1.0)
         most.append(len(waiting(recording)))
         target.open.set()

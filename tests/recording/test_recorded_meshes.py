@@ -1,4 +1,4 @@
-"""A dataset says which meshes it shows, and goes on with no others."""
+"""A dataset states its meshes, and continues with no others."""
 
 from __future__ import annotations
 
@@ -132,7 +132,7 @@ def test_of_another_configuration_its_keys_are_named_first(
 
 
 def test_a_recorded_config_asks_for_no_meshes_in_a_new_dataset(recording: Recording, meshes: Meshes) -> None:
-    """What it says of them was so for that dataset."""
+    """Its statement holds for that dataset only."""
     there = replace(Locations.find({}), meshes=meshes)
     recording.config = with_mesh_descriptions(Session(recording.config, there)).config
     recording.run()
@@ -140,7 +140,7 @@ def test_a_recorded_config_asks_for_no_meshes_in_a_new_dataset(recording: Record
 
 
 def says_nothing(dataset: Path) -> bool:
-    """Whether neither a dataset nor one of its episodes says which meshes it shows."""
+    """Whether neither a dataset nor one of its episodes states its meshes."""
     said = [
         load_yaml(dataset / "config.yaml").data,
         *map(json.loads, (p.read_text() for p in dataset.glob("*/*.json"))),
@@ -149,7 +149,7 @@ def says_nothing(dataset: Path) -> bool:
 
 
 class TestOfAnEarlierVersion:
-    """A dataset that does not say what it shows."""
+    """A dataset that does not state its meshes."""
 
     @pytest.fixture
     def old(self, recording: Recording, monkeypatch: pytest.MonkeyPatch) -> Recording:
@@ -226,14 +226,14 @@ FRUIT = {
 
 
 def test_every_cast_of_a_task_shows_the_meshes_that_the_recording_states(tmp_path: Path) -> None:
-    """The files of a set differ from cast to cast, and the recording states those of all things."""
+    """The files of a set differ between casts, and the recording states those of all objects."""
     session = session_of(tmp_path, FRUIT)
     meshes = stand_ins(tmp_path / "meshes", session.locations, "i2rt_yam_linear_4310", YCB, SMALL, OBJECTS)
     session = with_mesh_descriptions(replace(session, locations=replace(session.locations, meshes=meshes)))
     said = session.config.meshes
     assert said is not None and said[OBJECTS].startswith("full ")
     AttemptRunner(session, render=True).close()
-    # A worker that lacks one of the meshes, even if the first cast does not use it, is refused.
+    # A worker that lacks one of the meshes, even one that the first cast does not use, is refused.
     for mesh in ("012_strawberry", "018_plum", "015_peach"):
         other = stand_ins(tmp_path / mesh, session.locations, "i2rt_yam_linear_4310", YCB, SMALL, OBJECTS)
         assert other[OBJECTS] is not None

@@ -85,7 +85,7 @@ def test_a_lost_attempt_stays_lost_when_the_recording_is_resumed(recording: Reco
 def test_a_machine_that_loses_every_worker_is_not_believed(
     recording: Recording, undisturbed: dict[str, bytes], workers: int
 ) -> None:
-    """Attempts are not given up when none that began later came back: the next run makes them."""
+    """Attempts are not given up if no later attempt came back: the next run makes them."""
     with pytest.raises(PartialJobError, match=r"3 attempts in a row lost .*: [01] of 5 episodes are whole"):
         recording.run(Inline(lose=set(range(1, 100))), workers=workers)
     assert "worker_lost" not in recording.causes()
@@ -115,7 +115,7 @@ def test_a_damaged_episode_is_made_again_and_the_user_told(recording: Recording,
 
 
 def spoil(recording: Recording, *numbers: int, by: bytes = b"{\n") -> None:
-    """Put something else in the place of lines of the ledger."""
+    """Replace lines of the ledger."""
     ledger = recording.path / "attempts.jsonl"
     lines = ledger.read_bytes().splitlines(keepends=True)
     for number in numbers:
@@ -132,7 +132,7 @@ def without_damaged(path: Path) -> dict[str, bytes]:
 def test_what_a_broken_line_said_is_found_out_again(
     recording: Recording, undisturbed: dict[str, bytes], tmp_path: Path, lost: tuple[int, ...], staged: bool
 ) -> None:
-    """Attempts 1 and 4 failed; the others are told by their episodes."""
+    """Attempts 1 and 4 failed; the episodes tell the others."""
     recording.run()
     spoil(recording, *lost)
     spoiled = (recording.path / "attempts.jsonl").read_bytes()
@@ -175,7 +175,7 @@ def test_a_stop_before_a_lost_line_is_told_again_loses_nothing(
 
 @pytest.mark.parametrize("again", ["lost", "well"])
 def test_an_attempt_that_lost_its_workers_stays_without_an_episode(recording: Recording, again: str) -> None:
-    """Its line is lost too; the episodes that follow show that it gave none."""
+    """Its line is lost too; the following episodes show that it gave none."""
     recording.run(Inline(lose={2}))
     before = tree(recording.path)
     spoil(recording, 2)
@@ -256,7 +256,7 @@ def test_a_disk_without_room_is_refused_before_anything_is_made(
     monkeypatch.undo()
     recording.run()
     monkeypatch.setattr("os.statvfs", lambda place: full)
-    # A finished dataset needs no room.
+    # A complete dataset needs no space.
     recording.resume()
 
 

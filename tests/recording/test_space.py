@@ -18,7 +18,7 @@ SIZE = EpisodeSize(min_bytes=1_000_000, likely=4_000_000, min_inodes=100, inodes
 
 @pytest.fixture
 def disk(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
-    """A disk of 4 KB blocks, with as much on it as the test says."""
+    """A disk of 4 KB blocks, with a given free space."""
     state = SimpleNamespace(f_frsize=4096, f_bavail=0, f_files=10_000, f_favail=10_000)
     monkeypatch.setattr(os, "statvfs", lambda place: state)
     return state
@@ -67,7 +67,7 @@ def test_ground_truth_is_counted() -> None:
     image = ImageConfig(size_px=(640, 480), jpeg_quality=85)
     plain, truth = (EpisodeSize.estimate((57, 57), 2, image, 4096, truth=truth) for truth in (False, True))
     assert files_per_episode(57, 2, truth=False) == 57 * 3
-    # Depth and segmentation of each camera; its numbers; the labels; and the folders of them all.
+    # Depth and segmentation of each camera; its numbers; the labels; and their folders.
     assert truth.inodes - plain.inodes == 57 * 4 + 3 + 7
     # Measured with two cameras: 3.5 MB an episode.
     assert truth.min_bytes - plain.min_bytes < 3_500_000

@@ -1,4 +1,4 @@
-"""`--fps 30 --action joints`: the shape that real recordings of YAM stations have."""
+"""`--fps 30 --action joints`: the form of real recordings of YAM stations."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def test_state_and_action_are_joints_and_shares_the_left_arm_first(dataset: Path
     assert (action[:, arms] == told[:, arms]).all()
     assert state[:, hands] == pytest.approx(joints[:, hands] / 0.0475, abs=1e-6)
     assert action[:, hands].min() >= 0
-    # The right hand closes by 12 mm of 47.5 on the banana; the left one stays as it was.
+    # The right hand closes by 12 mm of 47.5 on the banana; the left one stays unchanged.
     assert np.ptp(state[:, 13]) > 0.2
     assert np.ptp(state[:, 6]) < 0.02
 

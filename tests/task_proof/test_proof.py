@@ -1,4 +1,4 @@
-"""The proof of a task: what it measures, and what it finds in tasks that are not what they say."""
+"""Validation of tasks: its checks, and its findings for faulty tasks."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def test_a_near_miss_that_counts_is_named(tmp_path: Path) -> None:
 
 
 def test_each_near_miss_starts_from_the_success(tmp_path: Path) -> None:
-    """The goal asks for one of two cubes alone: to put off the other one counts, whatever was tried before it."""
+    """The goal concerns one of two cubes: displacing the other one counts, whatever was tried before."""
     task = changed(
         {
             ("things", "cube", "count"): 2,

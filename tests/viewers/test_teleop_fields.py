@@ -1,4 +1,4 @@
-"""The target's numbers on the page, as a person types over them; a browser is in tests/e2e."""
+"""The target's number fields on the page, as a person types; a browser is in tests/e2e."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from yamsim_cli.viewers.teleop_page import TargetFields, hand_heading
 
 
 class Field:
-    """A field of a page; `typed` is a person's doing, setting `value` the program's."""
+    """A field of a page; `typed` is a user's action, setting `value` the program's."""
 
     def __init__(self, value: Any) -> None:
         self._value = value
@@ -38,7 +38,7 @@ class Field:
         asyncio.run(self._tell(SimpleNamespace(client=None)))
 
     def arrives(self, value: Any) -> None:
-        """What viser does before it tells anybody."""
+        """As viser acts before it notifies anybody."""
         self._value = value
 
     def typed(self, value: Any) -> None:
@@ -47,7 +47,7 @@ class Field:
 
 
 class Page:
-    """As much of viser as the fields need."""
+    """The part of viser that the fields need."""
 
     def add_vector3(self, label: str, value: Any, **_: Any) -> Field:
         self.place = Field(value)

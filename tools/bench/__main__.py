@@ -1,8 +1,8 @@
-"""`make bench`: what the main job costs on this machine, against a plain pipeline and against the least it could cost.
+"""`make bench`: cost of recording on this machine, against a plain pipeline and against the lower bound.
 
     python -m tools.bench [--episodes N] [--plain-episodes N] [--json FILE]
 
-Nothing here is a test: a slow machine fails nothing. Leave the machine alone meanwhile.
+A slow machine fails nothing. Leave the machine alone meanwhile.
 """
 
 from __future__ import annotations
@@ -22,19 +22,19 @@ from tools.bench.setting import use_gl
 if TYPE_CHECKING:
     from tools.bench.pipeline import PipelineFigures
 
-# What the widest table takes.
+# Width of the widest table, characters.
 _WIDTH = 122
 
 
 def main() -> None:
-    """Measure, print, and write the figures down when asked to."""
+    """Measure, print, and write the figures with --json."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--episodes", type=int, default=12, help="of ours, for each quality and number of workers")
     parser.add_argument("--plain-episodes", type=int, default=3, help="of the plain pipeline")
     parser.add_argument("--json", type=Path)
     arguments = parser.parse_args()
     renderer = use_gl()
-    # As `yamsim record` has it: a worker draws by itself, and there is one for each core.
+    # As in `yamsim record`: one rendering thread per worker, and one worker per core.
     os.environ.setdefault("LP_NUM_THREADS", "0")
 
     from tools.bench.parts import measure_parts

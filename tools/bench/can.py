@@ -1,8 +1,8 @@
-"""The maker's SDK on the simulated arm: how steadily it turns, and how far the arm drifts that nothing but it holds.
+"""The manufacturer's SDK on the simulated arm: period of its loop, and drift of an arm in gravity compensation.
 
     python -m tools.bench.can [--hold 60] [--float 10] [--rig RIG] [--channel CHANNEL]
 
-It runs in an environment of its own, as `make test-clients` makes it. Leave the machine alone meanwhile.
+It runs in its own environment, as `make test-clients` makes it. Leave the machine alone meanwhile.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Cloth in figures: folds by a task's expert, or drops and pulls of a cloth by itself.
+"""Measure cloth: folds by a task's expert, or drops and pulls of a single cloth.
 
 python -m tools.bench.cloth --fold fold_napkin --n 25
 python -m tools.bench.cloth --shake soft_napkin --n 60
@@ -31,17 +31,17 @@ from yamsim_cli.core.scene.cloth import add_cloth, flat_points, grid_edges, grid
 from yamsim_cli.core.sim.cloth import ClothConstraints
 from yamsim_cli.session_opener import SessionOpener
 
-# A drop or a pull takes so many steps of so long, s; the thing pulled at is let go after so many.
+# Steps of a drop or pull, their length (s), and the step that releases the pulled point.
 _STEPS, _STEP, _LET_GO = 300, 0.004, 225
-# Faster than this is no motion of cloth, m/s.
+# m/s; faster points are no motion of cloth
 _TOO_FAST = 20.0
-# Fingers that hold nothing are open so far each, m.
+# m, opening of each finger that holds nothing
 _OPEN = 0.02
 
 
 @dataclass
 class Sheet:
-    """What is seen of a cloth: its largest stretch, and how many of its edges went through its triangles at most."""
+    """Largest stretch of a cloth, and largest number of its edges that pass through its triangles."""
 
     grid: tuple[int, int]
     rest: Array
@@ -50,7 +50,7 @@ class Sheet:
     seconds: float = field(default=0.0)
 
     def see(self, points: Array) -> None:
-        """Look at the points (n, 3)."""
+        """Measure the points (n, 3)."""
         began = time.process_time()
         ends = grid_edges(*self.grid)
         lengths = [np.linalg.norm(at[ends[:, 0]] - at[ends[:, 1]], axis=1) for at in (points, self.rest)]
@@ -60,7 +60,7 @@ class Sheet:
 
 
 class _Watching:
-    """Sees the cloths of all simulations, every fourth control tick."""
+    """Measures the cloths of all simulations, every fourth control tick."""
 
     def __init__(self) -> None:
         self.sheets: dict[str, Sheet] = {}
@@ -78,7 +78,7 @@ class _Watching:
 
 
 def fold(task: str, count: int, first: int, spoilt: int) -> None:
-    """Attempts of a task's expert; of the first ones also without closing fingers, and let go half-way."""
+    """Attempts of a task's expert; the first ones also without closing fingers, and released half-way."""
     watching = _Watching()
     opener = SessionOpener(os.environ, lambda text: None, str)
     with Simulators(opener.open("default", renders=False, task=task)) as simulators:
@@ -106,7 +106,7 @@ def fold(task: str, count: int, first: int, spoilt: int) -> None:
 
 
 def _opened(simulator: Simulator, states: Sequence[StepState], share: float) -> ActionSequence:
-    """An episode's actions, with fingers open after a share of what is held, or throughout for 0."""
+    """An episode's actions, with fingers that open after `share` of the hold; 0 never closes them."""
     acting = ActionSequence(
         *(np.concatenate([getattr(s.actions, key) for s in states]) for key in ("ctrl", "magnet", "joints"))
     )
@@ -119,7 +119,7 @@ def _opened(simulator: Simulator, states: Sequence[StepState], share: float) -> 
 
 
 def shake(name: str, count: int) -> None:
-    """A cloth over a table: dropped as it may be turned, or pulled at a point in three directions and let go."""
+    """A cloth over a table, dropped in a random orientation, or pulled at a point in three directions and released."""
     item = load_config(ObjectConfig, "objects", name, Locations.find(os.environ))
     assert item.cloth is not None, "give a cloth"
     spec, rest = mujoco.MjSpec(), flat_points(item.cloth)
@@ -151,7 +151,7 @@ def shake(name: str, count: int) -> None:
 def _shaken(
     model: mujoco.MjModel, data: mujoco.MjData, sheet: Sheet, radius: float, rng: np.random.Generator, pulled: bool
 ) -> bool:
-    """Whether physics stayed what it is."""
+    """Whether physics stayed stable."""
     mujoco.mj_resetData(model, data)
     turn, R = rng.normal(size=4), np.empty(9)
     mujoco.mju_quat2Mat(R, np.array([1.0, 0, 0, 0]) if pulled else turn / np.linalg.norm(turn))

@@ -1,4 +1,4 @@
-"""Whether a gripper's pads hold cloth by friction alone: closed on a corner that lies, or on an edge between them.
+"""Whether a gripper's pads hold cloth by friction alone: at a corner on the table, or at an edge between the pads.
 
 python -m tools.bench.cloth_grip --gripper flexible_4310
 """
@@ -22,21 +22,22 @@ from yamsim_cli.core.scene.cloth import add_cloth, flat_points
 
 _CLOTH = "soft_napkin"
 _STEP = 0.004
-# How far each finger is open first, over cloth that lies and beside cloth that is upright, m. The hand closes for so
-# long, goes up in so long, and waits; s. So far up, m.
+# m, initial opening of each finger, over cloth that lies and beside cloth that is upright
 _LYING, _UPRIGHT = 0.012, 0.0035
-_CLOSING, _LIFTING, _HOLDING, _LIFT = 0.6, 0.8, 0.4, 0.1
-# The pads close so far inwards of the corner, along either side, m.
+_CLOSING, _LIFTING, _HOLDING, _LIFT = 0.6, 0.8, 0.4, 0.1  # s, phases of the hand's motion; m, height of the lift
+# m, distance of the pads from the corner, along either side
 _INWARDS = 0.005
-# An edge between pads is so far over the tips, m.
+# m, height of an edge between pads over the tips
 _EDGE = 0.010
-# So little is no slip, mm.
+# mm; a smaller slip counts as none
 _HELD = 10.0
 
 
 @dataclass(frozen=True)
 class Setting:
-    """How a hand takes cloth: `tips` over the table at a corner that lies there, m; None between them."""
+    """How a hand grasps cloth. `tips`: height over the table at a corner that lies there, m; None for an edge between
+    them.
+    """
 
     tips: float | None
     friction: float
@@ -53,14 +54,14 @@ class Setting:
 
 
 def settings() -> list[Setting]:
-    """All of them, most of a coarse grid."""
+    """Return all settings, most of a coarse grid."""
     where = (-0.001, 0.001, 0.003, 0.005, None)
     coarse = [Setting(*one, 9, 20.0) for one in itertools.product(where, (1.0, 3.0), (10.0, 100.0))]
     return [*coarse, *(Setting(at, 3.0, 10.0, 21, 20.0) for at in (0.001, 0.003, None))]
 
 
 def slip(gripper: str, setting: Setting) -> float:
-    """By how much less cloth rose than the hand that was to hold it, mm."""
+    """Return how much less the cloth rose than the hand, mm."""
     found = load_config(ObjectConfig, "objects", _CLOTH, Locations.find(os.environ))
     assert found.cloth is not None
     cloth = found.cloth.model_copy(update={"grid": (setting.grid, setting.grid), "friction": setting.friction})
@@ -71,7 +72,7 @@ def slip(gripper: str, setting: Setting) -> float:
     data.qpos[fingers] = _LYING if setting.tips is not None else _UPRIGHT
     tips, half = _tips(model, data), cloth.size[0] / 2
     if setting.tips is None:
-        # Across the way in which the pads close, its upper edge between them; there is no table.
+        # Across the closing axis, with its upper edge between the pads; there is no table.
         at = np.column_stack([rest[:, 0], np.zeros(len(rest)), rest[:, 1] - half + tips + _EDGE])
         data.mocap_pos[0, 2] = tips - 1.0
     else:
@@ -80,7 +81,7 @@ def slip(gripper: str, setting: Setting) -> float:
         data.mocap_pos[0, 2] = table
     data.qpos[points] = at - rest
     mujoco.mj_kinematics(model, data)
-    # Of a corner, itself; of an edge, its middle.
+    # The corner itself, or the middle of the edge.
     taken = int(np.linalg.norm(at - (0, 0, at[:, 2].max()), axis=1).argmin())
     lifted = np.linspace(0, _LIFT, round(_LIFTING / _STEP))
     _pull(model, data, np.zeros(round(_CLOSING / _STEP)), setting.force)
@@ -90,7 +91,7 @@ def slip(gripper: str, setting: Setting) -> float:
 
 
 def _pull(model: mujoco.MjModel, data: mujoco.MjData, heights: Array, force: float) -> None:
-    """Step with the hand told to be at heights (n,), m, and pressing so hard, N."""
+    """Step with the hand commanded to heights (n,), m, pressing with `force`, N."""
     grip, opening = model.actuator("gripper").id, model.joint("left_finger").qposadr[0]
     for height in heights:
         # Both fingers share the drive's force.
@@ -100,7 +101,7 @@ def _pull(model: mujoco.MjModel, data: mujoco.MjData, heights: Array, force: flo
 
 
 def _above(model: mujoco.MjModel, data: mujoco.MjData, point: int) -> float:
-    """How high the hand is over a point of the cloth, m."""
+    """Return the hand's height over a point of the cloth, m."""
     mujoco.mj_forward(model, data)
     return float(data.site("pinch_site").xpos[2] - data.flexvert_xpos[point, 2])
 
@@ -129,7 +130,7 @@ def _model(gripper: str, item: ObjectConfig, setting: Setting) -> mujoco.MjModel
 
 
 def _in_body(quat: Array) -> Array:
-    """The world's upwards in the frame of a body (3,) that is turned so."""
+    """Return the world's z axis (3,) in a body's frame."""
     back, up = np.empty(4), np.empty(3)
     mujoco.mju_negQuat(back, np.asarray(quat, np.float64))
     mujoco.mju_rotVecQuat(up, np.array([0.0, 0.0, 1.0]), back)
@@ -137,7 +138,7 @@ def _in_body(quat: Array) -> Array:
 
 
 def _tips(model: mujoco.MjModel, data: mujoco.MjData) -> float:
-    """How high the lowest point of the fingers is, m."""
+    """Return the height of the fingers' lowest point, m."""
     mujoco.mj_kinematics(model, data)
     lowest = np.inf
     for geom in range(model.ngeom):

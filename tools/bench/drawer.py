@@ -1,4 +1,4 @@
-"""A script that opens a drawer and shuts it, with the arm that a person drives: by friction, from above.
+"""Open and shut a drawer by script with the teleoperated arm: by friction, from above.
 
 python -m tools.bench.drawer --n 20
 """
@@ -17,7 +17,7 @@ from tests.drawers import cabinet_sdf
 
 
 class _Nowhere:
-    """Takes demonstrations and forgets them."""
+    """Accepts demonstrations and drops them."""
 
     next_attempt = 0
 
@@ -26,7 +26,7 @@ class _Nowhere:
 
 
 def cabinet_session(folder: Path, seed: int, locations: Any) -> Any:
-    """A teleop session with a cabinet that faces the arm, its drawer shut."""
+    """A teleoperation session with a cabinet that faces the arm, its drawer shut."""
     from yamsim_cli.core.config.loader import load_config
     from yamsim_cli.core.config.recording import RecordConfig
     from yamsim_cli.core.config.session import Session
@@ -56,7 +56,7 @@ def steps(session: Any, seconds: float) -> None:
 
 
 def go(session: Any, T: np.ndarray, seconds: float) -> None:
-    """Bring the target to a pose in a straight line, and wait there."""
+    """Move the target to a pose in a straight line, and wait there."""
     start = session.target
     ticks = max(1, round(seconds / session.tick_seconds))
     for k in range(1, ticks + 1):
@@ -68,7 +68,7 @@ def go(session: Any, T: np.ndarray, seconds: float) -> None:
 
 
 def open_and_shut(session: Any) -> tuple[float, float]:
-    """How far the drawer was open, and how far it is after it was shut again, m."""
+    """Return the opening of the drawer after opening and after shutting it, m."""
     model, data = session.model, session.data
     steps(session, 0.5)
     joint = model.joint("cabinet_drawer")
@@ -76,7 +76,7 @@ def open_and_shut(session: Any) -> tuple[float, float]:
     T = np.eye(4)
     T[:3, :3], T[:3, 3] = site.xmat.reshape(3, 3), site.xpos
     if session.target[:3, 1] @ T[:3, 1] < 0:
-        # Fingers close either way round: the one that is nearer to how the hand is turned.
+        # Fingers close in either of two orientations: take the one nearer to the hand's.
         T[:3, :2] *= -1
     way = data.xmat[model.body("cabinet").id].reshape(3, 3) @ np.array([-1.0, 0, 0])
     above = T.copy()

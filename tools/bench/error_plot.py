@@ -1,4 +1,4 @@
-"""How errors grow with the distance, as a picture."""
+"""Plot errors over distance."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 
 
 def plot_errors(errors: Mapping[float, Sequence[float]], path: Path) -> None:
-    """Distances, m, and errors there, mm: median and 95 % on logarithmic axes, as SVG."""
+    """Plot median and 95 % of errors (mm) over distances (m) on logarithmic axes, as SVG."""
     width, height, left, top = 560, 360, 70, 30
     low, high = -3.0, 2.0
 

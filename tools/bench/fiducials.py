@@ -39,7 +39,7 @@ from yamsim_cli.photos.overlay.photo_arm_poses import find_arms
 from yamsim_cli.photos.overlay.photo_cameras import PhotoCamera
 from yamsim_cli.photos.overlay.photos import Photo
 
-# Poses that are off by more than this are wrong.
+# deg and mm; poses with larger errors are wrong
 WRONG_DEG, WRONG_MM = 3.0, 15.0
 TILT = (0.0, math.radians(60))
 RANGES = (0.3, 0.4, 0.6, 0.8, 1.0, 1.2, 1.5)
@@ -48,15 +48,15 @@ TILTS = ((0, 15), (15, 30), (30, 45), (45, 60), (60, 75))
 
 @dataclass(frozen=True)
 class PhotoCase:
-    """What one table row is made of: where the camera stands, and what spoils the photo.
+    """One table row: camera pose and disturbances.
 
     Attributes:
         distance, tilt: of the camera from the board, m and rad, or ranges of them.
-        damage: done to the clean picture; `spoil` to the photo of it.
-        hidden: so many markers are painted over.
+        damage: applied to the clean picture; `spoil` to the photo of it.
+        hidden: number of covered markers.
         both: both boards of russet, with a trusted margin.
         second_print: both boards of russet, each by itself, the second printed at this scale.
-        times: so many times as many photos as usual.
+        times: factor for the number of photos.
     """
 
     name: str
@@ -120,7 +120,7 @@ def cases() -> dict[str, list[PhotoCase]]:
 
 
 def run(case: PhotoCase, poses: int, seed: int) -> list[Trial]:
-    """Take and analyse `poses` photos for one row; in a process of its own."""
+    """Take and analyse `poses` photos for one row, in a separate process."""
     cv2.setNumThreads(1)
     camera = CameraModel(CAMERA.width, CAMERA.height, CAMERA.K, case.distortion)
     rng = np.random.default_rng([seed, *case.name.encode()])
@@ -137,7 +137,7 @@ def run(case: PhotoCase, poses: int, seed: int) -> list[Trial]:
 
 
 def _as_printed(rig: RigConfig, second: float) -> RigConfig:
-    """A rig whose second board is printed at a scale."""
+    """Return a rig whose second board is printed at a scale."""
     if second == 1:
         return rig
     board = rig.arms[1].board
@@ -165,7 +165,7 @@ def _one(case: PhotoCase, photographer: Photographer, rng: np.random.Generator) 
 
 
 def _each(case: PhotoCase, said: RigConfig, photographer: Photographer, rng: np.random.Generator) -> list[Trial]:
-    """Both boards as `yamsim overlay` takes them, by what the rig says of their prints."""
+    """Locate both boards as `yamsim overlay` does, with the prints that the rig states."""
     distance = _distance(case, rng)
     T_cam = shot_of(photographer, rng, distance, case.tilt)
     photo = spoilt(photographer.take(), rng)
@@ -214,7 +214,7 @@ def _trial(case: PhotoCase, distance: float, seen: BoardDetection, truth: Array,
 
 
 def table(title: str, rows: Iterable[tuple[PhotoCase, list[Trial]]]) -> Table:
-    """Median, 95 % and maximum of every row."""
+    """Return median, 95 % and maximum of every row."""
     result = Table(title=title, title_justify="left", show_edge=False)
     for column in ("", "boards", "found", "wrong", "mm", "deg", "px", "ms"):
         result.add_column(column, justify="left" if not column else "right", no_wrap=True)
@@ -249,7 +249,7 @@ def main() -> None:
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
-    # The workers, who draw, inherit it.
+    # The rendering workers inherit it.
     use_gl()
     wanted = options.only or [""]
     tables = {

@@ -26,17 +26,17 @@ from yamsim_cli.core.geometry.se3 import Array, inverse, rotation_vector
 from yamsim_cli.photos.fiducials.board_detection import BoardDetection
 from yamsim_cli.photos.fiducials.board_localization import locate_boards
 
-# Poses off by more than this are wrong, degrees and mm.
+# deg and mm; poses with larger errors are wrong
 WRONG = (3.0, 15.0)
 BLUR, NOISE, JPEG = 0.4, 2.0, 90
 SIZES = {"vga": (640, 480, 600.0), "hd": (1280, 720, 900.0)}
 
 
 class Filament:
-    """Draws a photographer's scene as Filament does."""
+    """Renders a photographer's scene with Filament."""
 
     def __init__(self, photographer: Photographer) -> None:
-        # These come with Python 3.12 only; the window's module registers materials.
+        # They come with Python 3.12 only; the window's module registers materials.
         import mujoco.studio.window
         from mujoco import mjrf
         from mujoco.rendering.filament.model_scene import ModelScene
@@ -53,7 +53,7 @@ class Filament:
         self._options, self._abstract = mujoco.MjvOption(), mujoco.MjvScene(self._model, 1000)
         self._fixed = mujoco.MjvCamera()
         self._fixed.type, self._fixed.fixedcamid = mujoco.mjtCamera.mjCAMERA_FIXED, self._model.camera("photo").id
-        # The left eye's camera is taken below: there is but one eye.
+        # Both eyes of the stereo camera coincide: the photo has one eye.
         self._model.cam_ipd[self._fixed.fixedcamid] = 0.0
         self._model.cam_fovy[self._fixed.fixedcamid] = math.degrees(2 * math.atan(camera.height / 2 / camera.focal))
 

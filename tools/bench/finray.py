@@ -1,4 +1,4 @@
-"""What docs/finray.md says of fin-ray fingers: force against deflection, contact area, and how hard they press.
+"""Figures of docs/finray.md: force against deflection, contact area, and pressing force of fin-ray fingers.
 
     python -m tools.bench.finray
 

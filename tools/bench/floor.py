@@ -1,4 +1,4 @@
-"""What an episode costs at the very least: physics, drawing, encoding and writing, each done alone."""
+"""Lower bound of an episode's cost: physics, rendering, encoding and writing, each alone."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ from yamsim_cli.core.images.jpeg import encode_jpeg
 
 
 def floor_seconds(simulator: Simulator, done: SimulatedAttempt, place: Path) -> dict[str, float]:
-    """Part -> seconds for one episode.
+    """Return part -> seconds for one episode.
 
     Args:
-        place: an empty directory on the disk that is written to.
+        place: an empty directory on the measured disk.
     """
     config, scene = simulator.config, simulator.scene
     physics, drawing, encoding, writing = (Stopwatch() for _ in range(4))

@@ -1,9 +1,9 @@
-"""What `yamsim gap` finds of plants whose difference to the model is known, and what it costs.
+"""Errors of `yamsim gap` for plants with known differences to the model, and its cost.
 
-python -m tools.bench.gap [--plants N]
+    python -m tools.bench.gap [--plants N]
 
-Plants step by 0.5 ms, and the model by 2 ms. Their commands come at jittered times, and joints are measured in steps of
-the maker's CAN messages.
+Plants step by 0.5 ms, and the model by 2 ms. Commands come at jittered times, and joints are measured with the
+resolution of the manufacturer's CAN messages.
 """
 
 from __future__ import annotations
@@ -23,14 +23,14 @@ from yamsim_cli.core.scene.compiled import CompiledScene
 from yamsim_cli.real.gap.gap_figures import measure_gap
 
 _FINE = 0.0005
-# Of 16 bits over 25 rad. Source: `motor_drivers/utils.py` in the maker's SDK 1.3.6.
+# rad, 16 bits over 25 rad. Source: `motor_drivers/utils.py` in the manufacturer's SDK 1.3.6.
 _CAN_STEP = 25 / 65536
 _SECONDS = 15.0
 
 
 @dataclass(frozen=True)
 class TruePlantDifference:
-    """How a plant differs: the delay of its commands, s, and by what factor friction is another one, of each joint."""
+    """Difference of a plant: delay of its commands, s, and friction factor of each joint."""
 
     delay: float
     friction: Array
@@ -43,7 +43,7 @@ def jittered(rng: np.random.Generator) -> Array:
 
 
 def real(scene: CompiledScene, times: Array, commands: Array, planted: TruePlantDifference) -> RecordedMotion:
-    """What a plant measured as it was told `commands` (n, dof)."""
+    """Return the measurements of a plant with commands (n, dof)."""
     arm, data = scene.arm, mujoco.MjData(scene.model)
     own = scene.model.dof_frictionloss[arm.joint_dof].copy()
     scene.model.dof_frictionloss[arm.joint_dof] = own * planted.friction
@@ -62,7 +62,7 @@ def real(scene: CompiledScene, times: Array, commands: Array, planted: TruePlant
 
 
 def delays(plants: int, frictions: tuple[float, float]) -> dict[str, float]:
-    """How well planted delays of 0 to 60 ms are found, ms: over all joints of all plants."""
+    """Errors of planted delays of 0 to 60 ms, ms, over all joints of all plants."""
     fine, model = new_scene("single", _FINE), rig_scene()
     off, sizes = [], []
     for seed in range(plants):
@@ -87,7 +87,7 @@ def delays(plants: int, frictions: tuple[float, float]) -> dict[str, float]:
 
 
 def perfect(plants: int) -> float:
-    """The largest error of the model's own motions, at times that jitter by whole steps, mrad."""
+    """Largest error for the model's own motions, at times that jitter by whole steps, mrad."""
     worst = 0.0
     for seed in range(plants):
         steps = np.random.default_rng([12, seed]).integers(3, 8, round(_SECONDS / 0.01))
@@ -97,7 +97,7 @@ def perfect(plants: int) -> float:
 
 
 def cost() -> float:
-    """Seconds for a minute of one arm at 100 Hz."""
+    """Return seconds for a minute of one arm at 100 Hz."""
     times = np.arange(0, 60, 0.01)
     motion = plant(rig_scene(), times, [swings(times)])
     began = time.perf_counter()

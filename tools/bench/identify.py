@@ -1,12 +1,11 @@
-"""How well `yamsim identify` finds the parameters of arms that move by known ones.
+"""Errors of `yamsim identify` for arms with known parameters.
 
     python -m tools.bench.identify --plants 20
     python -m tools.bench.identify --plants 0 --bad 20
 
-plants arms in a physics of their own (other integrators, steps of 0.5 ms, another law of friction), logs them as a bus
-would (16 bits, jittered times) while they follow `yamsim excite`, and compares what is identified with what was
-planted. `--bad` logs such arms while one joint does too little to tell anything, and counts the logs that are refused
-by that joint's name.
+Plants have a physics of their own: other integrators, steps of 0.5 ms, another law of friction. They follow `yamsim
+excite`, and are logged as by a bus (16 bits, jittered times). `--bad` logs arms of which one joint moves too little,
+and counts the logs that are refused by that joint's name.
 """
 
 from __future__ import annotations
@@ -29,7 +28,7 @@ from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.real.identify.excitation import Excitation, excite
 from yamsim_cli.real.identify.identification import IdentificationResult, identify
 
-# Name -> how far a value may be off, as a share of the true one, or in its own unit.
+# Name -> largest error, as a share of the true value, or in its own unit.
 _GOALS = {
     "delay_s": (0.002, False),
     "friction_nm": (0.05, True),
@@ -65,7 +64,7 @@ def _rows(planted: TrueParameters, found: IdentificationResult, joints: tuple[st
 
 
 def _bad(commands: Array, joint: int, way: int, rng: np.random.Generator) -> str:
-    """Let one joint of a motion (n, dof) do too little, in one of five ways, and say in which."""
+    """Reduce the motion (n, dof) of one joint in one of five ways, and name the way."""
     share, middle = np.linspace(0, 1, len(commands)), commands[0, joint]
     names = ("stands still", "trembles", "turns one way", "turns back twice", "is always slow")
     commands[:, joint] = (
@@ -82,7 +81,7 @@ def _bad(commands: Array, joint: int, way: int, rng: np.random.Generator) -> str
 
 
 def _refused(rig: RigConfig, motion: Excitation, opened: float, number: int) -> bool:
-    """Whether a badly excited log is refused by the name of its joint and with what to record; says so."""
+    """Whether a badly excited log is refused with the name of its joint, and with what to record; prints the result."""
     rng, arm = np.random.default_rng([number, 1]), rig.arms[0]
     commands, joint = motion.commands.copy(), int(np.random.default_rng(number).integers(arm.robot.dof))
     way = _bad(commands, joint, number % 5, rng)

@@ -1,7 +1,7 @@
-"""Whether stated intervals hold the truth, in random photos of boards whose truth is known: `make bench-fiducials`.
+"""Coverage of stated intervals in random photos of boards with known poses: `make bench-fiducials`.
 
-Prints how often 95 % intervals of the focal length, of each board's position and turn, and of the arms' distance hold
-it, what was refused and why, and writes every view to `intervals.csv`.
+Prints how often 95 % intervals of the focal length, of each board's position and rotation, and of the arms' distance
+contain the truth, what was refused and why, and writes every view to `intervals.csv`.
 """
 
 from __future__ import annotations
@@ -34,17 +34,17 @@ from yamsim_cli.photos.overlay.photos import Photo
 
 TILTS = ((0, 10), (10, 20), (20, 30), (30, 45), (45, 60), (60, 70))
 PINHOLE = LensSpread()
-# A calibrated camera is off by about what its file says.
+# Relative error of a calibrated camera's focal length.
 FOCAL_SIGMA = 0.003
 
 
 @dataclass(frozen=True)
 class IntervalCase:
-    """What one table row is made of.
+    """One table row.
 
     Attributes:
         photos: of one camera in one call.
-        given: the camera is known, to `FOCAL_SIGMA`.
+        given: whether the camera is known, to `FOCAL_SIGMA`.
     """
 
     name: str
@@ -64,12 +64,12 @@ CASES = (
 
 @dataclass(frozen=True)
 class Outcome:
-    """One arm's board in one photo; `None` where there is no pose.
+    """One arm's board in one photo; None without a pose.
 
     Attributes:
-        focal_held: whether the interval holds the focal length; of a refused one, whether what is known of it does.
+        focal_held: whether the interval contains the focal length, also of a refused board.
         focal_off: error of the estimate's logarithm over its sigma.
-        position, turn: squared distance from the truth in the covariance's measure, of three degrees of freedom.
+        position, turn: squared Mahalanobis distance from the truth, of three degrees of freedom.
         position_off, turn_off: error over `position_sigma` and `rotation_sigma`.
         margin_off: error of the arms' distance over its sigma.
     """
@@ -93,14 +93,14 @@ class Outcome:
 
 
 def run(case: IntervalCase, views: int, seed: int) -> list[Outcome]:
-    """Take and analyse `views` photos for one row; in a process of its own."""
+    """Take and analyse `views` photos for one row, in a separate process."""
     cv2.setNumThreads(1)
     rig = load_config(RigConfig, "rigs", "russet", Locations.find(os.environ))
     return [outcome for k in range(views // case.photos) for outcome in outcomes(case, rig, seed, k)]
 
 
 def outcomes(case: IntervalCase, rig: RigConfig, seed: int, k: int) -> list[Outcome]:
-    """All boards' outcomes in the k-th call's photos."""
+    """Return the outcomes of all boards in the photos of the k-th call."""
     rng = np.random.default_rng([seed, k, *case.name.encode()])
     camera = random_camera(rng, case.lens)
     taken = [random_view(rng, rig, camera=camera) for _ in range(case.photos)]
@@ -157,12 +157,12 @@ def _squared(off: Array, covariance: Array) -> float:
     return float(off @ np.linalg.solve(covariance, off))
 
 
-# 95 % of squared distances of three degrees of freedom, and of distances of one, in standard deviations.
+# 95 % quantiles: squared distance of three degrees of freedom, and distance of one, in standard deviations.
 CHI_3, SIGMAS = 7.815, 1.96
 
 
 def coverage(found: Sequence[Outcome]) -> dict[str, list[float]]:
-    """For each interval of boards with a pose: how far the truth is off, over where the 95 % interval ends."""
+    """Return, for each interval of boards with a pose, the error over the 95 % limit."""
     good = [one for one in found if one.status == "ok"]
     return {
         "focal": [0.0 if one.focal_held else 2.0 for one in good if one.focal_held is not None],
@@ -173,13 +173,13 @@ def coverage(found: Sequence[Outcome]) -> dict[str, list[float]]:
 
 
 def farthest(found: Iterable[Outcome]) -> float:
-    """The largest error of a board with a pose, in standard deviations."""
+    """Return the largest error of a board with a pose, in standard deviations."""
     offs = [(one.focal_off, one.position_off, one.turn_off, one.margin_off) for one in found if one.status == "ok"]
     return max((abs(off) for row in offs for off in row if off is not None), default=0.0)
 
 
 def table(title: str, rows: Iterable[tuple[str, Sequence[Outcome]]]) -> Table:
-    """How often each interval holds the truth, and what the intervals are."""
+    """Print how often each interval contains the truth, and the intervals' sizes."""
     result = Table(title=title, title_justify="left", show_edge=False)
     for column in ("", "boards", "ok", "focal", "position", "turn", "margin", "worst", "focal +-", "mm +-"):
         result.add_column(column, justify="right" if column else "left", no_wrap=True)
@@ -199,7 +199,7 @@ def table(title: str, rows: Iterable[tuple[str, Sequence[Outcome]]]) -> Table:
 
 
 def reasons(found: Iterable[Outcome]) -> Counter[str]:
-    """Why boards have no pose, numbers left out, with how often."""
+    """Count the reasons for boards without a pose, without their numbers."""
     texts = ["".join("#" if c.isdigit() else c for c in one.reason) for one in found if one.status != "ok"]
     while any("##" in text for text in texts):
         texts = [text.replace("##", "#") for text in texts]

@@ -1,7 +1,7 @@
-"""How fast LeRobot's plugins are, by a Python that has both of them: `python -m tools.bench.lerobot_plugins`.
+"""Speed of LeRobot's plugins: `python -m tools.bench.lerobot_plugins` in an environment with both.
 
-Frames a second of an environment and of the robot, and how long one takes: the median, and what 95 % stay below, ms.
-The arms stay where they are.
+Frames a second of an environment and of the robot, and median and 95 % of a frame's duration, ms. The arms stay where
+they are.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ def measured(frame: Callable[[], None], environments: int = 1) -> str:
 
 
 def environment(size: str, pictures: bool, count: int) -> str:
-    """Of so many environments of `pickplace`, in processes of their own where they are several."""
+    """Measure `count` environments of `pickplace`; several have a process each."""
     from lerobot.envs import make_env
     from lerobot_env_yamsim import YamsimEnvConfig
 
-    # Long enough that no trial ends meanwhile: frames after its end cost nothing.
+    # No trial ends meanwhile: frames after its end cost nothing.
     config = YamsimEnvConfig(size=size, pictures=pictures, max_frames=10 * _FRAMES)
     (envs,) = make_env(config, n_envs=count, use_async_envs=count > 1)["pickplace"].values()
     seen, _ = envs.reset(seed=list(range(count)))
@@ -43,7 +43,7 @@ def environment(size: str, pictures: bool, count: int) -> str:
 
 
 def robot(size: str, cameras: list[str]) -> str:
-    """Of the robot, as fast as it can: an observation, and an action."""
+    """Measure the robot at full speed: an observation, and an action."""
     from lerobot_robot_yamsim import YamsimRobot, YamsimRobotConfig
 
     made = YamsimRobot(YamsimRobotConfig(size=size, cameras=cameras, by_clock=False))

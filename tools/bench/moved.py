@@ -1,4 +1,4 @@
-"""How small a move of a camera or of a base `yamsim overlay` tells, from photos in which the arms move about.
+"""Smallest move of a camera or base that `yamsim overlay` detects, in photos with moving arms.
 
 MUJOCO_GL=egl python -m tools.bench.moved
 """
@@ -33,7 +33,7 @@ PHOTOS = 16
 
 @dataclass(frozen=True)
 class MoveCase:
-    """What is moved half-way through a series: the second arm's base, or the camera, m and rad."""
+    """What moves half-way through a series: the second arm's base, or the camera, m and rad."""
 
     name: str
     base: float = 0.0
@@ -56,7 +56,7 @@ ROWS = [
 
 
 def series(row: MoveCase, studios: tuple[RigPhotographer, RigPhotographer], seed: int) -> MoveReport:
-    """What is told of a series of photos with such a move before its middle."""
+    """Return what is reported on a series of photos with a move in its middle."""
     rng = np.random.default_rng(seed)
     place = np.array((0.75, 0.0, 0.55)) + rng.uniform(-0.1, 0.1, 3)
     T_cam = looking((place[0], place[1], place[2]), (0.05, 0.0, 0.05))
@@ -68,7 +68,7 @@ def series(row: MoveCase, studios: tuple[RigPhotographer, RigPhotographer], seed
         after = number >= PHOTOS // 2
         T = moved if after else T_cam
         if row.base and after:
-            # The rig grows to both sides: seen from the first arm, the second one moves by all of it.
+            # The rig grows to both sides: seen from the first arm, the second one moves by the whole change.
             T = pose((0, -row.base / 2, 0)) @ T
         joints = JOINTS + 0.2 * np.sin(0.7 * number + np.arange(7)) * [1, 1, 1, 1, 1, 1, 0]
         shot = studios[bool(row.base and after)].shoot(T, joints, seed=1000 * seed + number)

@@ -1,4 +1,4 @@
-"""Noise against a running `serve-robot`: 10,000 messages to each port, what its memory does, whether it still answers.
+"""Send noise to a running `serve-robot`: 10,000 messages to each port; report its memory, and whether it still answers.
 
 python -m tools.bench.noise [--messages 10000]
 """
@@ -40,7 +40,7 @@ def main() -> None:
         draw = random.Random(1)
         kinds = {"can": _can_noise, "portal": _portal_noise, "chiral": _chiral_noise, "cameras": _camera_noise}
         for name, noise in kinds.items():
-            # The first tenth fills what is kept for good.
+            # The first tenth fills caches.
             noise(served, draw, count // 10)
             before = _resident_kb(served)
             began = time.monotonic()

@@ -1,4 +1,4 @@
-"""What each part costs alone, in one process."""
+"""Cost of each part alone, in one process."""
 
 from __future__ import annotations
 

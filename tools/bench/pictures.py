@@ -1,4 +1,4 @@
-"""How alike two pictures are."""
+"""Similarity of two pictures."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ Image = NDArray[np.uint8]
 def ssim(a: Image, b: Image) -> float:
     """Mean structural similarity of two RGB images in grey, 1 for equal ones.
 
-    Source: Wang, Bovik, Sheikh, Simoncelli, "Image quality assessment: from error visibility to structural
-    similarity", 2004, equation 13: a Gaussian window of 11 x 11 with sigma 1.5, K1 = 0.01, K2 = 0.03, L = 255.
+    Source: Wang, Bovik, Sheikh, Simoncelli, "Image quality assessment: from error visibility to structural similarity",
+    2004, equation 13: a Gaussian window of 11 x 11 with sigma 1.5, K1 = 0.01, K2 = 0.03, L = 255.
     """
     x, y = (cv2.cvtColor(image, cv2.COLOR_RGB2GRAY).astype(np.float64) for image in (a, b))
 

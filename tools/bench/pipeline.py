@@ -1,4 +1,4 @@
-"""The main job as a whole: the plain pipeline (a), ours (b) and the floor (c), on the same episodes."""
+"""Recording as a whole: the plain pipeline (a), yamsim (b) and the lower bound (c), on the same episodes."""
 
 from __future__ import annotations
 
@@ -34,21 +34,21 @@ T = TypeVar("T")
 
 QUALITIES = ("fast", "balanced")
 WORKERS = (1, 2, 4)
-# Every so many frames one is compared.
+# Every eighth frame is compared.
 _COMPARED = 8
-# On the disk that datasets are written to by default.
+# On the disk of datasets.
 _PLACE = "."
 
 
 @dataclass(frozen=True)
 class QualityFigures:
-    """Of one quality.
+    """Figures of one quality.
 
     Attributes:
-        floor_s: part -> median seconds an episode, done alone by one process.
-        seconds_per_episode: workers -> seconds an episode, once each of them has delivered one.
+        floor_s: part -> median seconds per episode, done alone by one process.
+        seconds_per_episode: workers -> seconds per episode, once each of them has delivered one.
         start_s: seconds until the first episode is on the disk, with one worker.
-        ssim_plain, ssim_high: mean likeness of its pictures to those of the plain pipeline and of `high`.
+        ssim_plain, ssim_high: mean similarity to the pictures of the plain pipeline and of `high`.
     """
 
     floor_s: dict[str, float]
@@ -59,17 +59,17 @@ class QualityFigures:
 
     @property
     def outside_floor(self) -> float:
-        """Share of one worker's time that is spent on something else than the floor."""
+        """Share of one worker's time outside the lower bound's parts."""
         return 1 - sum(self.floor_s.values()) / self.seconds_per_episode[1]
 
 
 @dataclass(frozen=True)
 class PipelineFigures:
-    """Everything that is measured of the main job.
+    """Figures of recording.
 
     Attributes:
-        plain_s: seconds an episode of the plain pipeline, a process whose OpenGL draws with a thread a core.
-        plain_one_thread_s: the same without threads, as a worker of ours draws.
+        plain_s: seconds per episode of the plain pipeline, whose OpenGL renders with a thread per core.
+        plain_one_thread_s: the same with one thread, as a worker of yamsim renders.
         qualities: by name.
     """
 
@@ -79,7 +79,7 @@ class PipelineFigures:
 
 
 def first_successes(count: int) -> list[SimulatedAttempt]:
-    """The first episodes of the recording's seed, in physics alone."""
+    """Return the first successful attempts of the recording's seed, in physics alone."""
     using = setting("fast")
     found: list[SimulatedAttempt] = []
     with Simulator(using) as simulator:
@@ -96,8 +96,8 @@ def measure_pipeline(plain_episodes: int, episodes: int) -> PipelineFigures:
     """Run all three.
 
     Args:
-        plain_episodes: how many episodes the plain pipeline and the floor make.
-        episodes: how many ours makes, for each quality and number of workers.
+        plain_episodes: episodes of the plain pipeline and of the lower bound.
+        episodes: episodes of yamsim, for each quality and number of workers.
     """
     made = alone(first_successes, plain_episodes)
     plain_s, plain_images = alone(_plain, made, threads=None)
@@ -121,7 +121,7 @@ def alone(work: Callable[..., T], *args: object, threads: str | None = "0", **kw
     """Run something in a process of its own, since Mesa decides once a process how many threads draw.
 
     Args:
-        threads: of Mesa's software renderer, beside the process's own; None for as many as it likes.
+        threads: of Mesa's software renderer, beside the process's own; None for Mesa's choice.
     """
     before = os.environ.pop("LP_NUM_THREADS", None)
     if threads is not None:
@@ -151,7 +151,7 @@ def _plain(episodes: Sequence[SimulatedAttempt]) -> tuple[float, list[Image]]:
 
 
 def _rendered(quality: str, episodes: Sequence[SimulatedAttempt]) -> list[Image]:
-    """Some of a quality's pictures of the scene camera."""
+    """Render some of a quality's pictures of the scene camera."""
     with Simulator(setting(quality)) as simulator:
         return [
             image
@@ -176,7 +176,7 @@ def _floor(quality: str, episodes: Sequence[SimulatedAttempt]) -> dict[str, floa
 
 
 def _record(quality: str, workers: int, episodes: int) -> tuple[float, float]:
-    """Seconds an episode once every worker has delivered one, and seconds until the first was there."""
+    """Return seconds per episode once every worker has delivered one, and seconds until the first episode."""
     session = setting(quality).with_values(episodes=episodes + workers, workers=workers)
     came: list[float] = []
 

@@ -1,7 +1,7 @@
-"""The pipeline that is compared with: what a script of an afternoon does, one thing after the other.
+"""The plain pipeline of a simple script, one step after the other.
 
-MuJoCo's own renderer with MuJoCo's defaults on the real meshes, a picture at a time; inverse kinematics iterated to
-convergence at every control tick; physics stepped one step at a time; OpenCV and pickle writing file by file.
+MuJoCo's renderer with its defaults on full meshes, a picture at a time; inverse kinematics iterated to convergence at
+every control tick; physics one step at a time; OpenCV and pickle writing file by file.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ def plain_setting() -> Session:
 
 
 class PlainPipeline:
-    """Makes an episode again whose actions are known; close it.
+    """Makes an episode with known actions; close it.
 
     Args:
         using: rendered with `DEFAULTS`.
@@ -64,13 +64,13 @@ class PlainPipeline:
         self._renderer = mujoco.Renderer(self._scene.model, height, width)
 
     def make(self, done: SimulatedAttempt, out: Path) -> list[NDArray[np.uint8]]:
-        """Solve, simulate, render and write one episode into `out`; the pictures as they were rendered."""
+        """Solve, simulate, render and write one episode into `out`. Return the rendered pictures."""
         start, actions = done.states[0].qpos, all_actions(done.states)
         self._solve(start[self._scene.arm.joint_qpos], actions)
         return self._simulate_and_render(start, actions, out)
 
     def _solve(self, start: NDArray[np.float64], actions: ActionSequence) -> None:
-        """Inverse kinematics to where the actions lead, tick by tick."""
+        """Solve inverse kinematics for the poses that the actions lead to, tick by tick."""
         joints = start
         for wanted in actions.joints[:, 0, :6]:
             self._arm.update(wanted)

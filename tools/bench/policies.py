@@ -1,4 +1,4 @@
-"""What asking a policy elsewhere costs: questions with three pictures of 224 x 224, chunks of 30 actions, answered at
+"""Cost of a policy in another process: requests with three pictures of 224 x 224, chunks of 30 actions, answered at
 once by a server on this machine, with each protocol.
 
     python -m tools.bench.policies
@@ -42,7 +42,7 @@ def unpacked(data: bytes) -> bytes:
 
 
 def serve(scheme: str, pipe: Connection) -> None:
-    """A server in a process of its own, until the pipe is closed."""
+    """Serve in a separate process until the pipe is closed."""
     server = act_server(answer) if scheme == "act" else openpi_server(unpacked)
     with server as url:
         pipe.send(url)

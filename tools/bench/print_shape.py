@@ -1,8 +1,8 @@
-"""How many flat and bent prints are located, and whether the stated covariance holds their true pose.
+"""Located flat and bent prints, and whether the stated covariance contains their true pose.
 
 `python -m tools.bench.print_shape --flat 400 --creased 180 --bent 60`: one board at 640 x 480 pixels, 0.4 to 0.8 m, 5
-to 60 degrees, a blur of sigma 0.6 px and noise of sigma 2. Flat prints are drawn by yamsim and by OpenCV, in turn. The
-constants of the model were chosen with the seeds below 200; `--first` gives others.
+to 60 degrees, a blur of sigma 0.6 px and noise of sigma 2. yamsim and OpenCV draw the flat prints in turn. The model's
+constants were chosen with the seeds below 200; `--first` gives others.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""How few faces each mesh can do with: what assets.lock.json says of reductions was found by this.
+"""Fewest faces of each mesh: the source of the reductions in assets.lock.json.
 
     python -m tools.bench.reduction [model2.stl ...]
 
-Slow: each try is drawn and measured. The lock takes a file's smallest count, and slivers_mm unless that is 0.1.
+Slow: each try is rendered and measured. The lock has a file's smallest count, and slivers_mm unless that is 0.1.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import sys
 
 from yamsim_cli.gl import find_backend
 
-# What is aimed at, a little better than what the tests ask for (0.5 mm and 0.995).
+# Targets, a little stricter than the tests' limits (0.5 mm and 0.995).
 FARTHEST_MM = 0.475
 LEAST_OVERLAP = 0.9952
 SLIVERS_MM = (0.0, 0.05, 0.08, 0.1)
@@ -20,7 +20,7 @@ SAMPLES = 20_000
 
 
 def main() -> None:
-    """Search by bisection, for every tolerance of the slivers, and print what was found."""
+    """Search by bisection, for every tolerance of slivers, and print the results."""
     os.environ.setdefault("MUJOCO_GL", find_backend(os.environ).name or "")
 
     from tests.silhouettes import Silhouettes, overlap

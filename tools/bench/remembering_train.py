@@ -2,7 +2,7 @@
 
     python tools/bench/remembering_train.py [arguments of lerobot-train]
 
-LeRobot reads and converts each frame anew in each epoch, which takes longer than to train a small network on it.
+LeRobot reads and converts each frame again in each epoch, which takes longer than to train a small network.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""How fast a served arm answers other programs' own clients: portal's calls, and chiral's observations with pictures.
+"""Speed of a served arm with other programs' own clients: portal's calls, and chiral's observations with pictures.
 
     MUJOCO_GL=egl YAMSIM_CHIRAL=CHECKOUT python -m tools.bench.served
 

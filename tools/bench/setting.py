@@ -1,4 +1,4 @@
-"""What every bench works with: a stopwatch, and the default recording at some quality, on the real meshes."""
+"""Common code of benchmarks: a stopwatch, and the default recording at some quality, with full meshes."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def median_seconds(work: Callable[[int], object], repetitions: int) -> float:
 
 
 def use_gl() -> str:
-    """Settle on a backend before MuJoCo is imported; what its OpenGL calls itself."""
+    """Choose a backend before MuJoCo is imported, and return OpenGL's name for it."""
     backend = find_backend(os.environ)
     if backend.name is not None:
         os.environ["MUJOCO_GL"] = backend.name
@@ -55,7 +55,7 @@ def setting(quality: str) -> Session:
     """The default recording, rendered with a quality."""
     where = Locations.find(os.environ)
     config = load_config(RecordConfig, "record", "default", where, {("render",): ("--quality", quality)})
-    # Only once MuJoCo may be imported.
+    # After the choice of a backend, because it imports MuJoCo.
     from yamsim_cli.core.scene.blueprint import recording_blueprint
     from yamsim_cli.core.scene.compose import visual_mesh_sets
 

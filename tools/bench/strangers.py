@@ -1,4 +1,4 @@
-"""How often a board is found where none of ours is: other boards, QR codes, checkerboards, text, keyboards, windows."""
+"""How often a board is found where there is none: other boards, QR codes, checkerboards, text, keyboards, windows."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Things from elsewhere, measured: what a mug becomes in six formats, and what each kind of collision costs.
+"""Measure imported objects: a mug in six formats, and the cost of each kind of collision.
 
 python -m tools.bench.things round-trip
 python -m tools.bench.things collision
@@ -60,7 +60,7 @@ def scene(config: Any, meshes: Any, *, peg: bool = False, ball: bool = False) ->
 
 
 def ball_stays_in(config: Any, meshes: Any) -> tuple[bool, float]:
-    """Whether a ball that falls into a mug lies in it after 2 s; and ms a step."""
+    """Return whether a ball that falls into a mug lies in it after 2 s, and ms per step."""
     import mujoco
 
     model = scene(config, meshes, ball=True)
@@ -75,12 +75,12 @@ def ball_stays_in(config: Any, meshes: Any) -> tuple[bool, float]:
 
 
 def hangs(config: Any, meshes: Any) -> float:
-    """How far a mug that is put over a peg by its handle has sunk after 3 s, m."""
+    """Return how far a mug that hangs from a peg by its handle has sunk after 3 s, m."""
     import mujoco
 
     model = scene(config, meshes, peg=True)
     data = mujoco.MjData(model)
-    # The handle's hole is at +x: there, just under its upper bow, is the peg; the mug lies on its side.
+    # The peg is in the handle's hole at +x, just under its upper bow; the mug lies on its side.
     hole = np.array([RADIUS + 0.006 + 0.010, 0, HEIGHT / 2])
     address = model.joint("mug").qposadr[0]
     turn = np.array([np.cos(np.pi / 4), 0, -np.sin(np.pi / 4), 0])  # its handle upwards
@@ -156,13 +156,13 @@ def collision(folder: Path) -> None:
 
 
 def core_seconds() -> float:
-    """What this process and its children have taken of a core so far, s."""
+    """CPU seconds of this process and its children so far."""
     own, children = (resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
     return own.ru_utime + own.ru_stime + children.ru_utime + children.ru_stime
 
 
 def reading(folder: Path) -> None:
-    """A mug of some 5,000 faces, and a scan of 100,000 with colours of its own."""
+    """A mug of about 5,000 faces, and a scan of 100,000 with its own colours."""
     import trimesh
 
     print("| thing | faces | faces drawn | s | s of a core | most memory of a child, MB |\n|---|---|---|---|---|---|")
@@ -186,7 +186,7 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("what", choices=("round-trip", "collision", "reading"))
     what = parser.parse_args().what
-    # MuJoCo is imported only once it is settled what draws.
+    # After the choice of a backend.
     use_gl()
     with tempfile.TemporaryDirectory() as scratch:
         {"round-trip": round_trip, "collision": collision, "reading": reading}[what](Path(scratch))

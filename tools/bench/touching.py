@@ -1,8 +1,8 @@
-"""What a physics step costs with each kind of collision: a mug with a ball in it, on a slab.
+"""Cost of a physics step with each kind of collision: a mug with a ball in it, on a slab.
 
     python -m tools.bench.touching
 
-Needs the extra `import` for convex parts. Nothing here is a test. Leave the machine alone meanwhile.
+Needs the extra `import` for convex parts. Leave the machine alone meanwhile.
 """
 
 from __future__ import annotations

@@ -1,10 +1,11 @@
-"""What demonstrations are worth: records, trains with LeRobot and evaluates, for several numbers and kinds of them.
+"""Success by demonstrations: records, trains with LeRobot and evaluates, for several numbers and kinds of
+demonstrations.
 
     python -m tools.bench.training --python ENV/bin/python [--runs weld:25:3000,weld:200:6000] [--out out/training]
 
-ENV has yamsim[lerobot] and lerobot[training]==0.6.1. Every stage is kept in --out, and not done again:
-wall and CPU seconds (of the stage and all its processes), the loss as `lerobot-train` logged it, and `eval`'s report.
-Writes `training.json` and `training.svg` beside them.
+ENV has yamsim[lerobot] and lerobot[training]==0.6.1. Finished stages in --out are not done again. A stage has wall and
+CPU seconds of all its processes, the loss of `lerobot-train`, and the report of `eval`. Writes `training.json` and
+`training.svg` beside them.
 """
 
 from __future__ import annotations
@@ -24,10 +25,10 @@ from typing import Any
 from tests import training_recipe as recipe
 from tools.bench.training_plot import plot_training
 
-# As `lerobot-train` logs: `step:1K smpl:16K ... loss:0.123 ...`, which rounds a step's number.
+# `lerobot-train` logs `step:1K smpl:16K ... loss:0.123 ...`, which rounds the step.
 _LOGGED = re.compile(r"ot_train\.py:\d+ step:\S+ smpl:.* loss:([0-9.]+) ")
 _LOG_EVERY = 100
-# What `lerobot-train` runs.
+# Module of `lerobot-train`.
 _UNMODIFIED = ["-m", "lerobot.scripts.lerobot_train"]
 _REMEMBERING = Path(__file__).with_name("remembering_train.py")
 _RUNS = "weld:200:6000,weld:25:3000,weld:50:3000,weld:100:3000,weld:200:3000,contact:100:3000,randomized:100:3000"
@@ -35,15 +36,15 @@ _RUNS = "weld:200:6000,weld:25:3000,weld:50:3000,weld:100:3000,weld:200:3000,con
 
 @dataclass(frozen=True)
 class Bench:
-    """How all runs are done.
+    """Common settings of all runs.
 
     Attributes:
         python: of the environment with all programs.
-        out: where results go.
-        most: kind -> how many demonstrations are recorded; runs with fewer take the first of them.
+        out: folder of results.
+        most: kind -> recorded demonstrations; runs with fewer take the first of them.
         trials: of each policy.
-        nice: how far programs stand back.
-        remember: trains by `remembering_train.py`.
+        nice: niceness of the programs.
+        remember: whether to train by `remembering_train.py`.
     """
 
     python: Path
@@ -54,7 +55,7 @@ class Bench:
     remember: bool
 
     def stage(self, name: str, program: Sequence[str]) -> dict[str, float]:
-        """Run a program of one stage, unless its result is there; the seconds that it took."""
+        """Run a program unless its result exists, and return its seconds."""
         told = self.out / f"{name}.seconds.json"
         if not told.exists():
             (self.out / f"{name}.log").parent.mkdir(parents=True, exist_ok=True)
@@ -68,11 +69,11 @@ class Bench:
         return seconds
 
     def yamsim(self, name: str, arguments: Sequence[str]) -> dict[str, float]:
-        """The same, of one of our commands."""
+        """Run a command of yamsim as a stage."""
         return self.stage(name, [str(self.python), "-m", "yamsim_cli", *arguments])
 
     def run(self, kind: recipe.Demonstrations, episodes: int, steps: int) -> dict[str, Any]:
-        """From nothing to a policy's success."""
+        """Record, train and evaluate."""
         some, name = f"{kind.name}_{episodes}", f"{kind.name}_{episodes}_{steps}"
         demos, dataset, trained = self.out / kind.name, self.out / f"{some}_lerobot", self.out / f"{name}_trained"
         report, config = self.out / f"{name}.report.json", recipe.write_config(self.out / "act_states.yaml")
@@ -94,7 +95,7 @@ class Bench:
 
 
 def _children() -> float:
-    """CPU seconds of all processes that this one waited for."""
+    """CPU seconds of all finished child processes."""
     used = resource.getrusage(resource.RUSAGE_CHILDREN)
     return used.ru_utime + used.ru_stime
 

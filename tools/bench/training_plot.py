@@ -1,4 +1,4 @@
-"""Learning curves as a picture: the loss over steps, and success over demonstrations with its 95 % intervals."""
+"""Learning curves: the loss over steps, and success over demonstrations with 95 % intervals."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Scale = Callable[[float], float]
 
 
 def plot_training(runs: Sequence[dict[str, Any]], log_every: int, path: Path) -> None:
-    """Write the picture of some runs of `tools.bench.training` as SVG."""
+    """Plot runs of `tools.bench.training` as SVG."""
     parts = [
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {_WIDTH} {_HEIGHT}" font-family="sans-serif" '
         'font-size="12">',
@@ -80,7 +80,7 @@ def _successes(runs: Sequence[dict[str, Any]]) -> list[str]:
             low_end, high_end = (y(end) for end in run["wilson95"])
             parts.append(f'<path d="M{at:.1f} {low_end:.1f}V{high_end:.1f}" stroke="{colour}" stroke-width="2"/>')
             parts.append(f'<circle cx="{at:.1f}" cy="{rate:.1f}" r="4" fill="{colour}"/>')
-        # At the lower right, where no curve comes that is worth looking at.
+        # At the lower right, where there are no curves.
         parts.append(_text(left + _PANEL - 8, _BOTTOM - 70 + 16 * number, name, "end", colour))
     return parts
 
@@ -91,7 +91,7 @@ def _series(runs: Sequence[dict[str, Any]]) -> dict[str, str]:
 
 
 def _name(run: dict[str, Any]) -> str:
-    """What runs of one curve have in common."""
+    """Common name of the runs of one curve."""
     return f"{run['kind']}, {run['steps']} steps"
 
 

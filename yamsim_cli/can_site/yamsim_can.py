@@ -1,7 +1,7 @@
 """python-can bus on the sockets of `yamsim serve-robot`, for programs that `yamsim can-run` starts.
 
-python-can finds the class by the entry point beside this file, which replaces python-can's `socketcan` interface. The
-module does not import yamsim. A channel that yamsim does not serve is opened as a CAN interface of the machine.
+The entry point beside this file replaces python-can's `socketcan` interface. The module does not import yamsim. A
+channel that yamsim does not serve is opened as a CAN interface of the machine.
 """
 
 import os
@@ -14,9 +14,9 @@ from pathlib import Path
 import can
 from can.interfaces.socketcan import SocketcanBus
 
-_FRAME = struct.Struct("=IB3x8s")  # Linux `struct can_frame`: identifier with flags, data length, 8 data bytes
-_EXTENDED, _REMOTE, _ERROR = 0x80000000, 0x40000000, 0x20000000  # flags in the identifier of a `struct can_frame`
-_FOLDER = "YAMSIM_CAN_FOLDER"  # environment variable: folder with one Unix socket per served channel
+_FRAME = struct.Struct("=IB3x8s")  # Linux `struct can_frame`: identifier with flags, length, 8 data bytes
+_EXTENDED, _REMOTE, _ERROR = 0x80000000, 0x40000000, 0x20000000  # flags in the identifier
+_FOLDER = "YAMSIM_CAN_FOLDER"  # environment variable: folder with a Unix socket per channel
 
 
 def _place(channel):
@@ -27,7 +27,7 @@ class Bus(can.BusABC):
     """Connection to a CAN bus that yamsim simulates."""
 
     def __new__(cls, channel, **kwargs):
-        """Return a connection to the channel if yamsim serves it, else python-can's `SocketcanBus`."""
+        """Return a connection if yamsim serves the channel, else python-can's `SocketcanBus`."""
         if not _place(channel).is_socket():
             return SocketcanBus(channel, **kwargs)
         return super().__new__(cls)
@@ -101,7 +101,7 @@ class Bus(can.BusABC):
         return can.BusState.ACTIVE
 
     def fileno(self):
-        """Return the socket's file descriptor, with which `select` waits for messages."""
+        """Return the socket's file descriptor, which `select` needs."""
         return self._socket.fileno()
 
     def shutdown(self):

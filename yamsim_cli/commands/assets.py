@@ -1,5 +1,3 @@
-"""`yamsim assets`: list and fetch mesh sets, and import and certify objects."""
-
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
@@ -117,7 +115,6 @@ def _files(assets: AssetSet, store: AssetStore) -> Sequence[Mapping[str, object]
 
 
 def _things(lock: AssetLock) -> list[dict[str, Any]]:
-    """Return the name of each object config, and the state and failed checks of its certificate."""
     from yamsim_cli.core.config.loader import load_config
     from yamsim_cli.core.config.objects.object_config import ObjectConfig
     from yamsim_cli.core.scene.certificates import find_certificate
@@ -139,7 +136,6 @@ def _things(lock: AssetLock) -> list[dict[str, Any]]:
 def _fetch_with_progress(
     lock: AssetLock, store: AssetStore, names: list[str]
 ) -> tuple[FetchReport, dict[str, ReducedSet]]:
-    """Download and reduce mesh sets; return the report, and set name -> reduced meshes of each set that was reduced."""
     from yamsim_cli.core.scene.assets import make_reduced
     from yamsim_cli.mesh_download.fetch import default_sources, fetch
     from yamsim_cli.terminal.fetch_bar import fetch_bar
@@ -217,7 +213,6 @@ def _certificate_table(checks: Sequence[Mapping[str, Any]]) -> ItemTable:
 
 
 def _certify(thing: str) -> CertificationResult:
-    """Run all checks of an object, given by its name or file, and store the certificate."""
     from yamsim_cli.core.config.loader import load_config
     from yamsim_cli.core.config.objects.object_config import ObjectConfig
     from yamsim_cli.core.scene.assets import load_lock
@@ -319,7 +314,6 @@ def import_object(
 
 
 def _import_ycb(name: str, mass: float | None, out: Path | None) -> tuple[dict[str, Any], list[str]]:
-    """Import a YCB object; return the JSON report, and the lines to print."""
     from yamsim_cli.objects.importing.ycb_import import import_ycb
 
     made = import_ycb(name, opener.locations(), None if mass is None else mass * 1000, out)
@@ -335,7 +329,7 @@ def _import_ycb(name: str, mass: float | None, out: Path | None) -> tuple[dict[s
 def _import_file(
     file: Path, units: UnitOptions, options: ImportOptions, out: Path | None
 ) -> tuple[dict[str, Any], list[str]]:
-    """Import an object file; return the JSON report, and the lines to print. Notes about guesses go to stderr."""
+    """Notes about guesses go to stderr."""
     from yamsim_cli.objects.importing.file_import import import_file
 
     with progress_bar(f"importing {file.name}", "%") as advance:

@@ -1,5 +1,3 @@
-"""`yamsim boards`: write a rig's fiducial boards for printing."""
-
 from __future__ import annotations
 
 from enum import StrEnum
@@ -18,7 +16,7 @@ if TYPE_CHECKING:
 
 
 class PaperSize(StrEnum):
-    """The valid paper sizes: keys of `photos.board_sheet.PAPERS`, repeated here so that --help imports no OpenCV."""
+    """Keys of `photos.board_sheet.PAPERS`, repeated here so that --help imports no OpenCV."""
 
     A4 = "A4"
     LETTER = "Letter"
@@ -73,7 +71,7 @@ def boards(
 
 
 def _file(out: Path, arm: str) -> Path:
-    """Return the file of an arm's board: `out` if it is a PDF, which holds all boards, else one PNG for each arm."""
+    """Return `out` if it is a PDF, which holds all boards, else one PNG for each arm."""
     return out if out.suffix.lower() == ".pdf" else out.with_name(f"{out.stem}_{arm}{out.suffix}")
 
 

@@ -1,5 +1,3 @@
-"""`yamsim compose-xml`: write a scene that any MuJoCo program can load."""
-
 from __future__ import annotations
 
 from pathlib import Path

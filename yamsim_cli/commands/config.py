@@ -42,7 +42,6 @@ def list_configs(json: Json = False) -> None:
 
 
 def _named(context: typer.Context, name: str) -> str:
-    """Return the config name that the user gave. The error for a missing name lists the valid names."""
     kind = context.params.get("kind", "")
     if name or context.resilient_parsing:
         return name

@@ -1,5 +1,3 @@
-"""`yamsim doctor`: check this machine, and show the fix for each fault."""
-
 from __future__ import annotations
 
 import os

@@ -1,5 +1,3 @@
-"""`yamsim eval`: measure how often a policy succeeds."""
-
 from __future__ import annotations
 
 from pathlib import Path
@@ -168,10 +166,8 @@ def evaluate(
 
 
 def _read_reports(names: list[str], session: Session) -> dict[str, dict[str, Any]]:
-    """Read the names that end in .json as reports of earlier evaluations. Return file name -> report.
-
-    Raises:
-        UsageError: a file is not a report, or its trials had other settings than those of this session.
+    """Return name -> report of an earlier evaluation, for names that end in .json. Its trials must equal this
+    session's.
     """
     from yamsim_cli.core.episode.trials import describe_run
     from yamsim_cli.policies.evaluate.compare import read_report, require_same_trials
@@ -183,7 +179,6 @@ def _read_reports(names: list[str], session: Session) -> dict[str, dict[str, Any
 
 
 def _evaluate(session: Session, choice: PolicyChoice, trial_timeout: float) -> tuple[Evaluation, dict[str, Any]]:
-    """Run a policy's trials with a progress bar; return the evaluation, and its report as JSON data."""
     from yamsim_cli.core.statistics import THRESHOLDS
     from yamsim_cli.policies.evaluate import evaluation
 

@@ -1,5 +1,3 @@
-"""`yamsim export`: write a dataset in the formats of other programs."""
-
 from __future__ import annotations
 
 from pathlib import Path
@@ -18,7 +16,7 @@ if TYPE_CHECKING:
     from yamsim_cli.export.output_directory import ExportResult
     from yamsim_cli.export.raiden_schema import RaidenOptions
 
-_MAX_FPS = 500  # frames/s, largest --fps: the rate of physics steps
+_MAX_FPS = 500  # frames/s: the rate of physics steps
 
 app = typer.Typer(help="Write a dataset in the formats of other programs.", no_args_is_help=True)
 
@@ -103,7 +101,6 @@ def raiden(
 def _simulated_raiden(
     dataset: Path, out: Path, options: RaidenOptions, workers: int, episodes: str | None, overwrite: bool
 ) -> ExportResult:
-    """Export simulated episodes in raiden's layout. `options` decide whether images are rendered again."""
     where = opener.locations()
     if options.renders:
         where = _with_renderer(where)
@@ -229,7 +226,6 @@ def rerun(dataset: Dataset, out: Out, episodes: Episodes = None, overwrite: Rena
 
 
 def _rate(text: str) -> float | None:
-    """Return the value of --fps in frames a second; None for `source`, which keeps the recorded frames."""
     if text == "source":
         return None
     try:

@@ -1,5 +1,3 @@
-"""`yamsim gap`: measure the sim-to-real gap between recordings and the simulation of their commands."""
-
 from __future__ import annotations
 
 import math
@@ -119,7 +117,7 @@ def gap(
 def _read(
     recordings: Sequence[Path], rig: RigConfig, locations: Locations, mapping: str | None
 ) -> tuple[list[RecordedMotion], list[dict[str, Any]]]:
-    """Read the recorded motions; return them, and their faults as JSON data. The faults are also printed to stderr."""
+    """Return motions, and faults as JSON data, which also go to stderr."""
     from yamsim_cli.real.recordings.motion_faults import find_faults, require_units
     from yamsim_cli.real.recordings.motion_reading import read_motions
 
@@ -143,7 +141,7 @@ def _rig(
     recording: Path,
     locations: Locations,
 ) -> RigConfig:
-    """Return the rig with a name. Without a name, return the rig of the recording's dataset, else the rig `single`."""
+    """Return the named rig, or else that of the recording's dataset, or else `single`."""
     from yamsim_cli.core.dataset.dataset_paths import CONFIG
     from yamsim_cli.core.dataset.imported_records import is_real, real_config
     from yamsim_cli.core.dataset.reader import dataset_config
@@ -179,7 +177,6 @@ def _gaps(
 def _photos(
     gaps: Sequence[MotionGap], rig: RigConfig, request: PhotoRequest, surroundings: SceneConfig, locations: Locations
 ) -> tuple[dict[str, Any], list[CaptionedJpeg]]:
-    """Compare photos of the recordings; return the figures as JSON data, and pictures for the page."""
     from yamsim_cli.core.config.loader import load_config
     from yamsim_cli.core.config.rendering import RenderConfig
     from yamsim_cli.core.scene.compose import rig_mesh_sets

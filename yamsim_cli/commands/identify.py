@@ -1,5 +1,3 @@
-"""`yamsim excite` and `yamsim identify`: excite a real arm, and identify its dynamics from the log."""
-
 from __future__ import annotations
 
 from collections.abc import Sequence
@@ -180,12 +178,11 @@ def _write(found: Sequence[IdentificationResult], out: Path) -> list[Path]:
 
 
 def _file(out: Path, side: str, arms: int) -> Path:
-    """Return the file of one arm's identified dynamics: `out`, with the arm's side appended if `arms` is 2."""
     return out if arms == 1 else out.with_stem(f"{out.stem}_{side}")
 
 
 def _plain(found: Sequence[IdentificationResult], rig: str, files: Sequence[Path]) -> dict[str, Any]:
-    """Return the JSON report of one or two arms. Two arms are listed by side, and their joints also in one list."""
+    """Two arms are listed by side, and their joints also in one list."""
     arms = [{**_plain_arm(one), "out": str(file)} for one, file in zip(found, files, strict=True)]
     data: dict[str, Any] = {"rig": rig, "out": [str(file) for file in files]}
     if len(arms) == 1:

@@ -1,5 +1,3 @@
-"""`yamsim import`: make a dataset from recordings of real arms."""
-
 from __future__ import annotations
 
 from pathlib import Path

@@ -1,5 +1,3 @@
-"""`yamsim overlay`: draw the simulated arms over photos of real arms."""
-
 from __future__ import annotations
 
 import math
@@ -139,7 +137,7 @@ def overlay(
 def _rig(
     name: str | None, revision: str | None, recordings: Sequence[Path], margin: float | None, locations: Locations
 ) -> RigConfig:
-    """Return the rig with a name. Without a name, return the rig of the recordings' dataset, else the rig `single`."""
+    """Return the named rig, or else that of the recordings' dataset, or else `single`."""
     from yamsim_cli.core.dataset.dataset_paths import CONFIG
     from yamsim_cli.core.dataset.reader import recorded_rig
 
@@ -165,7 +163,7 @@ def _print(report: OverlayReport) -> None:
         for caption in captions(result):
             print_line(f"{result.path}: {caption}")
         for arm in result.arms:
-            # If no arm of a photo has a pose, the error at the end of the command gives the reason.
+            # If no arm of a photo has a pose, the error at the end gives the reason.
             if result.bases and not arm.located and arm.detection:
                 print_note(f"{result.path}: {arm.name}: {arm.detection.explanation}")
         for text in result.notes:

@@ -1,5 +1,3 @@
-"""`yamsim replay`: show a recorded episode in a viewer, or write a video."""
-
 from __future__ import annotations
 
 import sys
@@ -23,7 +21,7 @@ if TYPE_CHECKING:
     from yamsim_cli.core.files.resources import Locations
     from yamsim_cli.viewers.page_address import PageAddress
 
-# Figures that `_physics` returns for an episode whose actions cannot be simulated again.
+# For an episode whose actions cannot be simulated again.
 _NO_PHYSICS: dict[str, Any] = {"max_error": None, "first_divergence": None}
 
 
@@ -119,7 +117,7 @@ def _film(
 def play_episode(
     stored: RecordedEpisode, locations: Locations, speed: float, page: PageAddress | None, json: bool
 ) -> None:
-    """Play an episode on a web page, or in MuJoCo's window if `page` is None. A real recording shows only its arms."""
+    """Play an episode on a page, or in MuJoCo's window if `page` is None. A real recording shows only its arms."""
     prepare_viewer(page)
     from yamsim_cli.core.dataset.reader import StoredEpisode
     from yamsim_cli.viewers.show.replay import play_real, play_simulated
@@ -135,7 +133,7 @@ def play_episode(
 
     if isinstance(stored, StoredEpisode):
         session = opener.with_meshes(_session(stored, locations))
-        # Ctrl-C is deferred: a server or window that is interrupted during its start cannot be closed.
+        # A server or window that Ctrl-C interrupts during its start cannot be closed.
         with defer_signals() as stopped:
             physics = _physics(stored, locations)
             play_simulated(stored, session, speed, page, ready, stopped)
@@ -164,10 +162,7 @@ def _session(stored: StoredEpisode, locations: Locations) -> Session:
 
 
 def _physics(stored: StoredEpisode, locations: Locations) -> dict[str, Any]:
-    """Simulate the recorded actions again; return the largest error of the states and the first difference.
-
-    Both are None if the actions cannot be simulated again; the first difference is also None if nothing differs.
-    """
+    """Return largest error and first difference, or None for both if the actions cannot be simulated."""
     from yamsim_cli.datasets.verify import reproduce_episode
 
     try:

@@ -1,5 +1,3 @@
-"""`yamsim robots`: list, show, make and check arms, grippers and stations."""
-
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
@@ -112,7 +110,6 @@ def _check_table(found: Sequence[Mapping[str, Any]]) -> ItemTable:
 
 
 def _locations(data: Path | None) -> Locations:
-    """Return the folders of configs and models; the folder of --data, if given, is searched first."""
     where = opener.locations()
     return where if data is None else replace(where, data=(data, *where.data))
 

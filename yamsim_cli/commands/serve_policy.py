@@ -1,5 +1,3 @@
-"""`yamsim serve-policy`: serve a policy over HTTP from a separate process."""
-
 from __future__ import annotations
 
 from pathlib import Path
@@ -27,7 +25,7 @@ def serve_policy(
     from yamsim_cli.policies.policy_loading import load_policy
     from yamsim_cli.policies.policy_server import LOOPBACK, PolicyServer
 
-    # Load the policy once, so that an error is reported before a client connects.
+    # Load the policy once, so that errors are reported before a client connects.
     load_policy(policy, Path.cwd())
     with PolicyServer(lambda: load_policy(policy, Path.cwd()), host, port) as server:
         if host != LOOPBACK:

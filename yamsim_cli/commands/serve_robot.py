@@ -1,5 +1,3 @@
-"""`yamsim serve-robot` and `yamsim can-run`: serve simulated arms on the interfaces of real arms."""
-
 from __future__ import annotations
 
 import os
@@ -143,7 +141,7 @@ def serve_robot(
 
 
 def _sockets(stack: ExitStack, served: ServedArms, folder: Path | None) -> list[UnixBus | KernelBus]:
-    """Open a socket for each CAN bus: a Unix socket in `folder`, or without a folder one of the kernel's interfaces."""
+    """Open each CAN bus: a Unix socket in `folder`, or without a folder one of the kernel's interfaces."""
     from yamsim_cli.real.serve.can_bus import KernelBus, UnixBus
 
     sockets: list[UnixBus | KernelBus] = []
@@ -220,5 +218,4 @@ def can_run(
 
 
 def _bus_folder(given: Path | None) -> Path:
-    """Return the folder of the CAN buses' Unix sockets: the given folder, or the user's default."""
     return default_folder(os.environ) if given is None else given

@@ -1,5 +1,3 @@
-"""`yamsim summarize`: report a dataset's statistics and problems."""
-
 from __future__ import annotations
 
 import math

@@ -1,5 +1,3 @@
-"""`yamsim tasks`: list, show, make and check tasks."""
-
 from __future__ import annotations
 
 from collections.abc import Mapping

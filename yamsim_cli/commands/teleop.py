@@ -1,5 +1,3 @@
-"""`yamsim teleop`: teleoperate the arm and record episodes."""
-
 from __future__ import annotations
 
 import sys
@@ -78,7 +76,6 @@ def teleop(
         check_page(page)
 
     def ready(url: str) -> None:
-        # Standard output is reserved for the report.
         print_note(f"{url}  (Ctrl-C ends)")
         sys.stderr.flush()
 

@@ -1,5 +1,3 @@
-"""`yamsim trials`: run a task many times without recording, and count the successes."""
-
 from __future__ import annotations
 
 from pathlib import Path

@@ -1,5 +1,3 @@
-"""`yamsim verify`: check that a dataset can be reproduced from its records."""
-
 from __future__ import annotations
 
 from collections.abc import Iterator
@@ -16,15 +14,15 @@ from yamsim_cli.terminal.tables import FactTable
 if TYPE_CHECKING:
     from rich.text import Text
 
-# Check -> label in the report that says how the episode was reproduced.
+# Check -> label in the report.
 _METHODS = {"seed": "made again from its seed", "actions": "from its actions", "images": "rendered again"}
 
 # Largest difference that rounding alone explains: m, rad, or relative for numbers above 1. Another processor rounds the
-# last bit of a sine or a sum differently, and contacts amplify the difference. On an emulated processor, most of 40
-# episodes differed by 1.5e-4, and the worst by 1.4e-3 (the tilt of a rolling banana).
+# last bit differently, and contacts amplify the difference. On an emulated processor, most of 40 episodes differed by
+# 1.5e-4, and the worst by 1.4e-3 (the tilt of a rolling banana).
 _MAX_ROUNDING = 0.005
 
-_MAX_LINES = 10  # printed lines of differences, and of problems; --json has no limit
+_MAX_LINES = 10  # of differences, and of problems; --json has all
 
 
 def verify(
@@ -130,7 +128,7 @@ def _verdict(report: dict[str, Any]) -> str:
 
 
 def _hint(report: dict[str, Any]) -> str:
-    """Return advice to set a tolerance if rounding alone can explain the differences, else an empty string."""
+    """Advise a tolerance if rounding alone can explain the differences."""
     unequal = any(divergence["difference"] is None for divergence in report["divergences"])
     if unequal or report["problems"] or not report["tolerance"] < report["max_error"] <= _MAX_ROUNDING:
         return ""

@@ -1,5 +1,3 @@
-"""`yamsim view`: watch a rig, a task or an episode, and move its joints."""
-
 from __future__ import annotations
 
 from pathlib import Path
@@ -77,14 +75,13 @@ def view(
         line = f"{url}  (Ctrl-C ends)" if url else "MuJoCo's window: space pauses, backspace goes home"
         print_result_now({"url": url}, line, json)
 
-    # Ctrl-C is deferred: a server or window that is interrupted during its start cannot be closed.
+    # A server or window that Ctrl-C interrupts during its start cannot be closed.
     with defer_signals() as stopped:
         live, viewpoint = _live(settings, where, boards=boards or page is not None, pictures=pictures)
         view_rig(live, page, ready, stopped, viewpoint, boards=boards, pictures=pictures)
 
 
 def _can_render(locations: Locations) -> bool:
-    """Choose an OpenGL backend, and return whether one is available."""
     try:
         opener.use_gl(locations)
     except ResourceError:

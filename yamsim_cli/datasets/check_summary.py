@@ -1,4 +1,4 @@
-"""Combine the check results of a dataset, and compute its summary figures without simulation."""
+"""Combine the check results of a dataset, and compute its summary figures."""
 
 from __future__ import annotations
 
@@ -17,19 +17,12 @@ from ..core.statistics import Coverage, compute_coverage, histogram, summarize_v
 from .checks.dataset_checks import check_dataset, read_ledger
 from .checks.episode_facts import EpisodeFacts
 
-CELL_M = 0.05  # m, largest cell width for workspace coverage: about the width of a banana
+CELL_M = 0.05  # m, largest cell width: about the width of a banana
 
 
 @dataclass(frozen=True)
 class CheckResults:
-    """The result of checking a dataset.
-
-    Attributes:
-        path: the dataset directory.
-        episodes: facts about the episodes, in order.
-        attempts: the readable attempts of the ledger.
-        problems: faults of the dataset, followed by the faults of its episodes in order.
-    """
+    """Result of checking a dataset."""
 
     path: Path
     context: CheckContext
@@ -41,10 +34,9 @@ class CheckResults:
 def combine_checks(
     dataset: Path, context: CheckContext, episodes: Sequence[EpisodeFacts], problems: ProblemCollector
 ) -> CheckResults:
-    """Check a dataset as a whole, and combine the results with those of its episodes.
+    """Check a dataset as a whole, and add the results of its episodes.
 
     Args:
-        episodes: check result of each episode, in order.
         problems: faults that were found before the episode checks.
     """
     attempts = read_ledger(dataset, problems) if context.recorded else []
@@ -55,10 +47,9 @@ def combine_checks(
 
 
 def summarize(results: CheckResults, thresholds: Sequence[float]) -> dict[str, Any]:
-    """Return counts, success rates and distributions of a dataset, JSON-ready; see docs/checking.md.
+    """Return counts, success rates and distributions of a dataset as JSON data; see docs/checking.md.
 
-    Args:
-        thresholds: success distances from the target, m; ignored for real recordings and for tasks with a goal.
+    `thresholds` are success distances from the target, m; real recordings and tasks with a goal ignore them.
     """
     episodes, problems = results.episodes, list(results.problems)
     outcomes = [episode.outcome for episode in episodes if episode.outcome]
@@ -97,9 +88,8 @@ def summarize(results: CheckResults, thresholds: Sequence[float]) -> dict[str, A
 
 
 def is_within_threshold(episode: EpisodeFacts, threshold: float, results: CheckResults) -> bool:
-    """Return whether an episode's object ended on its target, within `threshold` m of the target's centre.
-
-    If a goal decides success, return whether the goal was reached.
+    """Whether the goal was reached; without a goal, whether the object ended within `threshold` m of its target's
+    centre.
     """
     if episode.outcome is None or results.context.judged_by_goal:
         return episode.outcome is not None and episode.outcome.success
@@ -108,7 +98,7 @@ def is_within_threshold(episode: EpisodeFacts, threshold: float, results: CheckR
 
 
 def workspace_coverage(results: CheckResults, points: Sequence[tuple[float, float]]) -> Coverage | None:
-    """Return how points (x, y) in `world`, m, cover the box of sampled start positions; None if it is unknown."""
+    """Return how points (x, y) in `world`, m, cover the box of sampled start positions."""
     box = results.context.sampling
     return compute_coverage(points, box.x, box.y, CELL_M) if box else None
 

@@ -15,10 +15,10 @@ class Difference:
     """A difference between a stored and a reproduced value.
 
     Attributes:
-        frame: frame number; None for a value of the whole episode.
+        frame: None for a value of the whole episode.
         time_s: simulated time of the frame, s.
-        quantity: name of the value, such as `joints[2]` or `banana_pose[0, 3]`.
-        stored, got: stored and reproduced value; numbers in the unit of the quantity, else text.
+        quantity: such as `joints[2]` or `banana_pose[0, 3]`.
+        stored, got: numbers in the unit of the quantity, else text.
         difference: absolute up to a stored value of 1, relative above; None unless both are finite and of equal shape.
     """
 
@@ -32,12 +32,12 @@ class Difference:
 
 @dataclass
 class EpisodeComparison:
-    """The result of comparing two episodes.
+    """Result of comparing two episodes.
 
     Attributes:
-        largest: quantity -> largest difference. The difference is divided by the stored magnitude if that exceeds 1.
-            It is absolute for small values (rad, m) and relative for large values, such as a focal length in px.
-        first_difference: the first difference beyond the tolerance. If a frame has several, the largest one.
+        largest: quantity -> largest difference: absolute up to a stored value of 1 (rad, m), relative above, such as
+            for a focal length in px.
+        first_difference: first difference beyond the tolerance. If a frame has several, the largest one.
     """
 
     largest: dict[str, float] = field(default_factory=dict)
@@ -52,12 +52,7 @@ class EpisodeComparison:
 def compare_frames(
     stored: Sequence[Mapping[str, Any]], made: Sequence[Mapping[str, Any]], tolerance: float
 ) -> EpisodeComparison:
-    """Compare the low-dimensional data of two episodes, frame by frame and value by value.
-
-    Args:
-        stored, made: frames of the stored and of the reproduced episode.
-        tolerance: largest accepted difference of numbers, see `EpisodeComparison.largest`. Other values must be equal.
-    """
+    """Compare the data of two episodes, except images. `tolerance` is as in `EpisodeComparison.largest`."""
     result = EpisodeComparison()
     for k, (old, new) in enumerate(zip(stored, made, strict=False)):
         time = old.get("timestamp")
@@ -68,7 +63,7 @@ def compare_frames(
 
 
 def compare_values(stored: Mapping[str, Any], made: Mapping[str, Any], tolerance: float) -> EpisodeComparison:
-    """Compare values of whole episodes, such as outcomes. `tolerance` is the largest accepted difference of numbers."""
+    """Compare values of whole episodes, such as outcomes; `tolerance` is for numbers."""
     result = EpisodeComparison()
     _compare(result, stored, made, tolerance, None, None)
     return result
@@ -115,7 +110,7 @@ def _is_number(value: Any) -> bool:
 
 
 def _largest_difference(old: Any, new: Any) -> tuple[tuple[int, ...], float | None]:
-    """Return index and size of the largest difference; size None if there is no numeric difference."""
+    """Return index and size of the largest difference; size None without numbers."""
     if not (_is_number(old) and _is_number(new)):
         same = type(old) is type(new) and bool(old == new)
         return (), 0.0 if same else None

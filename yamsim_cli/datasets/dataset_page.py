@@ -1,5 +1,3 @@
-"""Report on a dataset as one self-contained HTML page, for a browser, a wiki or a printer."""
-
 from __future__ import annotations
 
 import math
@@ -28,17 +26,17 @@ from ..core.plots import ObjectPlaces, Point, plot_workspace
 from .check_summary import CheckResults, is_within_threshold, workspace_coverage
 from .checks.episode_facts import EpisodeFacts
 
-_MAX_CAUSES = 12  # failure causes in the plot, the most frequent ones
-_MAX_EXAMPLES = 5  # examples per problem code; --json lists all
-_MAX_OBJECTS = 4  # objects with a plot of their positions
-_MIN_MOTION = 0.02  # m; end positions are plotted only for objects that moved by more in some episode
+_MAX_CAUSES = 12  # the most frequent ones
+_MAX_EXAMPLES = 5  # per problem code; --json lists all
+_MAX_OBJECTS = 4  # with a plot of their positions
+_MIN_MOTION = 0.02  # m; objects that never move more have no plot of end positions
 _WILSON = "Wilson's 95\N{NO-BREAK SPACE}% intervals"
 _SPREAD_LABELS = {"median": "median", "p95": "95 %", "max": "largest"}
 
 
 @dataclass(frozen=True)
 class FrameStrip:
-    """Contents of the JPEG files of the first, middle and last frame of an episode, without unreadable ones."""
+    """JPEG files of the first, middle and last frame of an episode, without unreadable ones."""
 
     episode: str
     caption: str
@@ -49,7 +47,6 @@ def dataset_page(results: CheckResults, summary: Mapping[str, Any], strips: Sequ
     """Return the report page on a checked dataset as HTML.
 
     Args:
-        summary: the figures from `check_summary.summarize`.
         made: text at the foot of the page.
     """
     path = results.path.absolute()
@@ -68,7 +65,7 @@ def dataset_page(results: CheckResults, summary: Mapping[str, Any], strips: Sequ
 
 
 def problem_counts(summary: Mapping[str, Any]) -> tuple[str, str]:
-    """Return the numbers of errors and warnings as texts, such as ``"1 error"`` and ``"1,200 warnings"``."""
+    """Return the numbers of errors and warnings, such as ``"1 error"`` and ``"1,200 warnings"``."""
     errors, warnings = summary["errors"], summary["warnings"]
     return f"{errors:,} error{'' if errors == 1 else 's'}", f"{warnings:,} warning{'' if warnings == 1 else 's'}"
 

@@ -1,5 +1,3 @@
-"""HTML page that ranks evaluations of policies on the same trials."""
-
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
@@ -15,8 +13,8 @@ def leaderboard_page(reports: Sequence[Mapping[str, Any]], pairs: Sequence[Mappi
     """Return an HTML page that compares the success rates of policies.
 
     Args:
-        reports: one result of `policies.evaluate.evaluation.evaluation_report` per policy, the evaluated policy first.
-        pairs: results of `policies.evaluate.compare.compare_reports` for the evaluated policy and each other one.
+        reports: results of `evaluation_report`, the evaluated policy first.
+        pairs: results of `compare_reports` for the evaluated policy and each other one.
         made: text at the foot of the page.
     """
     first = reports[0]

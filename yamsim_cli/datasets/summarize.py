@@ -1,4 +1,4 @@
-"""Check a dataset with worker processes, and write report pages on the results."""
+"""Check a dataset with worker processes, and write report pages."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ from .dataset_page import FrameStrip, dataset_page
 from .leaderboard_page import leaderboard_page
 from .trials_page import start_boxes, trials_page
 
-_MAX_STRIPS = 6  # episodes of which a report page shows images
+_MAX_STRIPS = 6  # episodes with images on a report page
 _THUMBNAIL_PX = 240  # px, longer side of these images
 
 
 class EpisodeChecker(Closable):
-    """Checks episodes in a separate worker process, because the JPEG decoder writes warnings to its stderr."""
+    """Checks episodes in a separate process, because the JPEG decoder writes warnings to its stderr."""
 
     def __init__(self, context: CheckContext) -> None:
         self._context = context
@@ -49,13 +49,7 @@ class EpisodeChecker(Closable):
 
 
 def check_dataset(dataset: Path, locations: Locations, workers: int, progress: Progress) -> CheckResults:
-    """Check a dataset with `workers` processes. Every file is read, and none is changed.
-
-    Raises:
-        DatasetError: `dataset` is not a readable dataset.
-        InterruptedJobError: the user stopped the job.
-        PartialJobError: no worker can be kept alive.
-    """
+    """Check a dataset, with `workers` processes. No file is changed."""
     directories, recorded = find_episodes(dataset)
     problems = ProblemCollector()
     context = read_context(dataset, recorded, locations, problems)
@@ -83,22 +77,22 @@ def _facts_of_crash(error: LostJobError) -> EpisodeFacts:
 
 
 def write_report(results: CheckResults, summary: Mapping[str, Any], path: Path) -> None:
-    """Write the report page of a dataset atomically. Raise ResourceError if the file cannot be written."""
+    """Write the report page of a dataset atomically."""
     write_page(dataset_page(results, summary, contact_sheet(results), page_footer()), path)
 
 
 def write_trials_page(report: Mapping[str, Any], config: RecordConfig, path: Path) -> None:
-    """Write the report page of a batch of trials of `config`. Raise ResourceError if the file cannot be written."""
+    """Write the report page of a batch of trials."""
     write_page(trials_page(report, start_boxes(config), page_footer()), path)
 
 
 def write_leaderboard(reports: Sequence[Mapping[str, Any]], pairs: Sequence[Mapping[str, Any]], path: Path) -> None:
-    """Write the page that ranks policies. Raise ResourceError if the file cannot be written."""
+    """Write the page that ranks policies."""
     write_page(leaderboard_page(reports, pairs, page_footer()), path)
 
 
 def contact_sheet(results: CheckResults) -> list[FrameStrip]:
-    """Return images of up to `_MAX_STRIPS` episodes: those whose object ended farthest from its target come first."""
+    """Return images of up to `_MAX_STRIPS` episodes, first of those that ended farthest from the target."""
     shown = sorted(
         (episode for episode in results.episodes if any(episode.images.values())), key=_error_rank, reverse=True
     )
@@ -111,7 +105,7 @@ def _error_rank(episode: EpisodeFacts) -> tuple[int, float]:
 
 
 def _strip(dataset: Path, episode: EpisodeFacts) -> FrameStrip:
-    # A fixed camera shows more of the episode than a wrist camera.
+    # A fixed camera shows more than a wrist camera.
     _, names = min((("wrist" in camera, camera), names) for camera, names in episode.images.items() if names)
     chosen = [names[k] for k in dict.fromkeys((0, (len(names) - 1) // 2, len(names) - 1))]
     pictures = [picture for name in chosen if (picture := _picture(dataset / episode.name / name))]
@@ -121,7 +115,6 @@ def _strip(dataset: Path, episode: EpisodeFacts) -> FrameStrip:
 
 
 def _picture(path: Path) -> bytes | None:
-    """Return a JPEG thumbnail of an image file; None if the file has changed since the checks and is no image now."""
     try:
         return thumbnail(path.read_bytes(), _THUMBNAIL_PX) if stat.S_ISREG(path.stat().st_mode) else None
     except OSError:

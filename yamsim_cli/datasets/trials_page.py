@@ -1,5 +1,3 @@
-"""HTML report on a batch of trials: success rates, goal margins, initial positions of objects, and failures."""
-
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
@@ -29,7 +27,7 @@ Box = tuple[Point, Point]
 
 
 def start_boxes(config: RecordConfig) -> dict[str, Box]:
-    """Return object -> x and y range of its start region in `world`, m. Only objects on the table."""
+    """Return object -> x and y range of its start region on the table in `world`, m."""
     return {
         name: (start.x, start.y)
         for role, start in config.starts.items()
@@ -42,7 +40,6 @@ def trials_page(report: Mapping[str, Any], boxes: Mapping[str, Box], made: str) 
     """Return the trials page as HTML.
 
     Args:
-        report: result of `core.episode.trials.run_batch`.
         boxes: object -> x and y range of its start region in `world`, m.
         made: text at the foot of the page.
     """

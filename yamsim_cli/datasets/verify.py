@@ -1,7 +1,7 @@
 """Verify a dataset: worker processes reproduce its episodes and compare them with the stored data.
 
-An episode is simulated again from its seed (`SEED`) and from its recorded actions (`ACTIONS`), and its images are
-rendered again (`IMAGES`).
+An episode is simulated from its seed (`SEED`) and from its recorded actions (`ACTIONS`), and its images are rendered
+(`IMAGES`).
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ from ..core.workers.executors import run_all
 from ..core.workers.process_pool import ProcessPool
 from .compare import Difference, EpisodeComparison, compare_frames, compare_values
 
-# Names of the checks, in the order in which their differences are reported.
+# Checks, in the order in which their differences are reported.
 SEED, ACTIONS, IMAGES = "seed", "actions", "images"
 CHECKS = (SEED, ACTIONS, IMAGES)
 
@@ -56,9 +56,8 @@ class Tolerances:
     """Largest accepted differences.
 
     Attributes:
-        values: largest difference of a number: absolute in rad and m, relative for values above 1.
-        images: mean pixel difference of an image, 0 to 255. At 0, image files must be equal byte for byte. None skips
-            images.
+        values: of a number: absolute in rad and m, relative for values above 1.
+        images: mean pixel difference, 0 to 255. At 0, files must be equal byte for byte. None skips images.
     """
 
     values: float
@@ -67,12 +66,10 @@ class Tolerances:
 
 @dataclass(frozen=True)
 class EpisodeVerdict:
-    """The result of verifying one episode.
+    """Result of verifying one episode.
 
     Attributes:
-        episode: episode number.
-        checks: check -> comparison of the stored and the reproduced episode.
-        skipped: check -> reason why the check was not possible.
+        skipped: check -> why it was not possible.
         problems: file -> fault other than a difference of values; "" for the whole episode.
         changed: library or component -> version at recording time and now, if they differ.
     """
@@ -90,10 +87,10 @@ class EpisodeVerdict:
 
 
 class EpisodeVerifier(Closable):
-    """Verifies episodes of one dataset. A context manager, because a verifier may own a renderer.
+    """Verifies episodes of one dataset, and may own a renderer.
 
     Args:
-        session: session of the config that the dataset was recorded with. Its meshes affect only images.
+        session: session of the dataset's config. Its meshes affect only images.
     """
 
     def __init__(self, session: Session, tolerances: Tolerances) -> None:
@@ -131,14 +128,14 @@ class EpisodeVerifier(Closable):
             else:
                 skipped[ACTIONS] = "its frames hold no sim_qpos, sim_ctrl and sim_magnet"
         except DatasetError as error:
-            # Put the error first because it says more than that a file was altered.
+            # The error comes first: it says more than that a file was altered.
             problems = {"": str(error)} | problems
         return EpisodeVerdict(number, checks, skipped, problems, changed)
 
     def _from_seed(
         self, episode: StoredEpisode, frames: Frames, skipped: dict[str, str]
     ) -> dict[str, EpisodeComparison]:
-        """Simulate the attempt from its seed and number. Add to `skipped` why its images are not compared."""
+        """Simulate the attempt from its seed. Add to `skipped` why images are not compared."""
         record, simulator = episode.record, self._simulator(episode.record)
         done = demonstrate(simulator, sample_attempt(simulator, AttemptJob(record.seed, record.attempt)))
         made = made_frames(simulator, done.attempt, done.states)
@@ -197,15 +194,7 @@ def reproduce_frames(
 ) -> EpisodeComparison | None:
     """Replay an episode's actions in physics from its recorded start, and compare with the stored frames.
 
-    Args:
-        simulator: simulator of the config that the episode was recorded with.
-        tolerance: largest accepted difference of numbers: absolute up to a stored value of 1, relative above.
-
-    Returns:
-        The comparison; None if the episode has no actions that physics can replay.
-
-    Raises:
-        DatasetError: the episode was recorded in another scene.
+    Return None without actions that physics can replay. `tolerance` is as in `Tolerances.values`.
     """
     model = simulator.scene.model
     recorded = recorded_actions(frames, model.nq, model.nu)
@@ -227,14 +216,7 @@ def reproduce_frames(
 
 
 def reproduce_episode(episode: StoredEpisode, session: Session) -> EpisodeComparison | None:
-    """Replay an episode's actions in physics, and compare exactly with its frames; None without replayable actions.
-
-    Args:
-        session: session of the config that the dataset was recorded with.
-
-    Raises:
-        DatasetError: a file is damaged, or the episode was recorded in another scene.
-    """
+    """Replay an episode's actions in physics, and compare exactly; None without replayable actions."""
     job = AttemptJob(episode.record.seed, episode.record.attempt)
     with simulator_for(session.without_meshes(), job) as simulator:
         return reproduce_frames(simulator, episode, episode.frames(), tolerance=0.0)
@@ -245,7 +227,6 @@ def _engine(record: EpisodeRecord) -> str:
 
 
 def _read_frames(episode: StoredEpisode, problems: dict[str, str]) -> list[dict[str, Any]]:
-    """Read all frames of an episode. Altered files are reported in `problems`, and read too."""
     frames = []
     for k in range(episode.record.frames):
         data = episode.read(name := lowdim_path(k))
@@ -256,7 +237,6 @@ def _read_frames(episode: StoredEpisode, problems: dict[str, str]) -> list[dict[
 
 
 def _outcome_numbers(outcome: OutcomeRecord, keys: set[str] | None = None) -> dict[str, Any]:
-    """Return the numbers and verdict of an outcome, restricted to `keys` if given. The redundant text is omitted."""
     return outcome.model_dump(include=keys, exclude={"detail"})
 
 
@@ -265,7 +245,7 @@ def _arrays(poses: Mapping[str, Sequence[float]]) -> dict[str, Any]:
 
 
 def _merge_comparisons(frames: EpisodeComparison, once: EpisodeComparison) -> EpisodeComparison:
-    """Merge the comparison of frames with `once`, that of whole-episode values, which precedes a wrong frame count."""
+    """Merge frames with `once`, the comparison of whole-episode values, which precedes a wrong frame count."""
     first = frames.first_difference or once.first_difference
     if frames.first_difference and frames.first_difference.frame is None:
         first = once.first_difference or frames.first_difference
@@ -273,7 +253,7 @@ def _merge_comparisons(frames: EpisodeComparison, once: EpisodeComparison) -> Ep
 
 
 def _compare_images(episode: StoredEpisode, images: Mapping[str, bytes], limit: float) -> EpisodeComparison:
-    """Compare recorded with rendered JPEGs. `largest` is camera -> largest mean difference, 0 to 255."""
+    """Compare recorded with rendered JPEGs: camera -> largest mean difference, 0 to 255."""
     result = EpisodeComparison()
     record = episode.record
     for k in range(record.frames):
@@ -309,20 +289,7 @@ def _pixels_apart(stored: bytes, made: bytes) -> float | None:
 def verify(
     episodes: Sequence[tuple[int, Path]], session: Session, tolerances: Tolerances, workers: int, progress: Progress
 ) -> dict[str, Any]:
-    """Verify episodes of one dataset.
-
-    Args:
-        episodes: number and directory of each episode.
-        session: session of the config that the dataset was recorded with. Its meshes affect only images.
-        progress: called with the number of verified episodes and of all episodes.
-
-    Returns:
-        JSON-ready report with episodes, agree, max_error, first_divergence, divergences, problems, checks,
-        versions_changed, tolerance, image_tolerance, seconds.
-
-    Raises:
-        InterruptedJobError: the user stopped the job.
-    """
+    """Verify episodes of one dataset, and return a report as JSON data. The session's meshes affect only images."""
     began = time.monotonic()
     factory = functools.partial(EpisodeVerifier, session, tolerances)
     verdicts: list[EpisodeVerdict] = []
@@ -352,7 +319,7 @@ def _report(verdicts: Sequence[EpisodeVerdict], tolerances: Tolerances) -> dict[
     return {
         "episodes": len(verdicts),
         "agree": sum(verdict.agrees for verdict in verdicts),
-        # Images are excluded because their differences have another unit.
+        # Images are excluded: their differences have another unit.
         "max_error": max(remade, default=0.0),
         "first_divergence": divergences[0] if divergences else None,
         "divergences": divergences,
@@ -369,7 +336,6 @@ def _report(verdicts: Sequence[EpisodeVerdict], tolerances: Tolerances) -> dict[
 
 
 def _check_report(verdicts: Sequence[EpisodeVerdict], check: str) -> dict[str, Any] | None:
-    """Summarize one check over all episodes; None if no episode was checked or skipped."""
     found = [verdict.checks[check] for verdict in verdicts if check in verdict.checks]
     reasons = sorted({verdict.skipped[check] for verdict in verdicts if check in verdict.skipped})
     if not found and not reasons:

@@ -1,7 +1,4 @@
-"""Source dataset of an export, read episode by episode: simulated episodes or real recordings.
-
-A real recording is exported with all recorded frames, or with the recorded frames nearest to evenly spaced times.
-"""
+"""Source dataset of an export, read episode by episode: simulated, or recorded by real arms."""
 
 from __future__ import annotations
 
@@ -33,25 +30,18 @@ from ..core.errors import DatasetError
 from ..core.files.resources import Locations
 from ..core.geometry.se3 import Array
 
-# Source of exported actions: recorded commands, joints measured one frame later, or no actions.
+# Exported actions: recorded commands, joints measured one frame later, or none.
 ActionSource = Literal["recorded", "measured", "none"]
-Frames = Sequence[Mapping[str, Any]]  # low-dimensional data of the frames of an episode
+Frames = Sequence[Mapping[str, Any]]  # low-dimensional data of an episode
 
-_FPS_TOLERANCE = 0.01  # largest relative difference of a frame rate from an integer to which it is rounded
-_MAX_UNEVENNESS = 0.1  # deviation of the time between frames, as a share of the period, above which times are uneven
-ROUNDING_S = 1e-9  # s, tolerance for comparing times; without it, rounding could drop the last frame
+_FPS_TOLERANCE = 0.01  # relative distance from an integer, below which a frame rate is rounded
+_MAX_UNEVENNESS = 0.1  # deviation of the time between frames as a share of the period; above, times are uneven
+ROUNDING_S = 1e-9  # s; without this tolerance, rounding could drop the last frame
 
 
 @dataclass(frozen=True)
 class ExportSource(ABC):
-    """Selected episodes of one dataset, all with the same cameras.
-
-    Attributes:
-        path: the dataset directory.
-        directories: directories of the selected episodes, in order.
-        first: the first selected episode.
-        config: the dataset's config.
-    """
+    """Selected episodes of one dataset, all with the same cameras."""
 
     path: Path
     directories: tuple[Path, ...]
@@ -63,15 +53,11 @@ class ExportSource(ABC):
 
     @abstractmethod
     def episodes(self) -> Iterator[RecordedEpisode]:
-        """Open and yield the episodes one by one.
-
-        Raises:
-            DatasetError: an episode is damaged, or differs from the first in its cameras, arms or rate.
-        """
+        """Open and yield the episodes one by one."""
 
     @property
     def rig(self) -> RigConfig:
-        """The rig (arms and cameras) that recorded the dataset."""
+        """Rig that recorded the dataset."""
         return self.config.rig
 
     @property
@@ -97,7 +83,7 @@ class ExportSource(ABC):
 
 @dataclass(frozen=True)
 class SimulatedSource(ExportSource):
-    """Selected simulated episodes of a dataset, all with the same cameras, frame period, objects and number of arms."""
+    """Selected simulated episodes, all with the same cameras, frame period, objects and arms."""
 
     first: StoredEpisode
     config: RecordConfig
@@ -117,31 +103,27 @@ class SimulatedSource(ExportSource):
 
 @dataclass(frozen=True)
 class RealEpisode(RecordedEpisode):
-    """A recording of real arms, with the selection of frames to export. A frame may be selected several times.
-
-    Attributes:
-        chosen: for each exported frame, the number of the recorded frame.
-    """
+    """A recording of real arms with the recorded frame of each exported frame, `chosen`; frames may repeat."""
 
     record: RealEpisodeRecord
     chosen: tuple[int, ...]
 
     def frames(self) -> list[dict[str, Any]]:
-        """Read the low-dimensional data of the selected frames. Raise DatasetError if a file is missing or damaged."""
+        """Read the low-dimensional data of the selected frames."""
         recorded = {k: self.frame(k, self.read_verified(lowdim_path(k))) for k in dict.fromkeys(self.chosen)}
         return [recorded[k] for k in self.chosen]
 
     def image(self, camera: str, number: int) -> bytes:
-        """Return the JPEG bytes of exported frame `number`. Raise DatasetError if the file is missing or altered."""
+        """Return the JPEG bytes of exported frame `number`."""
         return self.read_verified(image_path(camera, self.chosen[number]))
 
 
 @dataclass(frozen=True)
 class RealSource(ExportSource):
-    """Selected recordings of real arms in one dataset, all with the same cameras and arms.
+    """Selected recordings of real arms, all with the same cameras and arms.
 
     Attributes:
-        period: time from one exported frame to the next, s.
+        period: time between exported frames, s.
         is_resampled: whether to export the frames nearest to evenly spaced times instead of all recorded frames.
     """
 
@@ -185,10 +167,10 @@ class RealSource(ExportSource):
         return RealEpisode(episode.directory, record, chosen)
 
     def with_gripper_shares(self, values: ArrayLike) -> Array:
-        """Reshape rows (n, arms * drives) of joints or commands to (n, arms, drives), with grippers as shares.
+        """Reshape rows (n, arms * drives) of joints (rad) and finger openings (m) to (n, arms, drives), with openings
+        as shares.
 
-        Joints are in rad. Grippers are recorded as openings of one finger in m. The function converts these to shares,
-        0 closed to 1 open, without clipping.
+        Shares are 0 closed to 1 open, without clipping.
         """
         record = self.first.record
         rows = np.array(values, dtype=np.float64).reshape(-1, record.arms, record.drives)
@@ -201,12 +183,7 @@ class RealSource(ExportSource):
     def actions(self, episode: RealEpisode, frames: Frames, source: ActionSource) -> Array:
         """Return the actions (n, arms, drives): joints in rad, grippers as shares of the opening.
 
-        Args:
-            source: "recorded" for commands, or "measured" for joints one frame later. The last frame then uses its own
-                joints.
-
-        Raises:
-            DatasetError: commands are requested and were not recorded.
+        The source "measured" takes the joints one frame later; the last frame repeats its own.
         """
         if source == "measured":
             return self.with_gripper_shares([frame["joints"] for frame in (*frames[1:], frames[-1])])
@@ -218,7 +195,7 @@ class RealSource(ExportSource):
         return self.with_gripper_shares([frame["ctrl"] for frame in frames])
 
     def describe_uneven_times(self, episode: RecordedEpisode, frames: Frames) -> str | None:
-        """Return a warning if an episode was recorded at uneven times and is exported at even times, else None."""
+        """Warn if an episode was recorded at uneven times and is exported at even times."""
         pauses = np.diff([frame["timestamp"] for frame in frames])
         if self.is_resampled or len(pauses) == 0 or np.abs(pauses / self.period - 1).max() <= _MAX_UNEVENNESS:
             return None
@@ -240,10 +217,10 @@ def _require_alike(episode: RecordedEpisode, first: RecordedEpisode, keys: Seque
 
 
 def nearest_to_even(times: Array, period: float) -> tuple[int, ...]:
-    """Return the index of the frame nearest to each multiple of `period` (s), from the first to the last frame.
+    """Return the index of the frame nearest to each multiple of `period` (s), up to the last frame.
 
     Args:
-        times: increasing times of the frames (n,), s.
+        times: (n,), increasing, s.
     """
     since = times - times[0]
     even = np.arange(math.floor((since[-1] + ROUNDING_S) / period) + 1) * period
@@ -257,10 +234,6 @@ def open_source(dataset: Path, episodes: str | None, locations: Locations) -> Si
 
     Args:
         episodes: numbers and ranges, such as `0,3,5-9`; None for all.
-
-    Raises:
-        DatasetError: `dataset` is no dataset, is damaged, or holds real recordings.
-        UsageError: a named episode does not exist.
     """
     directories = tuple(directory for _, directory in select_episodes(dataset, episodes, None))
     return SimulatedSource(dataset, directories, open_episode(directories[0]), dataset_config(dataset, locations))
@@ -272,10 +245,6 @@ def open_real_source(dataset: Path, episodes: str | None, locations: Locations, 
     Args:
         episodes: numbers and ranges, such as `0,3,5-9`; None for all.
         fps: frames per second of the export, at even times; None for all recorded frames, at the median recorded rate.
-
-    Raises:
-        DatasetError: `dataset` is no dataset, is damaged, or was simulated.
-        UsageError: a named episode does not exist.
     """
     directories = tuple(directory for _, directory in select_episodes(dataset, episodes, None))
     config = real_config(dataset, locations)
@@ -288,12 +257,11 @@ def open_real_source(dataset: Path, episodes: str | None, locations: Locations, 
 
 
 def _common_fps(periods: Sequence[float]) -> float:
-    """Return the median frame rate of episodes with these frame periods (s), rounded if close to an integer."""
     rate = 1 / float(np.median(periods))
     whole = round(rate)
     return float(whole) if abs(rate - whole) <= _FPS_TOLERANCE * rate else round(rate, 3)
 
 
 def depth_cameras(episode: StoredEpisode) -> tuple[str, ...]:
-    """Return the cameras of an episode that have depth images."""
+    """Return the cameras with depth images."""
     return tuple(camera for camera in episode.record.cameras if depth_name(camera, 0) in episode.record.files)

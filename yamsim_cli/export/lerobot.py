@@ -1,4 +1,4 @@
-"""Export to LeRobotDataset v3.0, episode by episode and without torch. `lerobot_schema` defines the format."""
+"""Export to LeRobotDataset v3.0, without torch. `lerobot_schema` defines the format."""
 
 from __future__ import annotations
 
@@ -42,18 +42,9 @@ def export_lerobot(
     environment_state: bool = False,
     overwrite: bool = False,
 ) -> ExportResult:
-    """Write a dataset as LeRobotDataset v3.0, with numbers in Parquet and images in H.264.
+    """Write a dataset as LeRobotDataset v3.0. The time of frame k is exactly k frame periods.
 
-    The time of frame k is exactly k frame periods.
-
-    Args:
-        pictures: whether to write videos and camera matrices of all cameras.
-        environment_state: whether to write object poses as `observation.environment_state`.
-
-    Raises:
-        DatasetError: a file is missing, altered or damaged, or the joints of objects differ between episodes.
-        ResourceError: pyarrow or PyAV is not installed.
-        UsageError, PartialJobError, InterruptedJobError: `out` is in use; a write failed; the user stopped the job.
+    `environment_state` adds object poses as `observation.environment_state`.
     """
     return _export(source, out, progress, _SimulatedContent(source, pictures, environment_state), overwrite)
 
@@ -67,17 +58,9 @@ def export_real_lerobot(
     actions: ActionSource = "recorded",
     overwrite: bool = False,
 ) -> ExportResult:
-    """Write real recordings as LeRobotDataset v3.0. Features that were not recorded are omitted.
+    """Write real recordings as LeRobotDataset v3.0, without features that were not recorded.
 
-    Args:
-        pictures: whether to write videos of all cameras and the known camera matrices.
-        actions: "recorded" for commands, "measured" for joints one frame later, "none" for no actions.
-
-    Raises:
-        DatasetError: a file is missing, altered or damaged; the requested commands were not recorded; or the features
-            of an episode differ from those of the first.
-        ResourceError: pyarrow or PyAV is not installed.
-        UsageError, PartialJobError, InterruptedJobError: `out` is in use; a write failed; the user stopped the job.
+    `actions`: "recorded" for commands, "measured" for joints one frame later, "none" for no actions.
     """
     return _export(source, out, progress, _RealContent(source, pictures, actions), overwrite)
 
@@ -96,12 +79,9 @@ def _export(source: ExportSource, out: Path, progress: Progress, content: _Conte
 
 
 class _Content(ABC):
-    """Supplies the features of an export, except images and the index features that every dataset of the format has.
+    """Supplies the features of an export, except images and those that every dataset of the format has.
 
-    Attributes:
-        pictures: whether the export has videos.
-        about: entries of the provenance file on the whole dataset, complete after the last episode.
-        notes: lines for the user, complete after the last episode.
+    After the last episode, `about` has entries for the provenance file, and `notes` has lines for the user.
     """
 
     def __init__(self, pictures: bool, about: dict[str, Any]) -> None:
@@ -115,11 +95,7 @@ class _Content(ABC):
 
     @abstractmethod
     def values(self, episode: Any, frames: Frames) -> Values:
-        """Return the values of an episode by feature.
-
-        Raises:
-            DatasetError: the episode has other features than the first.
-        """
+        """Return the values of an episode by feature."""
 
     @abstractmethod
     def origin(self, episode: Any) -> dict[str, Any]:
@@ -169,10 +145,7 @@ class _SimulatedContent(_Content):
 
 
 class _RealContent(_Content):
-    """Features of real recordings: measurements, commands, recorded times, and known camera matrices.
-
-    Grippers are shares of their opening, as in public datasets of real stations.
-    """
+    """Features of real recordings. Grippers are shares of their opening, as in public datasets of real stations."""
 
     def __init__(self, source: RealSource, pictures: bool, actions: ActionSource) -> None:
         super().__init__(pictures, {"source": "real", "actions": actions, "gripper": "share"})
@@ -218,14 +191,13 @@ class _RealContent(_Content):
 
 
 def _state_and_action(frame: Mapping[str, Any]) -> tuple[Any, Any]:
-    """Return state and action of a frame: its keys `state` and `action`, else joints, and commands with weld states."""
     if ACTION in frame:
         return frame[STATE], frame[ACTION]
     return frame["joints"], np.append(frame["ctrl"], np.asarray(frame["magnet"], np.float32))
 
 
 def _matrices(intrinsics: Iterable[str], extrinsics: Iterable[str], frames: Frames) -> Values:
-    """Return feature -> camera matrices of all frames, each flattened in row-major order."""
+    """Return feature -> camera matrices of all frames, flattened in row-major order."""
     found = {
         schema.intrinsics_key(camera): np.array([np.ravel(frame["intrinsics"][camera]) for frame in frames])
         for camera in intrinsics
@@ -243,10 +215,10 @@ def _column_values(episode: RecordedEpisode, frames: Frames, key: str) -> list[A
 
 
 def _write_video(path: Path, episode: RecordedEpisode, camera: str, period: float) -> tuple[float, Stats]:
-    """Write the images of one episode and camera to a separate file. Return its duration (s) and the statistics.
+    """Write the images of one episode and camera to a file. Return its duration (s) and the statistics.
 
-    With separate files, lerobot's tools delete and split episodes by copying files. If several episodes share a file,
-    the tools encode it again at an integer frame rate (seen in 0.6.1), which shifts all frames in time.
+    With one file per episode, lerobot's tools delete and split episodes by copying. They encode a shared file again at
+    an integer frame rate (seen in 0.6.1), which shifts all frames in time.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     counts = PixelCounts()
@@ -259,12 +231,6 @@ def _write_video(path: Path, episode: RecordedEpisode, camera: str, period: floa
 
 
 class _LeRobotWriter(Closable):
-    """Writes the episodes of a dataset into a directory. A context manager that closes all files.
-
-    Attributes:
-        frames: number of frames written.
-    """
-
     def __init__(self, root: Path, source: ExportSource, content: _Content) -> None:
         self.frames = 0
         self._root, self._source, self._content = root, source, content
@@ -276,7 +242,7 @@ class _LeRobotWriter(Closable):
         self._open = contextlib.ExitStack()
         self._data = self._open.enter_context(TableSeries(root, schema.DATA, schema.DATA_FILE_MB))
         self._episodes = self._open.enter_context(TableSeries(root, schema.EPISODES, schema.DATA_FILE_MB))
-        # Decoding and encoding release the GIL, so cameras are encoded in parallel.
+        # Threads run in parallel, since decoding and encoding release the GIL.
         self._threads = self._open.enter_context(ThreadPoolExecutor(max(1, len(self._cameras))))
 
     def close(self) -> None:
@@ -330,7 +296,7 @@ class _LeRobotWriter(Closable):
         }
 
     def write_meta(self) -> None:
-        """Write the files that describe the whole dataset. Call this method after all episodes are added."""
+        """Write the files that describe the whole dataset, after all episodes are added."""
         source = self._source
         write_tasks(self._root, list(self._tasks))
         # Width and height of a video are even.

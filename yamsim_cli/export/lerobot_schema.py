@@ -19,14 +19,14 @@ from ..core.images.video import H264_OPTIONS
 
 VERSION = "v3.0"  # format version in `meta/info.json`
 CHUNK_FILES = 1000  # files per `chunk-NNN` folder
-DATA_FILE_MB = 100  # MB, size at which a new Parquet file begins
+DATA_FILE_MB = 100  # MB, at which a new Parquet file begins
 VIDEO_FILE_MB = 200  # MB, up to which lerobot's tools join videos; this export writes one file per episode
-KEY_FRAME_INTERVAL = 2  # frames, as in lerobot's own encoding: training reads single frames at random
+KEY_FRAME_INTERVAL = 2  # frames, as lerobot encodes: training reads single frames at random
 
 INFO = "meta/info.json"
 STATS = "meta/stats.json"
 TASKS = "meta/tasks.parquet"
-# Extra file outside the format: the source episode and seed of each exported episode.
+# Extra file outside the format: source episode and seed of each exported episode.
 PROVENANCE = "meta/yamsim.json"
 
 _FILE = "chunk-{chunk_index:03d}/file-{file_index:03d}"
@@ -35,15 +35,15 @@ EPISODES = f"meta/episodes/{_FILE}.parquet"
 VIDEO = "videos/{video_key}/" + _FILE + ".mp4"
 
 STATE = "observation.state"
-# Object poses. lerobot gives this key to policies that use no images.
+# Object poses; lerobot gives this key to policies that use no images.
 ENVIRONMENT_STATE = "observation.environment_state"
 ACTION = "action"
 # Keys of real recordings: measured joint velocities, rad/s, and recorded frame times, s. Other programs ignore both,
-# because their names begin neither with `observation` nor with `action`.
+# because the names begin neither with `observation` nor with `action`.
 VELOCITIES = "joint_velocities"
 RECORDED_TIME = "recorded_time"
 
-_BIMANUAL_PREFIX = "bi_"  # prefix of the robot type of two arms, as in lerobot's own names
+_BIMANUAL_PREFIX = "bi_"  # as in lerobot's own robot types
 
 
 @dataclass(frozen=True)
@@ -63,13 +63,13 @@ class SeriesFile:
         return self.number % CHUNK_FILES
 
     def path(self, pattern: str, **keys: str) -> str:
-        """Return the path relative to the dataset, from a pattern such as `DATA`."""
+        """Return the path in the dataset, from a pattern such as `DATA`."""
         return pattern.format(chunk_index=self.chunk, file_index=self.file, **keys)
 
 
 @dataclass(frozen=True)
 class LeRobotFeature:
-    """A column of the dataset: dtype and shape of the value of one frame, and the names of its elements."""
+    """A column of the dataset: dtype, shape and element names of one frame's value."""
 
     dtype: str
     shape: tuple[int, ...]
@@ -93,7 +93,7 @@ INDEX_FEATURES: Mapping[str, LeRobotFeature] = {
 def _matrix(letter: str, size: int) -> LeRobotFeature:
     """Return the feature of a square matrix in row-major order, with element names such as `K02` (row 0, column 2).
 
-    The feature is flat because lerobot's tools for editing datasets cannot write two-dimensional arrays.
+    Flat, because lerobot's tools for editing datasets cannot write two-dimensional arrays.
     """
     names = tuple(f"{letter}{row}{column}" for row in range(size) for column in range(size))
     return LeRobotFeature("float32", (len(names),), names)
@@ -110,7 +110,7 @@ def intrinsics_key(camera: str) -> str:
 
 
 def extrinsics_key(camera: str) -> str:
-    """Return the key of a camera's pose in the robot base; with two arms, in the left arm's base."""
+    """Return the key of a camera's pose in the base of the only or left arm."""
     return f"camera.extrinsics.{camera}"
 
 
@@ -120,7 +120,7 @@ def row_feature(names: Sequence[str]) -> LeRobotFeature:
 
 
 def matrix_features(intrinsics: Collection[str], extrinsics: Collection[str]) -> dict[str, LeRobotFeature]:
-    """Return the features of cameras with a known K, `intrinsics`, and of cameras with a known pose, `extrinsics`."""
+    """Return the features of cameras with a known K, and of cameras with a known pose."""
     features = {}
     for camera in dict.fromkeys((*intrinsics, *extrinsics)):
         if camera in intrinsics:
@@ -140,11 +140,7 @@ def info_json(
     frames: int,
     tasks: int,
 ) -> dict[str, Any]:
-    """Return the content of `meta/info.json`.
-
-    Args:
-        cameras: camera -> (width, height) of its video, px.
-    """
+    """Return the content of `meta/info.json`. `cameras` is camera -> (width, height) of its video, px."""
     images = {image_key(camera): _video(size, fps) for camera, size in cameras.items()}
     return {
         "codebase_version": VERSION,
@@ -190,13 +186,10 @@ def _video(size: tuple[int, int], fps: float) -> dict[str, Any]:
 
 
 class TableSeries(Closable):
-    """Writes tables with the same columns to a series of Parquet files.
+    """Writes tables with the same columns to a series of Parquet files of up to `limit_mb`, MB. Closing completes the
+    last.
 
-    A context manager: the end of the block writes the footer of the last file.
-
-    Args:
-        pattern: pattern of the file paths below `root`, such as `DATA`.
-        limit_mb: size at which a file is closed, MB.
+    `pattern` of the paths below `root`: such as `DATA`.
     """
 
     def __init__(self, root: Path, pattern: str, limit_mb: float) -> None:
@@ -231,7 +224,7 @@ class TableSeries(Closable):
 
 
 def frames_table(columns: Mapping[str, LeRobotFeature], values: Mapping[str, NDArray[Any]]) -> Any:
-    """Return the table of an episode's frames, from values (frames, ...) by feature."""
+    """Return an episode's table, from values (frames, ...) by feature."""
     import pyarrow
 
     def array(key: str, feature: LeRobotFeature) -> Any:
@@ -243,7 +236,7 @@ def frames_table(columns: Mapping[str, LeRobotFeature], values: Mapping[str, NDA
 
 
 def episode_table(row: Mapping[str, Any]) -> Any:
-    """Return one row of `meta/episodes` as a table, with arrays converted to lists."""
+    """Return one row of `meta/episodes`, with arrays converted to lists."""
     import pyarrow
 
     plain = {key: value.tolist() if isinstance(value, np.ndarray) else value for key, value in row.items()}

@@ -1,5 +1,3 @@
-"""Feature statistics for each episode, and for the whole dataset in bounded memory."""
-
 from __future__ import annotations
 
 from collections.abc import Mapping
@@ -13,7 +11,7 @@ from ..core.images.image import Image
 # Source: lerobot 0.4.4 and 0.6.1, `compute_stats.DEFAULT_QUANTILES`.
 _QUANTILES = {"q01": 0.01, "q10": 0.10, "q50": 0.50, "q90": 0.90, "q99": 0.99}
 _LEVELS = 256  # intensity levels of an 8-bit channel
-_STRIDE = 4  # pixels: every 4th row and column is counted; means and quantiles hardly change
+_STRIDE = 4  # pixels between counted rows and columns; means and quantiles hardly change
 
 Stats = dict[str, Array]
 
@@ -29,7 +27,7 @@ def column_stats(values: ArrayLike) -> Stats:
 
 
 class PixelCounts:
-    """Histogram of the intensity levels of each image channel, from which all statistics follow exactly."""
+    """Histogram of each image channel's intensity levels, from which all statistics follow exactly."""
 
     def __init__(self) -> None:
         self._counts = np.zeros((3, _LEVELS), np.int64)

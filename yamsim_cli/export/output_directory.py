@@ -1,5 +1,3 @@
-"""Output directory of an export, which becomes visible only when complete."""
-
 from __future__ import annotations
 
 from collections.abc import Iterator
@@ -14,14 +12,7 @@ from ..core.files.writing import StagedDirectory, staged_directory
 
 @dataclass(frozen=True)
 class ExportResult:
-    """Result of an export.
-
-    Attributes:
-        path: the output directory or file.
-        episodes, frames: numbers of exported episodes and frames.
-        moved_aside: path of the backup of an earlier output at `path`; None if there was none.
-        notes: lines for the user on where the export differs from the recording.
-    """
+    """Result of an export; `notes` tell the user where it differs from the recording."""
 
     path: Path
     episodes: int
@@ -32,16 +23,9 @@ class ExportResult:
 
 @contextmanager
 def export_directory(final: Path, *, overwrite: bool) -> Iterator[StagedDirectory]:
-    """Yield a temporary directory for the block to fill. If the block succeeds, the directory is renamed to `final`.
+    """Yield a temporary directory to fill. If the block succeeds, it is renamed to `final`.
 
-    Args:
-        overwrite: whether to rename an existing `final` to a backup, once the new directory is complete. If False, an
-            existing `final` that is not an empty directory is an error.
-
-    Raises:
-        UsageError: `final` is in use, or its parent directory does not exist.
-        PartialJobError: a write failed. No part of the export is left.
-        InterruptedJobError: the user stopped the job. No part of the export is left.
+    With `overwrite`, an existing `final` is then renamed to a backup. Otherwise, only an empty directory is replaced.
     """
     require_parent(final)
     if final.exists() and not overwrite and (not final.is_dir() or any(final.iterdir())):

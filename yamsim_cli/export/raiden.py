@@ -1,4 +1,4 @@
-"""Export to the converted layout of raiden, a program that records real arms. `raiden_schema` defines the layout."""
+"""Export to the converted layout of raiden, a program that records real arms; see `raiden_schema`."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ from .raiden_episode import ConvertedEpisode, EpisodeConverter, copy_images
 from .raiden_frames import FrameConverter, calibration_json, camera_names, hand_frame
 from .raiden_schema import RaidenOptions
 
-_CONTROL_BY_SOURCE = {"record": "plan"}  # `source` of an episode -> `control` entry in metadata.json, where they differ
-_REAL_CONTROL = "unknown"  # `control` entry of real recordings, which do not state how the arm was controlled
+_CONTROL_BY_SOURCE = {"record": "plan"}  # `source` of an episode -> `control` in metadata.json, where they differ
+_REAL_CONTROL = "unknown"  # `control` of real recordings, which do not state how the arm was controlled
 
-Job = tuple[Path, Path]  # episode directory, and directory to export it to
+Job = tuple[Path, Path]  # episode directory, and output directory
 
 
 def export_raiden(
@@ -45,19 +45,9 @@ def export_raiden(
 ) -> ExportResult:
     """Write a simulated dataset in raiden's layout.
 
-    The global frame is the base of the left arm. A single arm is exported as the left arm. The right arm then rests
-    with all joints 0, or is omitted with `options.single`. Grippers are shares of the opening, 0 closed to 1 open, as
-    the drive of the real arm reports them.
-
-    Args:
-        locations: locations of the robot models and of the meshes to render.
-        workers: number of processes that render.
-
-    Raises:
-        DatasetError: a file is missing, altered or damaged, or physics no longer reproduces the recorded states.
-        ResourceError: no renderer is available.
-        UsageError: `out` is in use, `options.single` is set for two arms, or the layout cannot represent an arm.
-        PartialJobError, InterruptedJobError: a write failed; the user stopped the job.
+    The global frame is the base of the left arm. A single arm is the left one. The right arm then rests with all joints
+    0, or is omitted with `options.single`. Grippers are shares of the opening, 0 closed to 1 open, as the drive of the
+    real arm reports them.
     """
     converter = FrameConverter(source.rig, camera_names(source), locations, options.hand_frame, single=options.single)
     config = _as_recorded(source) if options.renders else source.config
@@ -103,7 +93,7 @@ def _as_recorded(source: SimulatedSource) -> RecordConfig:
 def _convert_all(
     factory: Factory[Job, ConvertedEpisode], jobs: Sequence[Job], workers: int
 ) -> Iterator[tuple[Path, ConvertedEpisode]]:
-    """Convert episodes. Yield output folder and content of each when complete. 0 `workers` means this process."""
+    """Yield output folder and content of each complete episode. 0 `workers` means this process."""
     executor: Executor[Job, ConvertedEpisode] = InlineExecutor(factory)
     if workers:
         executor = ProcessPool[Job, ConvertedEpisode](factory, min(workers, len(jobs)))
@@ -128,18 +118,12 @@ def export_real_raiden(
 ) -> ExportResult:
     """Write real recordings in raiden's layout. Each frame is the recorded frame nearest to its time.
 
-    Hand poses are computed from the joints with the kinematics in `options`. Only known camera matrices are written.
-    The arrays of a single arm hold only that arm. No calibration file is written.
+    Hand poses follow from the joints by the kinematics in `options`. Only known camera matrices are written. The arrays
+    of a single arm hold only that arm. No calibration file is written.
 
     Args:
-        source: the selected episodes, opened with the rate of `options`.
+        source: opened with the rate of `options`.
         actions: "recorded" for commands, or "measured" for joints one frame later.
-
-    Raises:
-        DatasetError: a file is missing, altered or damaged; the dataset has no images, beside which the layout stores
-            times; or the requested commands were not recorded.
-        UsageError: the layout cannot represent the arm, or frames without actions.
-        PartialJobError, InterruptedJobError: a write failed; the user stopped the job.
     """
     if actions == "none":
         raise UsageError("--actions none: each frame of raiden's layout has one; take measured, or export as lerobot")
@@ -207,11 +191,7 @@ def _metadata(
     pictures: Mapping[str, Any],
     depth: bool = False,
 ) -> dict[str, Any]:
-    """Return the content of `metadata.json`.
-
-    Args:
-        names: camera -> its name in raiden's layout.
-    """
+    """Return the content of `metadata.json`. `names` is camera -> its name in raiden's layout."""
     sizes = {names[camera]: [height, width] for camera, (width, height) in episode.record.cameras.items()}
     one_size = len({tuple(size) for size in sizes.values()}) == 1
     task = str(data[0]["language_task"])

@@ -1,5 +1,3 @@
-"""Convert frames and images of one episode to raiden's layout, at the recorded or another frame rate."""
-
 from __future__ import annotations
 
 import io
@@ -30,19 +28,13 @@ from .raiden_schema import RaidenOptions
 from .resample import ResampledEpisode, nearest_frames, resample_episode
 
 # 0 to 255, largest mean pixel difference between a newly rendered and the recorded image. OpenGL of another machine
-# stays below this limit. Missing meshes, or the appearance of another yamsim version, exceed it.
+# stays below. Missing meshes, or the appearance of another yamsim version, exceed it.
 _MAX_DIFFERENCE = 3.0
 
 
 @dataclass(frozen=True)
 class ConvertedEpisode:
-    """Frames of an episode whose images are already written.
-
-    Attributes:
-        times: times of the frames, s.
-        frames: low-dimensional data, with the keys of recorded frames.
-        pictures: entry of metadata.json on the source of the images.
-    """
+    """Frames of an episode whose images are already written, with their times, s."""
 
     times: Sequence[float]
     frames: list[dict[str, Any]]
@@ -50,10 +42,10 @@ class ConvertedEpisode:
 
 
 class EpisodeConverter(Closable):
-    """Converts episodes of one dataset, and owns a renderer if it renders.
+    """Converts episodes of one dataset, and may own a renderer.
 
     Args:
-        session: session of the dataset's config, with the size of rendered images. Only rendering needs its meshes.
+        session: of the dataset's config, with the size of rendered images. Only rendering needs its meshes.
         names: camera -> its name in raiden's layout.
     """
 
@@ -65,16 +57,7 @@ class EpisodeConverter(Closable):
         self._simulators = None if options.fps is None else Simulators(session)
 
     def run(self, job: tuple[Path, Path]) -> ConvertedEpisode:
-        """Convert an episode and write its images.
-
-        Args:
-            job: the episode directory, and the folder to write to.
-
-        Raises:
-            DatasetError: the episode is damaged, or cannot be resampled; see `resample_episode`.
-            ResourceError: no renderer is available.
-            PartialJobError: a write failed.
-        """
+        """Convert an episode and write its images. `job` is the episode directory and the output folder."""
         directory, folder = job
         try:
             return self._make(open_episode(directory), folder)
@@ -143,15 +126,7 @@ class EpisodeConverter(Closable):
 def copy_images(
     episode: RecordedEpisode, folder: Path, names: Mapping[str, str], frames: Sequence[int], options: RaidenOptions
 ) -> None:
-    """Copy recorded images: JPEGs byte for byte, or their pixels as PNGs.
-
-    Args:
-        names: camera -> its name in raiden's layout.
-        frames: numbers of the recorded frames, which may repeat.
-
-    Raises:
-        DatasetError: an image is missing, altered or damaged.
-    """
+    """Copy recorded images: JPEGs byte for byte, or as PNGs. `names` is camera -> its name in raiden's layout."""
     for camera, name in names.items():
         before, data = -1, b""
         for k, frame in enumerate(frames):

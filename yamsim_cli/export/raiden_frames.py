@@ -27,8 +27,8 @@ from . import raiden_schema as schema
 from .export_source import Frames, SimulatedSource
 from .raiden_schema import HandFrameName, RaidenOptions
 
-_SIDES = ("left", "right")  # sides of the arms, in the order of raiden's arrays
-# Wrist cameras in raiden's layout, in the order of `_SIDES`. A single arm is the left one.
+_SIDES = ("left", "right")  # in the order of raiden's arrays
+# In the order of `_SIDES`; a single arm is the left one.
 _WRIST_CAMERAS = ("left_wrist_camera", "right_wrist_camera")
 
 _KINEMATICS_FILES = {"i2rt": "raiden_kinematics.xml"}  # hand frame -> MJCF file with its kinematics
@@ -45,29 +45,24 @@ _HALF_TURN = np.diag([-1.0, -1.0, 1.0, 1.0])
 
 
 def hand_frame(name: HandFrameName) -> dict[str, str]:
-    """Return the entry of metadata.json that describes the hand frame `name`."""
+    """Return the entry of metadata.json on a hand frame."""
     return {"name": name, "description": _DESCRIPTIONS[name]}
 
 
 def camera_names(source: SimulatedSource) -> dict[str, str]:
-    """Map each camera to its name in raiden's layout. Wrist cameras get raiden's names; others keep theirs."""
+    """Map each camera to its name in raiden's layout. Only wrist cameras get new names."""
     wrists = _wrist_arms(source)
     return {name: _WRIST_CAMERAS[wrists[name]] if name in wrists else name for name in source.cameras}
 
 
 def _wrist_arms(source: SimulatedSource) -> dict[str, int]:
-    """Return wrist camera -> index of its arm in recording order."""
     config = source.config
     arms = [config.rig.arms[k] for k in config.rig.recording_order]
     return {arm.wrist_camera_name: k for k, arm in enumerate(arms) if arm in config.wrist_arms}
 
 
 class _ArmConverter:
-    """Converts recorded joints (7,) of an arm, six in rad and one finger opening in m, to values of raiden's layout.
-
-    Raises:
-        UsageError: the layout cannot represent the arm, or `--hand-frame` has no kinematics for it.
-    """
+    """Converts recorded joints (7,) of an arm, six in rad and one finger opening in m, to values of raiden's layout."""
 
     def __init__(self, arm: ArmConfig, locations: Locations, frame: HandFrameName) -> None:
         robot = arm.robot
@@ -106,17 +101,7 @@ class _ArmConverter:
 
 
 class FrameConverter:
-    """Converts frames of one dataset to raiden's layout.
-
-    Attributes:
-        names: camera -> its name in raiden's layout.
-
-    Args:
-        single: whether arrays hold one arm instead of two.
-
-    Raises:
-        UsageError: `single` is given for two arms, or the layout cannot represent an arm.
-    """
+    """Converts frames of one dataset to raiden's layout. With `single`, arrays hold one arm instead of two."""
 
     def __init__(
         self,
@@ -131,7 +116,7 @@ class FrameConverter:
         if single and len(arms) > 1:
             raise UsageError(f"--single is for recordings of one arm, and this dataset has {len(arms)}: leave it out")
         self.names = names
-        # The model of a single arm is also used for the other arm, which was not recorded.
+        # The model of a single arm stands for the other arm, which was not recorded.
         pair = (arms[0], arms[-1])[: 1 if single else 2]
         self._arms = [_ArmConverter(arm, locations, hand_frame) for arm in pair]
 
@@ -145,9 +130,7 @@ class FrameConverter:
     def convert(self, frame: Mapping[str, Any], joints: Sequence[Array], command: Sequence[Array]) -> dict[str, Any]:
         """Convert a frame to raiden's layout, without the pose of the right base.
 
-        Args:
-            frame: recorded frame with the texts and the known camera matrices.
-            joints, command: for each arm, six joints in rad and the gripper share (7,).
+        `joints` and `command` have, for each arm, six joints in rad and the gripper share (7,).
         """
         return {
             **{
@@ -168,7 +151,7 @@ class FrameConverter:
         return self._arms[arm].T_hand_in_base(np.asarray(joints)[schema.ARM * arm :])
 
     def _with_shares(self, joints: ArrayLike) -> list[Array]:
-        """Return the converted joints (7,) of each arm, from recorded ones (7,) or (14,). A missing arm is zero."""
+        """Convert recorded joints, (7,) or (14,), to (7,) of each arm. A missing arm is zero."""
         rows = np.zeros((len(self._arms), schema.ARM))
         recorded = np.reshape(joints, (-1, schema.ARM))
         rows[: len(recorded)] = recorded
@@ -187,9 +170,8 @@ def calibration_json(
 ) -> dict[str, Any]:
     """Return the content of `calibration_results.json`.
 
-    Args:
-        frames: converted frames of one episode. The position of a wrist camera is the mean over these frames. With
-            kinematics other than the simulated arm's, the hand-eye pose differs slightly between frames.
+    The position of a wrist camera is the mean over the converted `frames`. With kinematics other than the simulated
+    arm's, the hand-eye pose differs slightly between frames.
     """
     T = frames[0].get(schema.BETWEEN_ARMS)
     T_right_base_in_left_base = None if T is None else np.asarray(T, np.float64)

@@ -10,12 +10,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
-# "draw" renders an image at the time of each frame. "nearest" takes the recorded image nearest in time.
+# "draw" renders at the time of each frame; "nearest" takes the recorded image nearest in time.
 PictureSource = Literal["draw", "nearest"]
 ImageFormat = Literal["png", "jpg"]  # raiden's code reads only PNG
 HandFrameName = Literal["yamsim", "i2rt"]  # kinematics for hand poses, see `raiden_frames.hand_frame`
 
-FPS = 30.0  # frames per second that raiden's commands `rd replay` and `rd shardify` assume
+FPS = 30.0  # that raiden's commands `rd replay` and `rd shardify` assume
 
 JOINTS = 6  # joints per arm in the layout
 ARM = JOINTS + 1  # values per arm: joints and gripper
@@ -41,8 +41,6 @@ class RaidenOptions:
     Attributes:
         fps: frames per second; None for exactly the recorded frames.
         pictures: source of the images; ignored if `fps` is None.
-        images: file format of the images.
-        single: whether arrays hold only the left arm; for recordings of one arm.
         hand_frame: hand frame of the poses in `action` and `actual_poses`, and its kinematics.
     """
 
@@ -69,5 +67,5 @@ def frame_name(frame: int, extension: str) -> str:
 
 
 def nearest_pictures(frames: Sequence[int], period: float) -> dict[str, Any]:
-    """Return the entry of metadata.json on images taken from the recorded `frames`, which are `period` s apart."""
+    """Return the entry of metadata.json on images of the recorded `frames`, `period` s apart."""
     return {"source": "nearest", "recorded_frames": list(frames), "recorded_period_s": period}

@@ -23,7 +23,7 @@ from ..core.scene.compiled import CompiledScene
 from .export_source import ROUNDING_S
 from .state_sampler import StateSampler
 
-# m or rad, largest accepted deviation of replayed from recorded states. Rounding on other machines can cause as much.
+# m or rad, largest accepted deviation of replayed from recorded states; rounding on other machines can cause as much
 _MAX_DEVIATION = 1e-4
 
 
@@ -32,10 +32,9 @@ class ResampledEpisode:
     """An episode at another frame rate.
 
     Attributes:
-        attempt: the attempt of the episode.
-        times: times of the frames (n,), s.
-        qpos: MuJoCo `qpos` (n, nq) at these times.
-        frames: low-dimensional data (all values except images) at these times.
+        times: of the frames (n,), s.
+        qpos: MuJoCo's positions (n, nq) at these times.
+        frames: all values except images at these times.
     """
 
     attempt: Attempt
@@ -45,7 +44,7 @@ class ResampledEpisode:
 
 
 def frame_times(frames: int, period: float, fps: float) -> Array:
-    """Return the times k / fps (n,), s, within the duration of `frames` recorded frames that are `period` s apart."""
+    """Return the times k / fps (n,), s, within `frames` recorded frames that are `period` s apart."""
     times: Array = np.arange(math.floor(((frames - 1) * period + ROUNDING_S) * fps) + 1) / fps
     return times
 
@@ -59,15 +58,7 @@ def resample_episode(simulator: Simulator, episode: StoredEpisode, fps: float) -
     """Resample an episode to `fps` frames per second. States are simulated, not interpolated.
 
     `action_joints`, the planned joints one control tick ahead, was recorded once per frame. Between frames, it is the
-    simulated joints one tick ahead plus the difference between plan and simulation. This difference and the finger
-    opening are interpolated between frames.
-
-    Args:
-        simulator: simulator of the config that the dataset was recorded with.
-
-    Raises:
-        DatasetError: the episode is damaged or of another scene, has no simulation data, or physics no longer
-            reproduces its recorded states.
+    simulated joints plus the interpolated difference between plan and simulation. The finger opening is interpolated.
     """
     recorded, record = episode.frames(), episode.record
     scene = simulator.scene
@@ -82,7 +73,7 @@ def resample_episode(simulator: Simulator, episode: StoredEpisode, fps: float) -
     tick = period / len(recorded[0]["sim_ctrl"])
     times = frame_times(len(recorded), period, fps)
     stored = np.arange(float(len(recorded))) * period
-    # The state is needed at the time of each frame, and one tick later, which is the target time of its command.
+    # One tick after a frame is the target time of its command.
     moments, places = np.unique(
         np.round(np.concatenate([times, times + tick, stored, stored + tick]), 12), return_inverse=True
     )
@@ -109,7 +100,6 @@ def resample_episode(simulator: Simulator, episode: StoredEpisode, fps: float) -
 
 
 def _arms(scene: CompiledScene, qpos: Array) -> Array:
-    """Return joints and finger openings (n, arms, drives) from MuJoCo `qpos` (n, nq)."""
     joints: Array = qpos[:, [arm.recorded_qpos for arm in scene.arms]]
     return joints
 

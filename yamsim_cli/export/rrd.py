@@ -19,20 +19,15 @@ from ..core.progress import Progress
 from .export_source import ExportSource, depth_cameras
 from .output_directory import ExportResult, export_directory
 
-_IMAGE_DISTANCE = 0.15  # m, distance of an image in front of its camera
-_AXIS_LENGTH = 0.05  # m, length of the axes that show a pose
+_IMAGE_DISTANCE = 0.15  # m, of an image in front of its camera
+_AXIS_LENGTH = 0.05  # m, of the axes that show a pose
 _AXIS_COLOURS = ((220, 50, 50), (50, 160, 50), (50, 80, 220))
 
 
 def export_rerun(source: ExportSource, out: Path, progress: Progress, *, overwrite: bool = False) -> ExportResult:
-    """Write `ep_NNNNNN.rrd` files into a directory. Poses are in the base of the only or left arm.
+    """Write `ep_NNNNNN.rrd` files. Poses are in the base of the only or left arm.
 
-    Real recordings are shown at their recorded times. Data that was not recorded is omitted.
-
-    Raises:
-        DatasetError: a file is missing, altered or damaged.
-        ResourceError: rerun is not installed.
-        UsageError, PartialJobError, InterruptedJobError: `out` is in use; a write failed; the user stopped the job.
+    Real recordings are shown at their recorded times, without data that was not recorded.
     """
     require_library("an .rrd file", "rerun", "rerun")
     frames = 0
@@ -47,7 +42,7 @@ def _write(path: Path, source: ExportSource, episode: RecordedEpisode) -> int:
     import rerun
 
     dataset = source.path.absolute().name
-    # Properties are omitted because they contain the time of day.
+    # Without properties, which contain the time of day.
     stream = rerun.RecordingStream("yamsim", recording_id=f"{dataset}-{episode.directory.name}", send_properties=False)
     stream.save(path)
     stream.send_recording_name(f"{dataset}/{episode.directory.name}")
@@ -75,7 +70,7 @@ def _write(path: Path, source: ExportSource, episode: RecordedEpisode) -> int:
 
 
 def _log_camera(stream: Any, source: ExportSource, camera: str, frame: Mapping[str, Any]) -> str:
-    """Log a camera, and return its rerun entity path: below `base` if K and pose are known, else below `cameras`."""
+    """Log a camera. Return its rerun entity path: below `base` if K and pose are known, else below `cameras`."""
     import rerun
 
     if not all(camera in frame.get(key, ()) for key in ("intrinsics", "extrinsics")):

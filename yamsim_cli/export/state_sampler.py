@@ -1,5 +1,3 @@
-"""Sample states of a running simulation at given times, which may lie between its steps."""
-
 from __future__ import annotations
 
 import mujoco
@@ -12,14 +10,13 @@ from .export_source import ROUNDING_S
 class StateSampler:
     """Stores MuJoCo `qpos` at given times while a simulation runs, as the `on_step` callback of `core.episode.Episode`.
 
-    A sample at the time of a step equals the state of that step exactly. Between two steps, positions are interpolated.
+    A sample at the time of a step is exact. Between steps, positions are interpolated.
 
     Attributes:
         qpos: positions (n, nq) at the times; NaN for times that the simulation has not reached.
 
     Args:
-        model: the simulated model.
-        times: sample times (n,) in ascending order, s.
+        times: (n,) in ascending order, s.
     """
 
     def __init__(self, model: mujoco.MjModel, times: Array) -> None:
@@ -30,7 +27,7 @@ class StateSampler:
         self.qpos = np.full((len(times), model.nq), np.nan)
 
     def __call__(self, data: mujoco.MjData) -> None:
-        """Store all samples up to the current state: the initial state, or the state after a step."""
+        """Store all samples up to the current state."""
         while self._next < len(self._times) and self._times[self._next] <= data.time + ROUNDING_S:
             self.qpos[self._next] = self._at(self._times[self._next], data)
             self._next += 1

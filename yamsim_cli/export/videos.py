@@ -1,5 +1,3 @@
-"""Export videos of episodes, or a contact sheet of all episodes."""
-
 from __future__ import annotations
 
 from collections.abc import Sequence
@@ -18,8 +16,8 @@ from ..core.rendering.view_cameras import draw_labels, resize_area
 from .export_source import ExportSource, RealSource
 from .output_directory import ExportResult, export_directory, require_parent
 
-_SHEET_QUALITY = 90  # JPEG quality (1 to 100) of a contact sheet
-_MAX_SIDE_PX = 16_000  # px, largest width and height of a contact sheet: some programs cannot open a larger JPEG
+_SHEET_QUALITY = 90  # JPEG quality (1 to 100)
+_MAX_SIDE_PX = 16_000  # px of a contact sheet: some programs cannot open a larger JPEG
 
 
 def export_mp4(
@@ -33,15 +31,7 @@ def export_mp4(
 ) -> ExportResult:
     """Write an H.264 video of each episode into a directory. The time of frame k is exactly k frame periods.
 
-    Args:
-        cameras: cameras to show side by side; empty for all.
-        speed: playback speed; 1 is real time.
-
-    Raises:
-        UsageError: a camera was not recorded, the cameras differ in image height, or `out` is in use.
-        DatasetError: an image is missing, altered or damaged, or the dataset has no images.
-        ResourceError: PyAV is not installed.
-        PartialJobError, InterruptedJobError: a write failed; the user stopped the job.
+    Cameras are shown side by side, by default all. A `speed` of 1 is real time.
     """
     chosen = _cameras(source, cameras)
     require_encoder()
@@ -69,18 +59,9 @@ def export_sheet(
     width: int = 160,
     overwrite: bool = False,
 ) -> ExportResult:
-    """Write a contact sheet: one JPEG in which a row shows images evenly spread over an episode.
+    """Write a contact sheet: one JPEG in which a row shows images of `width` px, evenly spread over an episode.
 
-    Args:
-        cameras: cameras to show, in one row per episode each; empty for the first camera.
-        columns: number of images in a row.
-        width: width of each image, px.
-        overwrite: whether to rename an existing `out` to a backup.
-
-    Raises:
-        UsageError: a camera was not recorded, `out` is in use or not a JPEG name, or the sheet would be too large.
-        DatasetError: an image is missing, altered or damaged.
-        PartialJobError, InterruptedJobError: a write failed, or the user stopped the job. No sheet was written.
+    Each camera has a row per episode; the default is the first camera.
     """
     chosen = _cameras(source, cameras or tuple(source.cameras)[:1])
     if out.suffix.lower() not in (".jpg", ".jpeg"):
@@ -113,7 +94,6 @@ def export_sheet(
 
 
 def _row(episode: RecordedEpisode, camera: str, columns: int, size: tuple[int, int]) -> Image:
-    """Return images of one episode side by side, each with width and height `size`, px."""
     images = []
     for k in np.linspace(0, episode.record.frames - 1, columns).round().astype(int):
         image = decode_jpeg(episode.image(camera, int(k)))

@@ -1,1 +1,0 @@
-"""Flags that several commands share, and their evaluation before a command starts."""

@@ -1,6 +1,6 @@
 """Check output files before a command starts.
 
-An existing file is an error without `--overwrite`. A folder without write access is always an error.
+An existing file is an error without `--overwrite`; a folder without write access always is.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from yamsim_cli.terminal.console import print_note
 if TYPE_CHECKING:
     from yamsim_cli.core.dataset.writing.directory_claim import OpenMode
 
-MIN_FREE_BYTES = 1 << 16  # bytes of free space, below which no command starts; reports and pictures are larger
+MIN_FREE_BYTES = 1 << 16  # no command starts with less; reports and pictures are larger
 
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace files that exist.")]
 Rename = Annotated[bool, typer.Option("--overwrite", help="Rename an existing output.")]
@@ -29,7 +29,7 @@ ReportFile = Annotated[Path | None, typer.Option(help="Also write the JSON to th
 
 
 def open_mode(*, resume: bool, overwrite: bool) -> OpenMode:
-    """Return whether to create, resume or replace the output dataset. Raises `UsageError` if both flags are set."""
+    """Return whether to create, resume or replace the output dataset."""
     from yamsim_cli.core.dataset.writing.directory_claim import OpenMode
 
     if resume and overwrite:
@@ -38,17 +38,7 @@ def open_mode(*, resume: bool, overwrite: bool) -> OpenMode:
 
 
 def require_unused(flag: str, files: Path | Iterable[Path], *, overwrite: bool) -> None:
-    """Raise an error for output files that exist or cannot be written.
-
-    Args:
-        flag: the option that names the files, for the message.
-        files: one file, whose folder has to exist, or several files in folders that the command creates.
-        overwrite: whether existing files may be replaced.
-
-    Raises:
-        UsageError: a file exists and may not be replaced, is a directory, or has no folder.
-        ResourceError: the folder is not writable, or the file system is full.
-    """
+    """Refuse output files that exist or cannot be written. The folder of a single file has to exist."""
     one = isinstance(files, Path)
     for file in [files] if isinstance(files, Path) else files:
         folder = file.absolute().parent
@@ -62,7 +52,7 @@ def require_unused(flag: str, files: Path | Iterable[Path], *, overwrite: bool) 
 
 
 def require_unused_reports(out: Path | None, html: Path | None, *, overwrite: bool) -> None:
-    """Raise an error if the file of --out or --html exists or cannot be written; None is an option not given."""
+    """Refuse files of --out and --html that exist or cannot be written."""
     for flag, file in (("--out", out), ("--html", html)):
         if file is not None:
             require_unused(flag, file, overwrite=overwrite)

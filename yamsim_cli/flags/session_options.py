@@ -1,4 +1,4 @@
-"""Flags for rigs, tasks and simulation sessions that several commands share, and the object that opens sessions."""
+"""Flags for rigs, tasks and sessions, and the object that opens sessions."""
 
 from __future__ import annotations
 
@@ -97,11 +97,11 @@ def _flag_name(setting: str) -> str:
     return f"--{setting.replace('_', '-')}"
 
 
-# Opens the simulation sessions of all commands. Its error messages name flags, and its notes go to stderr.
+# Opens the sessions of all commands. Its error messages name flags, and its notes go to stderr.
 opener = SessionOpener(os.environ, print_note, _flag_name, import_if_file, resolve_scene_task, fetch_bar, note_at_end)
 
 
-# Names of the session settings that a command may have as parameters. `SessionOpener.config` explains them.
+# Session settings that a command may have as parameters; `SessionOpener.config` explains them.
 _SETTINGS = (
     "rig", "revision", "robot", "task", "target", "n", "workers", "seed", "grasp", "arm", "wrist", "camera", "boards",
     "truth", "size", "jpeg_quality", "action", "fps", "quality", "threshold", "randomize", "randomization",
@@ -109,7 +109,7 @@ _SETTINGS = (
 
 
 def session_settings(parameters: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the session settings among a command's parameters, for `opener.open`; `item` becomes `object`."""
+    """Return the session settings among a command's parameters; `item` becomes `object`."""
     return {"object": parameters["item"]} | {name: parameters[name] for name in _SETTINGS if name in parameters}
 
 

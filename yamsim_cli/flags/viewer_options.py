@@ -1,4 +1,4 @@
-"""Flags of commands that open a viewer, the choice of the viewer, and settings before the import of MuJoCo."""
+"""Flags and choice of a viewer, and settings before the import of MuJoCo."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ Host = Annotated[
 
 
 def page_address(port: int | None, host: str | None) -> PageAddress:
-    """Return the address of a browser page, and warn the user if other machines can reach the page."""
+    """Return the address of a browser page. Warn if other machines can reach the page."""
     from yamsim_cli.viewers.page_address import LOOPBACK, PageAddress
 
     address = PageAddress(_DEFAULT_PORT if port is None else port, host or LOOPBACK)
@@ -49,11 +49,7 @@ def page_address(port: int | None, host: str | None) -> PageAddress:
 def choose_viewer(web: bool | None, port: int | None, host: str | None) -> PageAddress | None:
     """Return the browser page's address, or None for MuJoCo's window.
 
-    If `web` is None, the viewer is the page if a port or host is given or no window can open.
-
-    Raises:
-        UsageError: a port or host is given for a window.
-        ResourceError: a window is requested, but none can open.
+    If `web` is None, the page is chosen for a given port or host, or if no window can open.
     """
     missing = _missing_for_window()
     for flag, value in (("--port", port), ("--host", host)):
@@ -66,7 +62,7 @@ def choose_viewer(web: bool | None, port: int | None, host: str | None) -> PageA
 
 
 def prepare_viewer(page: PageAddress | None) -> None:
-    """Select GLFW for MuJoCo's window if `page` is None, else no OpenGL. Call this before MuJoCo is imported."""
+    """Select GLFW for MuJoCo's window, or no OpenGL for a page. Call before MuJoCo is imported."""
     if page is None:
         os.environ["MUJOCO_GL"] = "glfw"
         return
@@ -75,7 +71,7 @@ def prepare_viewer(page: PageAddress | None) -> None:
 
 
 def quiet_page() -> None:
-    """Silence rich's global console, so that the web server viser does not announce itself on stdout."""
+    """Silence rich's global console, because the web server viser announces itself on stdout."""
     import rich
 
     rich.get_console().quiet = True

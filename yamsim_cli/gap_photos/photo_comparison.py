@@ -1,4 +1,4 @@
-"""Compare simulated arms with photos of real arms: outlines with edges, and masks with masks of the measured joints."""
+"""Compare simulated arms with photos: outlines with edges, and masks with masks of the measured joints."""
 
 from __future__ import annotations
 
@@ -40,8 +40,7 @@ class RecordedPhoto:
     """A photo from a recording of a real arm.
 
     Attributes:
-        gap: the recording's measured and simulated motion, and their differences.
-        frame: number of the photo in the recording, from 0; only samples with measured joints count.
+        frame: number of the photo, from 0; only samples with measured joints count.
         sample: index of the same time in `gap.motion`, where all samples count.
     """
 
@@ -52,14 +51,7 @@ class RecordedPhoto:
 
 
 def photos_in_parts(gaps: Sequence[MotionGap], camera: str | None) -> tuple[str, list[RecordedPhoto]]:
-    """Return a camera's name, and its photos at those times of the recordings that are compared with simulation.
-
-    Args:
-        camera: name of the camera; None for the first that is no wrist camera.
-
-    Raises:
-        UsageError: no recording has photos from that camera at the compared times.
-    """
+    """Return a camera's name, by default the first that is no wrist camera, and its photos at compared times."""
     folders = {gap.name: Path(gap.name) for gap in gaps if (Path(gap.name) / "rgb").is_dir()}
     cameras = sorted({path.name for folder in folders.values() for path in (folder / "rgb").iterdir() if path.is_dir()})
     if not cameras:
@@ -83,7 +75,7 @@ def photos_in_parts(gaps: Sequence[MotionGap], camera: str | None) -> tuple[str,
 
 
 def select_photos(taken: Sequence[RecordedPhoto], maximum: int) -> list[RecordedPhoto]:
-    """Return at most `maximum` evenly spaced photos, including that with the largest simulated joint error."""
+    """Return at most `maximum` evenly spaced photos, and that with the largest simulated joint error."""
     if len(taken) <= maximum:
         return list(taken)
     worst = max(range(len(taken)), key=lambda k: _error(taken[k]))
@@ -97,7 +89,7 @@ def _error(photo: RecordedPhoto) -> float:
 
 
 def postures_at(motion: RecordedMotion, sample: int, rig: RigConfig) -> ArmPostures:
-    """Return the joints and the gripper opening of each arm of a rig at a sample (index) of a recorded motion."""
+    """Return joints and gripper opening of each arm at a sample (index) of a motion."""
     postures = {}
     for arm, number in zip(motion.arms, rig.recording_order, strict=True):
         config, opening = rig.arms[number], 0.0 if arm.openings is None else float(np.nan_to_num(arm.openings[sample]))
@@ -109,11 +101,7 @@ def postures_at(motion: RecordedMotion, sample: int, rig: RigConfig) -> ArmPostu
 
 
 def make_photo(recorded: RecordedPhoto, camera: str, rig: RigConfig, image: Image) -> Photo:
-    """Return a recorded photo with the simulated postures, and with camera and camera pose if the frame holds them.
-
-    Raises:
-        DatasetError: the frame cannot be read, or is damaged.
-    """
+    """Return a photo with the simulated postures, and with camera and pose if the frame holds them."""
     file = Path(recorded.gap.name) / lowdim_path(recorded.frame)
     try:
         frame = load_frame(file.read_bytes())
@@ -128,7 +116,7 @@ def make_photo(recorded: RecordedPhoto, camera: str, rig: RigConfig, image: Imag
     height, width = image.shape[:2]
     T_base_in_cam = None
     if T_cam_in_base is not None:
-        # Recorded extrinsics are relative to the base of the only arm, or of the left arm.
+        # Recorded extrinsics are relative to the base of the only or left arm.
         T_cam_in_world = rig.T_base_in_world(rig.recording_order[0]) @ T_cam_in_base
         T_base_in_cam = inverse(T_cam_in_world) @ rig.T_base_in_world(0)
     model = None if K is None else pinhole_camera(K, width, height)
@@ -137,7 +125,7 @@ def make_photo(recorded: RecordedPhoto, camera: str, rig: RigConfig, image: Imag
     )
 
 
-_SHOWN_PHOTOS = 2  # photos with the largest errors, which are returned as pictures
+_SHOWN_PHOTOS = 2  # with the largest errors
 _OPACITY = 0.4  # of the simulated arms over a photo, 0..1
 _JPEG_QUALITY = 85  # 0..100
 
@@ -147,9 +135,8 @@ class PhotoRequest:
     """The photos of recordings to compare.
 
     Attributes:
-        max_photos: maximum number of photos.
         camera: calibration of all photos; None for the recorded intrinsics, or else an estimate from ArUco boards.
-        name: the camera's name in the recordings; None for the first that is no wrist camera.
+        name: of the camera; None for the first that is no wrist camera.
     """
 
     max_photos: int
@@ -159,13 +146,12 @@ class PhotoRequest:
 
 @dataclass(frozen=True)
 class PhotoGap:
-    """The comparison of the simulated arms with a photo.
+    """Comparison of the simulated arms with a photo.
 
     Attributes:
         outline: median distance of the simulated outline to the photo's edges, px; None if no arm is visible.
         measured_outline: the same for arms rendered at the measured joints: the distance if simulation were exact.
         iou: intersection over union of the arms' masks at simulated and at measured joints, 0..1.
-        picture: the simulated arms, drawn over the photo.
     """
 
     recorded: RecordedPhoto
@@ -184,14 +170,7 @@ def compare_photos(
     locations: Locations,
     progress: Progress,
 ) -> tuple[dict[str, Any], list[CaptionedJpeg]]:
-    """Compare simulated arms with photos of recordings. Return JSON-ready figures, and the worst photos as pictures.
-
-    Raises:
-        UsageError: no recording has photos from that camera at the compared times.
-        DatasetError: a frame is damaged.
-        ConfigError: the camera is calibrated for another image size.
-        ResourceError: no photo gives the camera's pose, or no OpenGL context is available.
-    """
+    """Compare simulated arms with recorded photos. Return JSON data, and the worst photos as pictures."""
     camera, taken = photos_in_parts(gaps, request.name)
     chosen = select_photos(taken, request.max_photos)
     found: list[PhotoGap] = []
@@ -215,7 +194,7 @@ def compare_photos(
 def _compare_photo(
     recorded: RecordedPhoto, camera: str, rig: RigConfig, lenses: PhotoCameras, renderers: ArmRenderers
 ) -> PhotoGap | None:
-    """Return the comparison of one photo; None if neither its frame nor a board gives the camera's pose."""
+    """Compare one photo; None if neither its frame nor a board gives the camera's pose."""
     image = read_image(recorded.path)
     photo = make_photo(recorded, camera, rig, image)
     lens, grey = lenses.camera_of(photo, image), to_grey(image)

@@ -1,4 +1,4 @@
-"""Object configs of KitchenBench's assets: kitchen objects and cloth, in the sizes that a scene requires."""
+"""Object configs of KitchenBench's assets, in the sizes that a scene requires."""
 
 from __future__ import annotations
 
@@ -32,11 +32,11 @@ _OBJECT_CONFIGS = {
 #: The asset whose objects are parts of the tray.
 COMPARTMENT = "compartment"
 
-_COURGETTE_WIDTH = 55.0  # mm, width and height of a long produce item; fingers could not hold a tomato of that length
+_COURGETTE_WIDTH = 55.0  # mm, of long produce; fingers could not hold a tomato of that length
 _COURGETTE_BODY = {"stuff": "fruit", "rgba": [0.24, 0.42, 0.16, 1], "specular": 0.3, "shininess": 0.4}
 
-_RIM_GRASP_DEPTH = 0.012  # m, distance below a cup's rim of the grasp for nesting the cup into another one
-_NO_SLOT_LENGTH = 40.0  # mm, part of a rack's length that has no slots
+_RIM_GRASP_DEPTH = 0.012  # m below a cup's rim, of the grasp for nesting the cup
+_NO_SLOT_LENGTH = 40.0  # mm of a rack's length without slots
 _SCALED_KEYS = ("diameter_mm", "height_mm", "foot_mm", "fillet_mm", "stalk_mm", "mass_g")  # all sizes except the walls
 
 #: The kind of KitchenBench's goals in which cloth is folded.
@@ -47,8 +47,8 @@ SHEETS = {"napkin": "soft_napkin", "cloth": "soft_cloth", "dish_towel": "soft_di
 CRUMPLED = "crumple_level"
 _CRUMPLES = {"light": 0.2, "moderate": 0.4}  # level -> height and distance of the pull, as shares of half the length
 
-_CLOTH_MARGIN = 0.05  # m, width of the table's border around flat cloth
-_REFINEMENT = 2  # cells along a side of crumpled cloth for each cell of flat cloth: larger cells stand up in tents
+_CLOTH_MARGIN = 0.05  # m, border of the table around flat cloth
+_REFINEMENT = 2  # cells of crumpled cloth per cell of flat cloth, along a side: larger cells stand up in tents
 # Points along the side of a towel that is folded in thirds: three cells, four and four. A sheet bends only along lines
 # of points, and the inner third has to be the shorter one.
 _THIRDS_POINTS = 12
@@ -57,14 +57,10 @@ _THIRDS_POINTS = 12
 def object_config_of(
     item: SceneObject, conditions: Mapping[str, Any], locations: Locations, nests: bool = True
 ) -> ObjectConfig:
-    """Return the config of a blueprint's object, under the object's name.
+    """Return the config of a blueprint's object. Raise LookupError if none exists for the asset.
 
-    Args:
-        conditions: of the scene; `slot_width_cm` sets the width of the rack's slots.
-        nests: whether a cup may be put into another one, so that grasps just under its rim come first.
-
-    Raises:
-        LookupError: no object config exists for the asset.
+    `conditions` of the scene may have `slot_width_cm` of the rack. With `nests`, a cup is grasped just under its rim
+    first.
     """
     if item.asset not in _OBJECT_CONFIGS:
         raise LookupError(
@@ -83,7 +79,7 @@ def object_config_of(
 
 
 def _grasp_under_rim(grasp: dict[str, Any], shape: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the grasp of a cup that goes into another cup by two thirds: points just under its rim come first."""
+    """Prefer grasp points just under the rim, for a cup that goes into another cup by two thirds."""
     height, opening = shape["height_mm"] / 1000 - _RIM_GRASP_DEPTH, shape["diameter_mm"] / 2000
     friction = grasp["friction"]
     top = [{**point, "position": [0.0, 0.0, height], "opening": opening} for point in friction["points"]]
@@ -91,7 +87,7 @@ def _grasp_under_rim(grasp: dict[str, Any], shape: Mapping[str, Any]) -> dict[st
 
 
 def _scaled_shape(item: SceneObject, shape: dict[str, Any], conditions: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a shape's plain data in the size that a scene requires; for tools, the size is the length."""
+    """Return a shape's data in the size that a scene requires; for tools, the size is the length."""
     if item.asset == "dish_rack" and "slot_width_cm" in conditions:
         slot = 10.0 * float(conditions["slot_width_cm"])
         return {**shape, "slot_mm": slot, "slots": int((shape["size_mm"][0] - _NO_SLOT_LENGTH) // slot)}
@@ -114,15 +110,14 @@ def _scaled_shape(item: SceneObject, shape: dict[str, Any], conditions: Mapping[
 
 
 def is_folded_in_thirds(blueprint: SceneBlueprint, item: SceneObject) -> bool:
-    """Return whether a cloth is folded twice, and long enough for thirds."""
+    """Whether a cloth is folded twice, and long enough for thirds."""
     return int(float(blueprint.success_params.get("fold_count", 1))) > 1 and item.asset == "dish_towel"
 
 
 def cloth_config_of(item: SceneObject, blueprint: SceneBlueprint, locations: Locations) -> ObjectConfig:
-    """Return the config of a blueprint's cloth, under its name. `size_cm` is the width; the length is proportional.
+    """Return the config of a blueprint's cloth. `size_cm` is the width; the length is proportional.
 
-    Raises:
-        LookupError: no cloth config exists for the asset.
+    Raise LookupError if none exists for the asset.
     """
     if item.asset not in SHEETS:
         raise LookupError(
@@ -143,11 +138,7 @@ def cloth_config_of(item: SceneObject, blueprint: SceneBlueprint, locations: Loc
 
 
 def crumpled_start(blueprint: SceneBlueprint, scene: CompiledScene, start: Array, timestep: float) -> Array:
-    """Return MuJoCo's positions (nq,) with cloths crumpled as the scene requires, the same for the same blueprint.
-
-    Args:
-        start: MuJoCo's positions (nq,) with flat cloths.
-    """
+    """Return MuJoCo's positions (nq,) with the flat cloths of `start` crumpled, always the same for a blueprint."""
     level = blueprint.conditions.get(CRUMPLED)
     if level is None:
         return start
@@ -159,11 +150,7 @@ def crumpled_start(blueprint: SceneBlueprint, scene: CompiledScene, start: Array
 
 
 def table_for_sheet(table: Table, item: SceneObject, middle: tuple[float, float]) -> Table:
-    """Return a table, enlarged so that a cloth lies flat on it at any angle.
-
-    Args:
-        middle: of the cloth (2,), in `world`, m.
-    """
+    """Return a table, enlarged so that a cloth around `middle` (2,) in `world`, m, lies flat on it at any angle."""
     asset = ASSETS[item.asset]
     factor = (item.size_cm or asset.footprint_w_cm) / asset.footprint_w_cm
     reach = math.hypot(asset.footprint_w_cm, asset.footprint_h_cm) * factor / 200 + _CLOTH_MARGIN

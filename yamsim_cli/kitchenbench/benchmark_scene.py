@@ -1,4 +1,4 @@
-"""Sessions of the two-arm YAM station, and KitchenBench's scenes built on its table, with all objects at rest."""
+"""Sessions of the two-arm YAM station, and KitchenBench's scenes on its table, with all objects at rest."""
 
 from __future__ import annotations
 
@@ -45,16 +45,16 @@ TICK_HZ = 30  # Hz, control ticks
 
 #: Kinds of KitchenBench's goals whose scenes can be built.
 KINDS = frozenset({"place_on", "stack", "place_in", "handoff", "sort", FOLD})
-_HANDED_OVER = "handoff"  # the kind of goal for which a cup is not put into another object
+_HANDED_OVER = "handoff"  # a cup is not put into another object
 
-_PLACEHOLDER_TASK = "tower"  # task of the session, which a scene of KitchenBench replaces
-_PHYSICS_STEPS, _CLOTH_PHYSICS_STEPS = 16, 8  # physics steps in a control tick, without and with cloth
+_PLACEHOLDER_TASK = "tower"  # replaced by a scene of KitchenBench
+_PHYSICS_STEPS, _CLOTH_PHYSICS_STEPS = 16, 8  # per control tick, without and with cloth
 
-_TABLE_MARGIN = 0.10  # m, from a scene's objects to the edge of a table that is widened for them
-_DROP_HEIGHT = 0.5  # m over the table, where the search for the resting height of each object starts
-_SPARE_HEIGHT = 2.0  # m, between objects that wait above the table until they are placed
+_TABLE_MARGIN = 0.10  # m, from objects to the edge of a widened table
+_DROP_HEIGHT = 0.5  # m over the table, where the search for the resting height starts
+_SPARE_HEIGHT = 2.0  # m, between objects that wait above the table
 _SPAWN_GAP = 0.001  # m, between a placed object and its support
-_TRAY_FLOOR = 0.005  # m, thickness of the floor of the tray's compartments
+_TRAY_FLOOR = 0.005  # m, of the tray's compartments
 _MAX_OFFSET_MM = 5.0  # mm; an object that rests farther from its required place is reported in `unrealized`
 
 # Conditions of a blueprint that depend on how a policy acts, and conditions that built scenes fulfil.
@@ -68,15 +68,7 @@ _OPENER = SessionOpener(os.environ, _LOG.warning, "{}=".format)
 
 
 def open_station_session(size: str, *, images: bool, quality: str = "fast", task: str = _PLACEHOLDER_TASK) -> Session:
-    """Open a session of the station.
-
-    Args:
-        task: a task of yamsim; scenes of KitchenBench replace it.
-
-    Raises:
-        UsageError: the size, the quality or the task is not valid.
-        ResourceError: images are requested, and nothing can be rendered here.
-    """
+    """Open a session of the station. A KitchenBench scene replaces `task`."""
     given: dict[str, Any] = {"rig": STATION, "task": task, "size": parse_size(size), "quality": quality}
     where = _OPENER.locations()
     if "contact" in _OPENER.config("default", where, **given).task.valid_grasps:
@@ -92,7 +84,7 @@ class BenchmarkScene:
     """A scene of KitchenBench, compiled and at rest. Close its simulator after use.
 
     Attributes:
-        start: MuJoCo's positions (nq,) with everything at rest.
+        start: MuJoCo's positions (nq,) at rest.
         regions: name of a blueprint's object that is a part of another object -> that part.
         offsets_mm: object -> horizontal distance from its required place to its resting place, mm.
         unrealized: requirements of the blueprint that the built scene does not fulfil, as sentences.
@@ -121,7 +113,7 @@ class BenchmarkScene:
         return arm_sides(self.simulator.config)
 
     def episode(self) -> Episode:
-        """Return a new episode without a goal: KitchenBench's checker decides about success."""
+        """Return a new episode without a goal: KitchenBench's checker decides."""
         scene, timing = self.simulator.scene, self.simulator.config.task.timing
         return Episode(
             scene,
@@ -136,14 +128,9 @@ class BenchmarkScene:
 
 
 def build_benchmark_scene(blueprint: SceneBlueprint, base: Session) -> BenchmarkScene:
-    """Build the scene of a blueprint.
+    """Build the scene of a blueprint, which replaces the task of `base`, a session of the station.
 
-    Args:
-        base: a session of the station, whose task is replaced.
-
-    Raises:
-        LookupError: the blueprint has a kind of goal or an object that yamsim does not have.
-        SimulationError: the scene cannot be compiled.
+    Raise LookupError for a kind of goal or an object that yamsim does not have.
     """
     if blueprint.target_kind not in KINDS:
         raise LookupError(
@@ -184,7 +171,7 @@ def _horizontal_position(scene: CompiledScene, qpos: Array, name: str) -> Array:
 
 
 def _make_task(blueprint: SceneBlueprint, config: RecordConfig, objects: Mapping[str, ObjectConfig]) -> ProgramTask:
-    """Return the scene as a task. Its goal and its expert are placeholders: KitchenBench's checker decides."""
+    """Return the scene as a task, without goal and expert: KitchenBench's checker decides."""
     first = next(iter(objects))
     folds = objects[first].cloth is not None
     steps = _CLOTH_PHYSICS_STEPS if any(item.cloth is not None for item in objects.values()) else _PHYSICS_STEPS
@@ -206,7 +193,7 @@ def _make_task(blueprint: SceneBlueprint, config: RecordConfig, objects: Mapping
 
 
 def table_for_scene(config: RecordConfig, blueprint: SceneBlueprint) -> Table:
-    """Return the station's table, widened if a scene's objects would not fit onto it."""
+    """Return the station's table, widened if a scene's objects do not fit onto it."""
     things = [item for item in blueprint.objects if item.asset != COMPARTMENT]
     table = config.scene.table
     assert table is not None  # checked when the config was loaded
@@ -240,7 +227,7 @@ def _regions(blueprint: SceneBlueprint) -> dict[str, ContainerRegion]:
 
 
 def _lower_objects(simulator: Simulator, wanted: Mapping[str, Array]) -> Array:
-    """Return MuJoCo's positions (nq,) after all objects have been placed in turn on the objects below them."""
+    """Return MuJoCo's positions (nq,) after all objects have been placed in turn on those below them."""
     scene, top = simulator.scene, simulator.config.table.top
     # Objects that are not placed yet are far from all others.
     away = {name: pose((0.0, 0.0, top + _SPARE_HEIGHT * (k + 1))) for k, name in enumerate(wanted)}

@@ -1,4 +1,4 @@
-"""`YamsimEmbodiment`: the simulated two-arm YAM station as an embodiment of the framework Inspect Robots."""
+"""`YamsimEmbodiment`: the two-arm YAM station as an embodiment of the framework Inspect Robots."""
 
 from __future__ import annotations
 
@@ -50,10 +50,9 @@ evenly from the last targets to the new ones, as far as motors' speeds let them.
 
 
 def action_space(config: RecordConfig, period: float) -> Box:
-    """Return the action space: joint targets in rad and gripper openings, 0..1, of both arms.
+    """Return the action space of both arms: joint targets in rad and gripper openings, 0..1.
 
-    Args:
-        period: duration of an action, s, which limits the steps of the joints.
+    The `period` of an action, s, limits the steps of the joints.
     """
     low, high, limits = list[float](), list[float](), list[float]()
     for number in config.rig.recording_order:
@@ -68,11 +67,7 @@ def action_space(config: RecordConfig, period: float) -> Box:
 
 
 def ticks_per_action(control_hz: float) -> int:
-    """Return the number of control ticks in an action.
-
-    Raises:
-        UsageError: the number is not whole, or not from 1 to 30.
-    """
+    """Return the number of control ticks in an action."""
     ticks = round(TICK_HZ / control_hz) if control_hz > 0 else 0
     if not 1 <= ticks <= TICK_HZ or abs(TICK_HZ / control_hz - ticks) > 1e-9:
         valid = ", ".join(f"{TICK_HZ / k:g}" for k in (1, 2, 3, 5, 6, 10, 12, 15, 30))
@@ -81,12 +76,11 @@ def ticks_per_action(control_hz: float) -> int:
 
 
 class YamsimEmbodiment:
-    """The station `yam_station_linear_4310_d405` with the objects of a KitchenBench scene or of a yamsim task.
+    """The station `yam_station_linear_4310_d405` with the objects of a KitchenBench scene or yamsim task.
 
-    After each action, KitchenBench's own checker judges its scenes, and a yamsim task's own goal judges that task.
+    After each action, KitchenBench's checker judges its scenes, and a yamsim task's goal judges that task.
 
     Attributes:
-        info: the description for compatibility checks.
         world: answers checkers' queries about the KitchenBench scene that was reset last.
 
     Args:
@@ -94,10 +88,6 @@ class YamsimEmbodiment:
         images: whether observations have pictures of the three cameras; pictures take most of the time.
         size: of pictures, WIDTHxHEIGHT, px.
         quality: of pictures, see `configs/quality`.
-
-    Raises:
-        UsageError: a value is not valid.
-        ResourceError: images are requested, and nothing can be rendered here.
     """
 
     def __init__(
@@ -128,9 +118,7 @@ class YamsimEmbodiment:
     def reset(self, scene: Scene, *, seed: int | None = None) -> Observation:
         """Put a scene's objects onto the table, at rest, and the arms into their start postures.
 
-        Raises:
-            LookupError: the scene is not KitchenBench's or yamsim's, or yamsim cannot build it.
-            SimulationError: the scene cannot be compiled.
+        Raise LookupError for a scene that yamsim cannot build.
         """
         self.close()
         self._seed = 0 if seed is None else seed

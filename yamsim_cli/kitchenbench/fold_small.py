@@ -1,4 +1,4 @@
-"""A skill that folds cloth until its bounding box, seen from above, is as small as KitchenBench requires."""
+"""Fold cloth until its bounding box, seen from above, is as small as KitchenBench requires."""
 
 from __future__ import annotations
 
@@ -26,34 +26,34 @@ from ..core.geometry.cloth_flattening import Point
 from ..core.geometry.se3 import Array
 from .object_poses import T_in_world
 
-_AREA_MARGIN = 0.96  # share of the required area at which the predicted area of a fold is sufficient
+_AREA_MARGIN = 0.96  # predicted area as a share of the required one, at which a fold suffices
 
-_MIN_CREASE, _MAX_CREASE = 0.15, 0.52  # limits of a crease's distance from a side or corner, as shares of the cloth
-_LINE_GAP = 0.008  # m, points farther apart across a crease belong to different lines of points
+_MIN_CREASE, _MAX_CREASE = 0.15, 0.52  # from a side or corner, as shares of the cloth
+_LINE_GAP = 0.008  # m, between lines of points across a crease
 
-_MIN_REDUCTION = 0.06  # share by which a fold must reduce the area
-_MAX_FOLDS = 5  # folds in a run of the skill
-_MAX_SLIDES = 2  # slides of crumpled cloth before the first fold
+_MIN_REDUCTION = 0.06  # share of the area, by a fold
+_MAX_FOLDS = 5  # per run of the skill
+_MAX_SLIDES = 2  # of crumpled cloth before the first fold
 _MAX_MISSES = 2  # failed grasps, after each of which other points are grasped
 
 # Cloth is laid beyond its target: several layers since outer ones have a longer path, a single one to stretch wrinkles.
-_LAYERED_OVERSHOOT = 2.0  # overshoot with several layers, as a multiple of the folded part's height
-_MAX_OVERSHOOT = 0.08  # share of the path, limits the overshoot
-_SINGLE_OVERSHOOT = 1.0  # overshoot with a single layer, as a multiple of the folded part's height
+_LAYERED_OVERSHOOT = 2.0  # multiple of the folded part's height
+_MAX_OVERSHOOT = 0.08  # share of the path
+_SINGLE_OVERSHOOT = 1.0  # multiple of the folded part's height
 
-_SPEED = 0.2  # m/s, speed of hands that carry cloth: the number of actions is limited
-_SLOW_SPEED = 0.08  # m/s, speed of hands that carry several layers, which slip at a higher speed
+_SPEED = 0.2  # m/s, of hands with cloth: the number of actions is limited
+_SLOW_SPEED = 0.08  # m/s; several layers slip at a higher speed
 
-_MAX_THIRD = 0.36  # share of the cloth, largest first third
-_FAR_LIMIT, _NEAR_LIMIT = 0.60, 0.16  # m ahead of the bases, goal of a pulled cloth's far edge, limit of its near edge
+_MAX_THIRD = 0.36  # share of the cloth
+_FAR_LIMIT, _NEAR_LIMIT = 0.60, 0.16  # m ahead of the bases, of a pulled cloth's far and near edges
 
-_FLAT_LAYERS = 8.0  # layer thicknesses, largest height of cloth that counts as flat
+_FLAT_LAYERS = 8.0  # layer thicknesses, largest height of flat cloth
 _FLAT_DISPLACEMENT = 0.2  # share of the side, largest distance of a point from its place in flat cloth
-_FIRST_PULLS, _LATER_PULLS = 4, 2  # largest numbers of flattening pulls, at first and after a slide
+_FIRST_PULLS, _LATER_PULLS = 4, 2  # flattening pulls, at first and after a slide
 
-_LAYER_HEIGHT = 0.005  # m, height that counts as one layer of cloth
+_LAYER_HEIGHT = 0.005  # m, that counts as one layer
 _CORNER_TOLERANCE = (
-    0.006  # m; of the points at most this much farther from a corner than the nearest, the uppermost is grasped
+    0.006  # m; of the points that are hardly farther from a corner than the nearest, the uppermost is grasped
 )
 
 
@@ -77,7 +77,7 @@ class FoldSmall(Skill):
     def run(
         self, context: PlanningContext, roles: RoleAssignment, next_skills: Sequence[Skill]
     ) -> Iterator[MotionSegment]:
-        """Yield the motions that flatten, slide and fold the cloth, until its box is small enough; see `Skill.run`."""
+        """Yield the motions that flatten, slide and fold the cloth; see `Skill.run`."""
         thing = roles.object_of(self.thing)
         if self.crumpled:
             yield from flatten_cloth(context, thing, _FLAT_LAYERS, _FLAT_DISPLACEMENT, _FIRST_PULLS)
@@ -109,7 +109,6 @@ class FoldSmall(Skill):
             try:
                 yield from carry_points(context, thing, grasps, speed=_SLOW_SPEED if folds and fold.layers else _SPEED)
             except SkillFailedError:
-                # A new run of the skill would flatten the cloth again.
                 missed.append(fold.points)
                 if len(missed) > _MAX_MISSES:
                     raise
@@ -120,7 +119,7 @@ class FoldSmall(Skill):
             raise SkillFailedError(FailureCause.UNREACHABLE, f"no hands reach what would make the {thing} smaller")
 
     def _sorted_folds(self, points: Array, first: bool) -> list[CreaseFold]:
-        """Return folds of a cloth, the best first: by sufficient area, few layers, whole sides, and small area."""
+        """Return folds, the best first: by sufficient area, few layers, whole sides, and small area."""
         before = bounding_box_area(points)
         folds = [fold for fold in possible_folds(points, first) if fold.area < (1 - _MIN_REDUCTION) * before]
         if self.thirds and first:
@@ -135,7 +134,7 @@ class FoldSmall(Skill):
         return fold is not None and fold.area <= _AREA_MARGIN * self.area
 
     def _is_foldable(self, context: PlanningContext, thing: str, points: Array) -> bool:
-        """Return whether hands reach a sufficient fold of a cloth with points (along y, along x, 3), m."""
+        """Whether hands reach a sufficient fold of a cloth with points (along y, along x, 3), m."""
         folds = [fold for fold in self._sorted_folds(points, first=True) if self._is_sufficient(fold)]
         return _first_reachable_fold(context, thing, points, folds) != (None, None)
 
@@ -148,13 +147,13 @@ def _first_reachable_fold(
 
 
 def _slide_turns(points: Array) -> list[float]:
-    """Return angles by which a cloth may be turned so that its bounding box shrinks, rad."""
+    """Return angles by which a turned cloth's bounding box shrinks, rad."""
     heading = _heading(points)
     return [-heading, -1.2 * heading, 0.0]
 
 
 def _pull_nearer_grasps(context: PlanningContext, thing: str) -> list[PointGrasp] | None:
-    """Return grasps that pull a cloth nearer by its nearest side; None if the cloth is near, or out of reach."""
+    """Return grasps that pull a cloth nearer by its nearest side; None if it is near, or out of reach."""
     points = context.world.cloth_points(thing)
     low, high = points.reshape(-1, 3).min(axis=0), points.reshape(-1, 3).max(axis=0)
     ends = [_corner_point(points, np.array([low[0], y]))[0] for y in (low[1], high[1])]
@@ -204,11 +203,9 @@ def bounding_box_area(points: Array) -> float:
 
 
 def possible_folds(points: Array, single: bool) -> list[CreaseFold]:
-    """Return the possible folds of a cloth: of each side and corner, over creases at several distances.
+    """Return the folds of each side and corner over creases at several distances.
 
-    Args:
-        points: of the cloth (along y, along x, 3), in `world`, m.
-        single: whether the cloth has a single layer, so that only wrinkles are higher.
+    `points` are (along y, along x, 3), in `world`, m. In a `single` layer, only wrinkles are higher.
     """
     heading = _heading(points)
     axes = np.array([[math.cos(heading), math.sin(heading)], [-math.sin(heading), math.cos(heading)]])
@@ -258,7 +255,7 @@ def _make_fold(points: Array, corners: Sequence[Array], normal: Array, depth: fl
 
 
 def _corner_point(points: Array, corner: Array) -> tuple[Point, int]:
-    """Return the uppermost point of a cloth at a corner (2,), by row and column, and the number of points under it."""
+    """Return row and column of the uppermost point at a corner (2,), and the number of points under it."""
     apart = np.linalg.norm(points[..., :2] - corner, axis=-1)
     near = np.argwhere(apart < apart.min() + _CORNER_TOLERANCE)
     row, column = max(near, key=lambda one: float(points[tuple(one)][2]))
@@ -266,14 +263,14 @@ def _corner_point(points: Array, corner: Array) -> tuple[Point, int]:
 
 
 def _heading(points: Array) -> float:
-    """Return the angle of a sheet's sides, modulo quarter turns, rad; folds along the sides do not change it."""
+    """Return the angle of a sheet's sides, modulo quarter turns, rad, which folds along the sides keep."""
     sides = np.concatenate([np.diff(points, axis=k)[..., :2].reshape(-1, 2) for k in (0, 1)])
     whole = (sides[:, 0] + 1j * sides[:, 1]) ** 4
     return float(np.angle((whole / np.maximum(np.abs(whole), 1e-12) ** 0.5).sum()) / 4)
 
 
 def required_area(blueprint: SceneBlueprint, item: SceneObject, cloth: Cloth) -> float:
-    """Return the largest bounding box of a folded cloth that KitchenBench's checker accepts, less 2 %, m2."""
+    """Return the largest bounding box that KitchenBench's checker accepts, less 2 %, m2."""
     given = blueprint.success_params
     if given.get("baseline") == "nominal":
         asset = ASSETS[item.asset]

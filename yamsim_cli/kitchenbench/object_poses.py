@@ -21,11 +21,11 @@ AHEAD, BESIDE = 0.35, 0.25
 #: Position of that origin, m, for scenes with cloth, which lies around the origin and needs both arms.
 CLOTH_AHEAD, CLOTH_BESIDE = 0.45, 0.0
 
-_STEP = 0.002  # m, steps in which an object is displaced
+_STEP = 0.002  # m, of displacements
 _RACK_GAP = 0.005  # m, between a rack and a displaced object
 _WALL_THICKNESS = 0.005  # m, thickness of a tray's walls
-_FINGER_ROOMS = (0.010, 0.003)  # m, room for fingers between a wall and a displaced object, in the order tried
-_OVERLAP_COST = 0.02  # m, further displacement that is accepted to avoid an overlap with another object
+_FINGER_ROOMS = (0.010, 0.003)  # m, between a wall and a displaced object, in the order tried
+_OVERLAP_COST = 0.02  # m, accepted displacement to avoid an overlap with another object
 
 
 def origin_in_world(blueprint: SceneBlueprint) -> tuple[float, float]:
@@ -34,7 +34,7 @@ def origin_in_world(blueprint: SceneBlueprint) -> tuple[float, float]:
 
 
 def T_in_world(item: SceneObject, blueprint: SceneBlueprint) -> Array:
-    """Return the required pose (4, 4) of a blueprint's object in `world`, with z = 0 at the height of the table.
+    """Return the required pose (4, 4) of an object in `world`, with z = 0 at the height of the table.
 
     A blueprint's frame has x to the right, y ahead and z up. Its origin is at `origin_in_world`.
     """
@@ -46,12 +46,9 @@ def T_in_world(item: SceneObject, blueprint: SceneBlueprint) -> Array:
 
 
 def feasible_poses(simulator: Simulator, blueprint: SceneBlueprint) -> dict[str, Array]:
-    """Return name -> pose (4, 4) of a blueprint's objects in `world`: the required pose where it is feasible.
+    """Return name -> pose (4, 4) of a blueprint's objects in `world`, as required where that is feasible.
 
     Objects in a rack's wire or on a tray's wall are placed beside it. Large objects come first: others may lie on them.
-
-    Args:
-        simulator: has a compiled scene with all objects of the blueprint.
     """
     wanted = {item.name: T_in_world(item, blueprint) for item in blueprint.objects if item.asset != COMPARTMENT}
     world = make_sim_world(simulator.scene, simulator.state_replay.data, ())
@@ -84,7 +81,7 @@ def feasible_poses(simulator: Simulator, blueprint: SceneBlueprint) -> dict[str,
 def _push_away(
     name: str, places: dict[str, Array], wanted: Mapping[str, Array], room: Mapping[str, Array], tray: str
 ) -> None:
-    """Displace the objects beside a tray that would lie under an object, unless the blueprint requires the overlap."""
+    """Displace objects beside a tray that would lie under another one, unless the blueprint requires that."""
     for other, T in places.items():
         if (
             other in (name, tray)
@@ -108,7 +105,7 @@ def _push_away(
 
 
 def _cost(T_required: Array, block: Array, others: Sequence[Array], T: Array) -> float:
-    """Return the cost of a pose (4, 4), m: its distance from the required one, and `_OVERLAP_COST` for each overlap."""
+    """Return the distance of a pose (4, 4) from the required one, m, plus `_OVERLAP_COST` for each overlap."""
     overlaps = sum(footprint_distance(footprint_corners(block, T), other) < 0 for other in others)
     return float(np.linalg.norm(T[:2, 3] - T_required[:2, 3])) + _OVERLAP_COST * overlaps
 

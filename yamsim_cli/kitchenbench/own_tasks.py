@@ -1,4 +1,4 @@
-"""Factories that return yamsim's tasks as tasks of the framework Inspect Robots, such as `yamsim/tower`."""
+"""yamsim's tasks as tasks of the framework Inspect Robots, such as `yamsim/tower`."""
 
 from __future__ import annotations
 
@@ -10,15 +10,11 @@ from inspect_robots import Epochs, Scene, Target, Task
 from .benchmark_scene import open_station_session
 from .yamsim_scene import BENCHMARK, GOAL_KIND
 
-_DEFAULT_TRIALS = 5  # trials of a task without the option `--epochs`, as in KitchenBench's scenes
+_DEFAULT_TRIALS = 5  # without the option `--epochs`, as in KitchenBench's scenes
 
 
 def make_task(name: str) -> Task:
-    """Return a yamsim task: one scene, whose trials differ by their seeds, with the task's own goal.
-
-    Raises:
-        ConfigError: no task has that name.
-    """
+    """Return a yamsim task: one scene, whose trials differ by their seeds."""
     session = open_station_session("64x48", images=False, task=name)
     task = session.config.task
     return Task(

@@ -1,4 +1,4 @@
-"""`YamsimExpert`: a policy for KitchenBench's and yamsim's tasks that plans in a second simulation of the scene."""
+"""`YamsimExpert`: a policy for KitchenBench's and yamsim's tasks that plans in a second simulation."""
 
 from __future__ import annotations
 
@@ -34,15 +34,15 @@ from .scene_stepper import SceneStepper, commanded_share, scene_fingers
 from .skill_programs import build_scene_program
 from .yamsim_scene import BENCHMARK, YamsimTaskScene, build_task_scene
 
-_STATE_TOLERANCE = 1e-6  # rad and gripper shares, largest difference of observed and simulated state: rounding
-_MAX_PATH_ERROR = 0.01  # rad, largest distance of a joint from its path between two actions: 5 mm at an arm's length
-_MAX_WAITS = 2  # largest number of waiting actions after a motion, until everything is at rest
+_STATE_TOLERANCE = 1e-6  # rad and gripper shares, between observed and simulated state: rounding
+_MAX_PATH_ERROR = 0.01  # rad, of a joint from its path between two actions: 5 mm at an arm's length
+_MAX_WAITS = 2  # actions after a motion, until everything is at rest
 
 _LOG = logging.getLogger("yamsim")
 
 
 class YamsimExpert:
-    """Plans skills for KitchenBench's and yamsim's tasks, in a second simulation built from the observed seed.
+    """Plans skills in a second simulation of the scene, built from the observed seed.
 
     The seed is privileged: no other policy may use it. A skill that fails is tried again from the resulting state.
     After three failures the arms stay where they are.
@@ -60,15 +60,14 @@ class YamsimExpert:
         self._bind(embodiment_info.control_hz or CONTROL_HZ)
 
     def reset(self, scene: Scene) -> None:
-        """Begin a scene; its first observation has the seed from which the expert builds its simulation."""
+        """Begin a scene; its first observation has the seed."""
         self.close()
         self._scene = scene
 
     def act(self, observation: Observation) -> ActionChunk:
-        """Return the actions of the next motion; after the last motion, an action that holds the joints.
+        """Return the actions of the next motion; after the last motion, one that holds the joints.
 
-        Raises:
-            RuntimeError: observed and simulated joints differ, so something changed the actions.
+        Raise RuntimeError if observed and simulated joints differ: something changed the actions.
         """
         assert self._scene is not None, "reset comes first"
         if self._planning is None:
@@ -102,16 +101,7 @@ class YamsimExpert:
 
 
 class PlanningScene:
-    """A second simulation of a scene, moved by the same actions as the first; skills plan from its state.
-
-    Attributes:
-        motion: executes the actions in this simulation.
-        context: the planning context of the skills.
-
-    Args:
-        seed: the scene's seed, from which the random path searches are seeded.
-        ticks: control ticks in an action.
-    """
+    """A second simulation of a scene, moved by the same actions; skills plan from its state."""
 
     def __init__(self, realized: BenchmarkScene | YamsimTaskScene, seed: int, ticks: int) -> None:
         self._ticks = ticks
@@ -131,11 +121,11 @@ class PlanningScene:
         self.start_program(program, simulator.roles)
 
     def start_program(self, program: Sequence[Skill], roles: RoleAssignment) -> None:
-        """Begin a list of skills; afterwards, `next_actions` returns their motions as actions."""
+        """Begin a list of skills, whose motions `next_actions` returns as actions."""
         self._segments = chain(run_program(program, self.context, roles, RecoveryLog()), park_free_hands(self.context))
 
     def next_actions(self) -> list[Array]:
-        """Return the actions of the next motion, after executing them in this simulation."""
+        """Return the actions of the next motion, after executing them."""
         segment = self._next_segment()
         while segment is not None and is_still(segment) and self.motion.is_at_rest():
             segment = self._next_segment()
@@ -159,13 +149,13 @@ class PlanningScene:
             return None
 
     def close(self) -> None:
-        """Free the simulation and the cache of the planning context."""
+        """Free the simulation and the planning context's cache."""
         self.context.clear_cache()
         self._simulator.close()
 
 
 def is_still(segment: MotionSegment) -> bool:
-    """Return whether a segment only waits: no joint, finger opening or finger force changes in it."""
+    """Whether a segment only waits: no joint, finger opening or finger force changes."""
     return all(
         not np.ptp(row, axis=0).any() for path in segment.paths for row in (path.joints, path.gripper, path.grip_force)
     )
@@ -186,7 +176,7 @@ def _straight_until(joints: Array, first: int, last: int) -> int:
 def segment_actions(context: PlanningContext, segment: MotionSegment, ticks: int) -> Iterator[Array]:
     """Yield the actions (14,) that make the arms follow a segment.
 
-    References move on straight lines between actions. Where a path bends, actions are closer together, and the arm is
+    References move on straight lines between actions. Where a path bends, actions are closer together and the arm is
     slower.
     """
     fingers_of_both = scene_fingers([hand.arm for hand in context.hands])

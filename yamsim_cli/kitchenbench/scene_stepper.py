@@ -1,4 +1,4 @@
-"""`SceneStepper`: moves a compiled scene by actions of a YAM station: joint targets and gripper openings, 0..1."""
+"""`SceneStepper`: moves a scene by actions of a YAM station: joint targets and gripper openings, 0..1."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from ..core.episode.simulator import Simulator
 from ..core.geometry.se3 import Array
 from ..core.scene.compiled import ArmAddresses, FingerAddresses
 
-# In actions and states, an arm's joints come before its gripper, and the left arm before the right one.
+# An arm's joints come before its gripper, and the left arm before the right one.
 ARM_JOINTS = 6
 _ARM_DIM = ARM_JOINTS + 1
 ACTION_DIM = 2 * _ARM_DIM
 
-CLOSING = 0.35  # s, least time in which fingers move through their whole range
+CLOSING = 0.35  # s, shortest motion of fingers through their whole range
 _REST_SPEED = 0.15  # rad/s and m/s; slower joints and objects are at rest
 _FINGER_REST_SPEED = 0.01  # m/s; slower fingers are at rest
-_PRESS_SHARE = 0.05  # gripper share below which the gripper presses; at 0 it presses with its drive's full force
+_PRESS_SHARE = 0.05  # gripper share; at 0 the gripper presses with its drive's full force
 
 
 class RealizedScene(Protocol):
-    """A compiled scene at rest: a `benchmark_scene.BenchmarkScene` or a `yamsim_scene.YamsimTaskScene`."""
+    """A compiled scene at rest."""
 
     @property
     def simulator(self) -> Simulator:
@@ -38,14 +38,11 @@ class RealizedScene(Protocol):
 class SceneStepper:
     """Execute actions in a scene. The same actions from the same scene give bit-identical states.
 
-    An action lasts several control ticks of 1/30 s. Each joint's reference moves linearly from the last target to the
-    new one, or as far as its motor's speed allows. Finger references move likewise.
+    An action lasts several control ticks of 1/30 s. References of joints and fingers move linearly from the last target
+    to the new one, or as far as the motor's speed allows.
 
     Attributes:
         data: MuJoCo's present state, with poses and contacts up to date.
-
-    Args:
-        ticks: control ticks in an action.
     """
 
     def __init__(self, realization: RealizedScene, ticks: int) -> None:
@@ -71,16 +68,16 @@ class SceneStepper:
 
     @property
     def reference(self) -> Array:
-        """The references (14,) at the end of the last action: joints in rad and gripper openings, 0..1."""
+        """References at the end of the last action, as `state`."""
         return self._reference.copy()
 
     def is_at_rest(self) -> bool:
-        """Return whether arms, fingers and rigid objects are almost still."""
+        """Whether arms, fingers and rigid objects are almost still."""
         fingers = max(float(np.abs(self.data.qvel[fingers.dof]).max()) for fingers in scene_fingers(self._scene.arms))
         return float(np.abs(self.data.qvel[self._rigid_dofs]).max()) <= _REST_SPEED and fingers <= _FINGER_REST_SPEED
 
     def act(self, action: Array) -> None:
-        """Execute an action (14,): target joints in rad and gripper openings, 0..1; the left arm's first."""
+        """Execute an action (14,): target joints and gripper openings, as `state`."""
         scene, start = self._scene, self._reference
         limit = self._max_changes * self._ticks
         goal = start + np.clip(np.asarray(action, dtype=float) - start, -limit, limit)
@@ -90,7 +87,7 @@ class SceneStepper:
         self._reference = goal
 
     def physics_failure(self) -> str | None:
-        """Return MuJoCo's fatal warning that ended the episode, as text; None without one."""
+        """Return MuJoCo's fatal warning that ended the episode, if any."""
         end = self.episode.end
         return end.detail if end is not None and end.reason is EndReason.UNSTABLE else None
 
@@ -112,7 +109,7 @@ class SceneStepper:
 
 
 def commanded_opening(fingers: FingerAddresses, share: float) -> float:
-    """Return the command to a gripper's drive for a share, 0 closed .. 1 open: the opening of one finger, m."""
+    """Return the drive command, opening of one finger, m, for a share, 0 closed .. 1 open."""
     low = fingers.ctrl_range[0]
     if share >= _PRESS_SHARE:
         return share * fingers.full_opening
@@ -120,7 +117,7 @@ def commanded_opening(fingers: FingerAddresses, share: float) -> float:
 
 
 def commanded_share(fingers: FingerAddresses, opening: float) -> float:
-    """Return the share whose command to a gripper's drive is an opening (m); the inverse of `commanded_opening`."""
+    """Return the share for a drive command, m; the inverse of `commanded_opening`."""
     low = fingers.ctrl_range[0]
     if opening >= _PRESS_SHARE * fingers.full_opening:
         return float(min(1.0, opening / fingers.full_opening))

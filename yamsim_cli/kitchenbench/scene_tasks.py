@@ -1,4 +1,4 @@
-"""Conversion of KitchenBench scenes to yamsim tasks, which can be recorded without KitchenBench."""
+"""Convert KitchenBench scenes to yamsim tasks, which can be recorded without KitchenBench."""
 
 from __future__ import annotations
 
@@ -23,22 +23,16 @@ from .benchmark_scene import STATION, build_benchmark_scene, open_station_sessio
 from .object_poses import feasible_poses
 from .skill_programs import build_scene_program
 
-_MAX_ARRANGEMENTS, _EPOCHS = 100, 600  # largest numbers of arrangements in a task, and of epochs searched for them
-_HOLD_SECONDS = 0.5  # s, hold time of the goal; KitchenBench's checkers require a single state
+_MAX_ARRANGEMENTS, _EPOCHS = 100, 600
+_HOLD_SECONDS = 0.5  # s; KitchenBench's checkers require a single state
 _KINDS = ("place_on", "stack", "place_in", "handoff")  # without sorting: compartments are not objects of a task
 
 
 def scene_task_data(name: str) -> dict[str, Any]:
     """Return the task of a scene, as the data of a task's YAML.
 
-    Objects, sizes, the instruction and the expert are those of one epoch of the scene, which determines its seed. The
-    arrangements are the object poses of up to 100 epochs with the same objects.
-
-    Args:
-        name: `TASK/INSTANCE`, such as `stack/cups`; with `@K`, of the scene's epoch K instead of 0.
-
-    Raises:
-        UsageError: no scene has that name, or the scene cannot be recorded.
+    The name is `TASK/INSTANCE`, such as `stack/cups`; with `@K`, of the scene's epoch K instead of 0. That epoch gives
+    objects, instruction and expert. The arrangements are those of up to 100 epochs with the same objects.
     """
     scene, epoch = _scene(name)
     first = _blueprint(scene, epoch)
@@ -112,7 +106,7 @@ def _scene_requirements(blueprint: SceneBlueprint) -> tuple[object, ...]:
 
 
 def _rounded(place: tuple[str, np.ndarray]) -> tuple[str, list[float]]:
-    """Return an object's name, and its place in `world`: x and y to 0.01 mm, the heading to 0.01 degrees."""
+    """Round an object's place in `world`: x and y to 0.01 mm, the heading to 0.01 degrees."""
     name, T = place
     turn = math.degrees(math.atan2(T[1, 0], T[0, 0]))
     return name, [round(float(T[0, 3]), 5), round(float(T[1, 3]), 5), round(turn, 2)]
@@ -127,7 +121,7 @@ def _region(name: str, arrangements: list[dict[str, Any]]) -> dict[str, Any]:
 
 
 def _goal(blueprint: SceneBlueprint) -> Mapping[str, Any]:
-    """Return the goal, as data of a task's YAML, that is equivalent to KitchenBench's own checker."""
+    """Return data of a task's YAML for a goal that is equivalent to KitchenBench's checker."""
     roles = blueprint.roles
     match blueprint.target_kind:
         case "place_on":

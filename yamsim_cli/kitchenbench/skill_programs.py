@@ -1,4 +1,4 @@
-"""`build_scene_program`: the expert's skills for a scene of KitchenBench, by the kind of its goal."""
+"""`build_scene_program`: the expert's skills for a KitchenBench scene, by the kind of its goal."""
 
 from __future__ import annotations
 
@@ -20,22 +20,17 @@ from .object_poses import T_in_world
 from .sorting import Sort
 
 _BOW_CLEARANCE = 0.008  # m, between a dish and the bow at an end of the rack
-_STACK_DROP = 0.02  # m, height of the release of a stacked object: the fingers around its rim reach below it
-_PLATE_DROP = 0.015  # m, height over a plate at which cutlery is released: KitchenBench takes the rim as the top
-_COMPARTMENT_PREFIX = "compartment_"  # start of a compartment's name; the kind of its cutlery follows
+_STACK_DROP = 0.02  # m, height of release: the fingers around the rim reach below it
+_PLATE_DROP = 0.015  # m over a plate, height of cutlery's release: KitchenBench takes the rim as the top
+_COMPARTMENT_PREFIX = "compartment_"  # the kind of cutlery follows
 
 
 def build_scene_program(
     blueprint: SceneBlueprint, items: Mapping[str, ObjectConfig], bases: Sequence[Array]
 ) -> list[Skill]:
-    """Return the skills for a scene's goal, in order.
+    """Return the skills for a scene's goal, in order. Raise LookupError if no expert exists for its kind.
 
-    Args:
-        items: name of a blueprint's object -> its config.
-        bases: positions (2,) of the arms' bases in `world`, m.
-
-    Raises:
-        LookupError: no expert exists for goals of this kind.
+    `bases` are the positions (2,) of the arms' bases in `world`, m.
     """
     roles = blueprint.roles
     match blueprint.target_kind:
@@ -72,10 +67,7 @@ def _pick_and_place(thing: str, placing: Skill) -> list[Skill]:
 
 
 def _slot_placement(blueprint: SceneBlueprint, items: Mapping[str, ObjectConfig], item: str, rack: str) -> Skill:
-    """Return the skill that places a dish upright in the required slot, or in the nearest slot between the bows.
-
-    Slots are counted from the left.
-    """
+    """Place a dish upright in the required slot, counted from the left, or in the nearest slot between the bows."""
     shape, dish = items[rack].shape, next(thing for thing in blueprint.objects if thing.name == item)
     assert isinstance(shape, RackShape), "a rack is made from sizes"
     slots = (np.arange(shape.slots) - (shape.slots - 1) / 2) * shape.slot_mm / 1000
@@ -98,12 +90,12 @@ def _handover_program(blueprint: SceneBlueprint, item: str) -> list[Skill]:
 
 
 def _stack_program(blueprint: SceneBlueprint, names: Sequence[str], bases: Sequence[Array]) -> list[Skill]:
-    """Return skills that stack onto the largest object; of equal ones, onto the one with the shortest reach."""
+    """Stack onto the largest object; of equal ones, onto that with the shortest reach."""
     items = {item.name: item for item in blueprint.objects if item.name in names}
     places = {name: T_in_world(item, blueprint)[:2, 3] for name, item in items.items()}
 
     def farthest(below: str) -> float:
-        """Return the longest reach of an arm, m, if the nearer arm brings each object."""
+        """Return an arm's longest reach, m, if the nearer arm brings each object."""
         paths = ((places[name], places[below]) for name in names if name != below)
         return max(min(max(float(np.linalg.norm(end - base)) for end in path) for base in bases) for path in paths)
 

@@ -29,49 +29,43 @@ from ..core.sim.sim_world import SimWorld
 
 _LOG = logging.getLogger("yamsim")
 
-_MIN_SHARE_INSIDE = 0.85  # share of an object's volume in its compartment; KitchenBench requires a little less
-_MAX_TRIES = 4  # tries to bring each object to its compartment
-_OUTSIDE_PENALTY = 1.5  # tries that are added for objects outside the tray, so that those inside come first
-_PARKED_TOLERANCE = 1e-6  # rad; an arm this near to its ready joints is out of the other arm's way
-_LIFT_HEIGHT = 0.06  # m, height at which cutlery that hangs in the fingers clears the tray's wall
-_HANDOVER_HEIGHT = 0.25  # m over the table, height of the object's origin at a handover
+_MIN_SHARE_INSIDE = 0.85  # of an object's volume; KitchenBench requires a little less
+_MAX_TRIES = 4  # per object
+_OUTSIDE_PENALTY = 1.5  # tries added for objects outside the tray, so that those inside come first
+_PARKED_TOLERANCE = 1e-6  # rad; an arm this near to its ready joints is out of the way
+_LIFT_HEIGHT = 0.06  # m; cutlery that hangs in the fingers clears the tray's wall
+_HANDOVER_HEIGHT = 0.25  # m over the table, of the object's origin
 
-_GRID_STEP = 0.02  # m, largest step between the places that are tried in a compartment
-_HEIGHT_STEP = 0.001  # m, resolution of heights: a place that is lower by this is better
-_FREE_DISTANCE = 0.003  # m, a place at least this far from all other objects is free, and preferred
-_MAX_PLACES = 12  # largest number of free places tried for each orientation, and of occupied places
-_DROP_HEIGHT = 0.010  # m, height of the release where fingers would touch the tray; the only value that was tried
-_TABLE_GRID_STEP = 0.04  # m, between the places on the table that are tried
-_MAX_ASIDE_DISTANCE = 0.30  # m, largest distance of a place on the table from the object
-_ASIDE_GAP = 0.015  # m, least distance of an object on the table from other objects
-_ASIDE_HEADINGS = (0.0, math.pi / 2, math.pi, -math.pi / 2)  # rad, headings of an object on the table
-_MAX_GRASPS = 8  # grasps of each hand that are tested at the places on the table: each costs an IK call per place
+_GRID_STEP = 0.02  # m, largest step between places in a compartment
+_HEIGHT_STEP = 0.001  # m; a place that is lower by this is better
+_FREE_DISTANCE = 0.003  # m from all other objects; a free place is preferred
+_MAX_PLACES = 12  # free places for each orientation, and occupied places
+_DROP_HEIGHT = 0.010  # m, height of release where fingers would touch the tray; no other value was tried
+_TABLE_GRID_STEP = 0.04  # m, between places on the table
+_MAX_ASIDE_DISTANCE = 0.30  # m, of a place on the table from the object
+_ASIDE_GAP = 0.015  # m, least distance from other objects
+_ASIDE_HEADINGS = (0.0, math.pi / 2, math.pi, -math.pi / 2)  # rad, of an object on the table
+_MAX_GRASPS = 8  # of each hand, tested at the places on the table: each costs an IK call per place
 
-_UPRIGHT_COSINE = math.cos(math.radians(3.0))  # cosine of the tilt; an object with a larger one stays upright
-_TILTED_COSINE = 0.6  # cosine of the tilt; an object with a smaller one stays on its side or on its head
+_UPRIGHT_COSINE = math.cos(math.radians(3.0))  # of the tilt; an object with a larger cosine stays upright
+_TILTED_COSINE = 0.6  # of the tilt; an object with a smaller cosine stays on its side or head
 
-_REACH = 0.040  # m, largest free distance that is measured on each side of an object before a slide
+_REACH = 0.040  # m, largest measured free distance on each side before a slide
 _MIN_SLIDE = 0.005  # m, shorter slides are not tried
 _MIN_MOTION = 0.002  # m; an object that moved less has not slid
-_FLAT_HEIGHT = 0.006  # m, largest height of a pressed top over the object's lowest point; a higher part would roll
+_FLAT_HEIGHT = 0.006  # m, pressed top over the object's lowest point; a higher part would roll
 _PRESS_SPACING = 0.012  # m, between places to press
-_APPROACH_HEIGHT = 0.07  # m, height over the pressing pose from which the hand comes down
-_CHECK_HEIGHT = 0.012  # m, height over the pressing pose at which contacts with other objects are checked
+_APPROACH_HEIGHT = 0.07  # m over the pressing pose, where the descent starts
+_CHECK_HEIGHT = 0.012  # m over the pressing pose, where contacts with other objects are checked
 _SLIDE_SPEED = 0.10  # m/s, speed of a pressing hand
-_OVERTRAVEL = 0.006  # m, extra path of the hand, because friction shortens a slide
+_OVERTRAVEL = 0.006  # m, extra path, because friction shortens a slide
 
 _SIDE_TILTS = tuple(math.radians(angle) for angle in (0, 20, -20, 35, -35))  # rad, of the hand to the side
 _LONG_TILTS = tuple(math.radians(angle) for angle in (0, 20, -20, 40, -40))  # rad, of the hand along the object
 
 
 class PlaceInCompartment(PlaceSkill):
-    """Place a long object along a compartment, beside other objects if there is room, else on them.
-
-    Attributes:
-        thing: a role; its object is in a hand.
-        into: a compartment.
-        beside: the role of objects that may be in the compartment.
-    """
+    """Place a long object along a compartment, beside objects of the role `beside` if there is room, else on them."""
 
     ROLES: ClassVar[tuple[str, ...]] = ("thing", "into", "beside")
     LOWERING: ClassVar[float] = 0.25
@@ -83,7 +77,7 @@ class PlaceInCompartment(PlaceSkill):
         return roles.object_of(self.into)
 
     def goals(self, context: PlanningContext, roles: RoleAssignment, thing: str) -> list[Array]:
-        """Return goal poses (4, 4) along the compartment: free places first, then the lowest ones on other objects."""
+        """Return poses (4, 4) along the compartment: free places first, then the lowest on other objects."""
         world, into, local_box = context.world, roles.object_of(self.into), context.world.local_box(thing)
         others = [
             footprint_corners(world.local_box(name), world.pose(name))
@@ -109,7 +103,7 @@ class PlaceInCompartment(PlaceSkill):
 
     @staticmethod
     def _places(context: PlanningContext, thing: str, into: str, orientation: Array) -> Iterator[tuple[float, Array]]:
-        """Yield poses (4, 4) of an object along a compartment, without height, and their distance to its middle, m."""
+        """Yield poses (4, 4) along a compartment, without height, and their distance to its middle, m."""
         world = context.world
         T, (low, high), local_box = world.pose(into), world.local_box(into), world.local_box(thing)
         for R in _rotations_along(local_box, orientation, T):
@@ -122,7 +116,7 @@ class PlaceInCompartment(PlaceSkill):
                 yield off, pose((T @ (*place, 0.0, 1.0))[:3], R)
 
     def _hover_joints(self, hand: Hand, T_pinch: Array) -> Array | None:
-        """Return joints (dof,) over the goal, if needed by a second search from the joints at the goal; else None."""
+        """Return joints (dof,) over the goal, if needed by a search from the joints at the goal."""
         joints = super()._hover_joints(hand, T_pinch)
         if joints is not None:
             return joints
@@ -135,9 +129,7 @@ class PlaceInCompartment(PlaceSkill):
 def _rotations_along(local_box: Array, orientation: Array, T: Array) -> list[Array]:
     """Return rotations (3, 3) of a long object along a compartment at a pose (4, 4), in both directions.
 
-    Args:
-        local_box: the object's lowest and highest corner (2, 3) in its frame, m.
-        orientation: the object's rotation (3, 3), with any heading.
+    `local_box` has the object's lowest and highest corner (2, 3) in its frame, m.
     """
     longest = int(np.argmax(local_box[1] - local_box[0]))
     heading = math.atan2(T[1, 1], T[0, 1]) - math.atan2(orientation[1, longest], orientation[0, longest])
@@ -145,17 +137,14 @@ def _rotations_along(local_box: Array, orientation: Array, T: Array) -> list[Arr
 
 
 def _orientations(world: SimWorld, thing: str) -> list[Array]:
-    """Return rotations (3, 3), up to the heading, in which an object may be put down: upright and as it is now.
-
-    An object on its side or on its head keeps its orientation.
-    """
+    """Return rotations (3, 3), up to the heading, to put an object down: upright and as it is now."""
     now = world.pose(thing)[:3, :3]
     upright = rotation_z(yaw(world.pose(thing)))
     return [upright] if now[2, 2] > _UPRIGHT_COSINE else [upright, now] if now[2, 2] > _TILTED_COSINE else [now]
 
 
 def _set_rest_heights(context: PlanningContext, thing: str, onto: str, goals: Sequence[Array]) -> None:
-    """Set the heights of an object's poses (4, 4) on a flat free floor; they depend on the orientation alone."""
+    """Set the heights of poses (4, 4) on a flat free floor; they depend on the orientation alone."""
     heights = dict[tuple[float, ...], float]()
     for T in goals:
         orientation = tuple(T[2, :3].round(6))
@@ -165,12 +154,7 @@ def _set_rest_heights(context: PlanningContext, thing: str, onto: str, goals: Se
 
 
 class PutBesideTray(PlaceSkill):
-    """Put a long object down on a free place of the table: one from which `then` can follow, else the nearest.
-
-    Attributes:
-        thing: a role; its object is in a hand.
-        then: the skill for which the object is grasped again; None for any.
-    """
+    """Put a long object down on a free place of the table from which `then` can follow."""
 
     then: PlaceSkill | None = None
 
@@ -203,10 +187,8 @@ class PutBesideTray(PlaceSkill):
 def _grasps_for(
     context: PlanningContext, roles: RoleAssignment, thing: str, put: PlaceSkill
 ) -> list[tuple[int, Hand, Array]]:
-    """Return the grasps with which `put` can bring an object to its goal, the most reliable first.
-
-    Returns:
-        The rank of each grasp, its hand, and its pinch frame (4, 4) in the object's frame.
+    """Return rank, hand, and pinch frame (4, 4) in the object's frame of the grasps with which `put` succeeds, best
+    first.
     """
     found = list[tuple[int, Hand, Array]]()
     for hand in context.acting_hands:
@@ -234,7 +216,7 @@ def _places_between(first: float, last: float) -> Array:
 
 @dataclass(frozen=True)
 class _PressPose:
-    """A pose to press: joints (dof,) above, and poses (4, 4) of the pinch frame above and pressing."""
+    """Joints (dof,) above a point to press, and poses (4, 4) of the pinch frame above and pressing."""
 
     above: Array
     T_above: Array
@@ -242,12 +224,7 @@ class _PressPose:
 
 
 class Slide(Skill):
-    """Press closed fingers onto a flat object, and slide it sideways to the middle of its free space.
-
-    Attributes:
-        thing: a role.
-        arm: which arm.
-    """
+    """Press closed fingers onto a flat object, and slide it sideways to the middle of its free space."""
 
     ROLES: ClassVar[tuple[str, ...]] = ("thing",)
     NEEDS_HELD: ClassVar[bool | None] = False
@@ -282,7 +259,7 @@ class Slide(Skill):
         raise SkillFailedError(FailureCause.UNREACHABLE, f"no arm reaches a place where it could press on the {thing}")
 
     def _press_poses(self, context: PlanningContext, hand: Hand, thing: str, shift: Array) -> Iterator[_PressPose]:
-        """Yield the poses with which a hand can slide an object without touching another one."""
+        """Yield poses with which a hand slides an object without touching another one."""
         away = shift / np.linalg.norm(shift)
         down = np.array((0.0, 0.0, -1.0))
         upright = np.column_stack([np.cross((*away, 0.0), down), (*away, 0.0), down])
@@ -323,7 +300,7 @@ def _slide_motions(context: PlanningContext, hand: Hand, press: _PressPose, shif
 
 
 def _slide_direction(context: PlanningContext, thing: str) -> Array:
-    """Return the horizontal direction (2,) in `world` at right angles to an object's longest side."""
+    """Return the horizontal direction (2,) in `world` across an object's longest side."""
     low, high = context.world.local_box(thing)
     longest = context.world.pose(thing)[:2, int(np.argmax(high - low))]
     across: Array = np.array((-longest[1], longest[0])) / np.linalg.norm(longest)
@@ -331,7 +308,7 @@ def _slide_direction(context: PlanningContext, thing: str) -> Array:
 
 
 def _flat_places(context: PlanningContext, thing: str, away: Array) -> list[Array]:
-    """Return points (3,) on top of an object's flat parts, in `world`, m, the farthest along the slide first."""
+    """Return points (3,) on top of an object's flat parts in `world`, m, the farthest along the slide first."""
     bounds = context.world.geom_aabbs(thing)
     lowest, middle = context.world.aabb(thing)[0][2], context.world.pose(thing)[:2, 3]
     low = [(*(first + last)[:2] / 2, last[2]) for first, last in bounds if last[2] < lowest + _FLAT_HEIGHT]
@@ -343,12 +320,7 @@ def _flat_places(context: PlanningContext, thing: str, away: Array) -> list[Arra
 
 
 class Sort(Skill):
-    """Put each object into the compartment of its kind. Objects that are in their compartment stay.
-
-    Attributes:
-        things: a role; its objects are sorted.
-        into: name of an object's config, such as `fork` -> its compartment.
-    """
+    """Put each object into the compartment of its kind, `into`, unless it is there."""
 
     ROLES: ClassVar[tuple[str, ...]] = ("things",)
     things: str
@@ -357,7 +329,7 @@ class Sort(Skill):
     def run(
         self, context: PlanningContext, roles: RoleAssignment, next_skills: Sequence[Skill]
     ) -> Iterator[MotionSegment]:
-        """Yield the motions that sort one object after the other, until all are done or one has failed four times."""
+        """Yield the motions that sort the objects in turn, until all are done or one has failed four times."""
         tries: dict[str, int] = {}
         failures: dict[str, str] = {}
 
@@ -373,15 +345,15 @@ class Sort(Skill):
                 failures[name] = str(error)
                 yield from _put_back(context, roles, name)
                 yield from open_and_park_hands(context)
-                # A try counts only if both arms were parked: otherwise one may have blocked the other.
+                # A try without parked arms does not count: one arm may have blocked the other.
                 tries[name] = tries.get(name, 0) + parked
 
     def _in_tray(self, world: SimWorld, name: str) -> bool:
         return any(world.volume_fraction_inside(name, compartment) > 0.5 for compartment in self.into.values())
 
     def remaining_objects(self, world: SimWorld, roles: RoleAssignment, tries: Mapping[str, int]) -> list[str]:
-        """Return the objects that are not in their compartment, in order: those on which nothing lies first. Then those
-        with fewer tries, and those in the tray before those outside.
+        """Return the objects outside their compartment: first those on which nothing lies, with fewer tries, and in the
+        tray.
         """
         names = [
             name
@@ -404,8 +376,8 @@ class Sort(Skill):
     def _move_to_compartment(
         self, context: PlanningContext, roles: RoleAssignment, name: str, number: int
     ) -> Iterator[MotionSegment]:
-        """Bring an object to its compartment. Try 1 picks and places it with one arm. Try 2 slides it free first.
-        Try 3 puts it beside the tray first. Try 4 hands it over to the other arm.
+        """Bring an object to its compartment. `number` counts the tries: 1 by one arm; 2 after a slide; 3 after putting
+        it beside the tray; 4 by a handover.
         """
         pick = PickNarrow(thing=name, lift=_LIFT_HEIGHT)
         put = PlaceInCompartment(thing=name, into=self.into[roles.config_names[name]], beside=self.things)
@@ -444,7 +416,7 @@ class PickNarrow(Pick):
 
 
 def _put_back(context: PlanningContext, roles: RoleAssignment, name: str) -> Iterator[MotionSegment]:
-    """Yield the motions that put a held object onto a free place of the table, else release it a little lower."""
+    """Put a held object onto a free place of the table, else release it a little lower."""
     hand = holding_hand(context, name)
     if hand is None:
         return

@@ -1,4 +1,4 @@
-"""Judges, which decide whether a scene's goal is reached: KitchenBench's checker, or a yamsim task's own goal."""
+"""Judges of a scene's goal: KitchenBench's checker, or a yamsim task's own goal."""
 
 from __future__ import annotations
 
@@ -16,32 +16,22 @@ from .benchmark_scene import BenchmarkScene
 from .scene_stepper import SceneStepper
 from .yamsim_scene import YamsimTaskScene
 
-_GRIPPER_PREFIX = "gripper_"  # prefix of a side: the name of that arm's two fingers in the checkers' queries
+_GRIPPER_PREFIX = "gripper_"  # before a side: that arm's two fingers in the checkers' queries
 
 
 class Judge(Protocol):
-    """Decides during an episode whether the goal is reached.
-
-    Attributes:
-        instruction: the task in words.
-        unrealized: requirements of the scene that the built scene does not fulfil, as sentences.
-        step_info: further values for the `info` of each step.
-    """
+    """Decides during an episode whether the goal is reached. `unrealized` has unfulfilled requirements as sentences."""
 
     instruction: str
     unrealized: tuple[str, ...]
     step_info: dict[str, Any]
 
     def evaluate(self) -> tuple[bool, str]:
-        """Return whether the goal is reached now, and an explanation as text."""
+        """Return whether the goal is reached now, and an explanation."""
 
 
 class KitchenJudge:
-    """Judges by KitchenBench's own checker, which is called after each action. See `Judge` for attributes.
-
-    Attributes:
-        world: answers the checker's queries.
-    """
+    """Judges by KitchenBench's checker, which is called after each action. See `Judge` for attributes."""
 
     def __init__(self, realized: BenchmarkScene, motion: SceneStepper) -> None:
         self.instruction, self.unrealized = realized.blueprint.instruction, realized.unrealized
@@ -50,13 +40,13 @@ class KitchenJudge:
         self._checker = make_success_checker(realized.blueprint, self.world)
 
     def evaluate(self) -> tuple[bool, str]:
-        """Return whether the checker finds the goal reached, and its explanation as text."""
+        """Return the checker's verdict and explanation."""
         verdict = self._checker(self.world)
         return bool(verdict.success), str(verdict.explanation)
 
 
 class GoalJudge:
-    """Judges by a task's own goal, which the episode evaluates after each control tick. See `Judge` for attributes."""
+    """Judges by a task's own goal, evaluated after each control tick. See `Judge` for attributes."""
 
     def __init__(self, realized: YamsimTaskScene, motion: SceneStepper) -> None:
         self.instruction = realized.instruction
@@ -65,18 +55,15 @@ class GoalJudge:
         self._episode = motion.episode
 
     def evaluate(self) -> tuple[bool, str]:
-        """Return whether the goal has held for its hold time, and the state of the goal as text."""
+        """Return whether the goal has held for its hold time, and its state as text."""
         return self._episode.succeeds, self._episode.status
 
 
 class KitchenWorld:
     """Answers the queries of KitchenBench's checkers about the present state of a scene.
 
-    Names are those of the blueprint's objects, `gripper_left` and `gripper_right`; other names raise `KeyError`.
-    Lengths are in m, in `world`: x ahead of the arms, y to their left, z up.
-
-    Attributes:
-        scene: the same state as yamsim's own goals and skills query it.
+    Names are those of the blueprint's objects, `gripper_left` and `gripper_right`. Lengths are in m, in `world`: x
+    ahead of the arms, y to their left, z up.
     """
 
     def __init__(self, realization: BenchmarkScene, motion: SceneStepper) -> None:
@@ -103,17 +90,17 @@ class KitchenWorld:
         return self.scene.aabb(self._require_known(name))
 
     def contained_fraction(self, item: str, container: str) -> float:
-        """Return the share, 0..1, of an item's volume in the bounding box of a container, or in a compartment."""
+        """Return the share, 0..1, of an item's volume in a container's bounding box, or in a compartment."""
         return self.scene.volume_fraction_in_box(self._require_known(item), self._require_known(container))
 
     def contained_mass_g(self, substance: str, container: str) -> float:
-        """Return the mass of an object in a container, g. No scene has liquids, so a substance is an object."""
+        """Return the mass in a container, g. No scene has liquids, so a substance is an object."""
         if substance not in self._masses:
             raise KeyError(substance)
         return self._masses[substance] * self.contained_fraction(substance, container)
 
     def opening_fraction(self, name: str) -> float:
-        """Return 0: no object of the built scenes has a part that opens."""
+        """Return 0: no object has a part that opens."""
         self._require_known(name)
         return 0.0
 

@@ -1,5 +1,3 @@
-"""`YamsimTaskScene`: a yamsim task on the two-arm station, judged by the task's own goal."""
-
 from __future__ import annotations
 
 from dataclasses import dataclass
@@ -53,14 +51,7 @@ class YamsimTaskScene:
 
 
 def build_task_scene(session: Session, seed: int) -> YamsimTaskScene:
-    """Build the first trial of a seed, as in `yamsim trials --seed SEED --n 1`, with the station's control ticks.
-
-    Args:
-        session: of the station and the task.
-
-    Raises:
-        SimulationError: the scene cannot be compiled, its objects have no room, or its goal holds in every start.
-    """
+    """Build the first trial of a seed, as in `yamsim trials --seed SEED --n 1`, with the station's control ticks."""
     task = session.config.task
     steps = task.timing.physics_steps_per_tick
     timing = task.timing.model_copy(update={"timestep": 1 / (TICK_HZ * steps)})

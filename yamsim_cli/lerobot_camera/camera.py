@@ -1,5 +1,3 @@
-"""A simulated camera with the interface of LeRobot's `Camera`."""
-
 from __future__ import annotations
 
 import time
@@ -15,17 +13,17 @@ from ..camera_reader import CameraReader, Picture, served_cameras
 from ..core.errors import ResourceError, YamsimError
 from .config import YamsimCameraConfig
 
-_READ_S = 5.0  # s, longest wait of `read` for a picture
+_READ_S = 5.0  # s, longest wait of `read`
 
 
 class YamsimCamera(Camera):
-    """Reads the pictures of one simulated camera from a running `yamsim serve-robot --cameras`."""
+    """Reads the pictures of one camera of a running `yamsim serve-robot --cameras`."""
 
     def __init__(self, config: YamsimCameraConfig) -> None:
         super().__init__(config)
         self.config = config
         self._reader: CameraReader | None = None
-        self._last = -1  # number of the last picture that was read
+        self._last = -1  # number of the last read picture
 
     def __str__(self) -> str:
         return f"YamsimCamera({self.config.camera})"
@@ -37,7 +35,7 @@ class YamsimCamera(Camera):
 
     @staticmethod
     def find_cameras() -> list[dict[str, Any]]:
-        """Return one entry per camera of the server in the default folder; empty if no server runs."""
+        """Return one entry per camera of the server in the default folder; empty without a server."""
         try:
             found = served_cameras()
         except ResourceError:
@@ -80,7 +78,7 @@ class YamsimCamera(Camera):
             self.read()
 
     def read(self) -> NDArray[Any]:
-        """Wait for a picture (height, width, 3) that was not read yet, and return it.
+        """Wait for a picture (height, width, 3) that was not read yet.
 
         Raises:
             DeviceNotConnectedError: the camera is not connected, or the server has ended.
@@ -89,7 +87,7 @@ class YamsimCamera(Camera):
         return self._new(_READ_S)
 
     def async_read(self, timeout_ms: float = 200) -> NDArray[Any]:
-        """Wait up to `timeout_ms` for a picture (height, width, 3) that was not read yet, and return it."""
+        """Wait up to `timeout_ms` for a picture (height, width, 3) that was not read yet."""
         return self._new(timeout_ms / 1000)
 
     def read_latest(self, max_age_ms: int = 500) -> NDArray[Any]:

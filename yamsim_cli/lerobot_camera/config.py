@@ -10,13 +10,12 @@ from lerobot.cameras.configs import CameraConfig, ColorMode
 @CameraConfig.register_subclass("yamsim")
 @dataclass(kw_only=True)
 class YamsimCameraConfig(CameraConfig):
-    """Config of a camera that reads the pictures of `yamsim serve-robot --cameras`.
+    """Config of a camera of `yamsim serve-robot --cameras`.
 
     Attributes:
-        camera: name of the camera, as `serve-robot` prints it, such as "top".
-        folder: the value of `serve-robot --folder`, with the same default.
-        color_mode: order of the colour channels, RGB or BGR.
-        fps, width, height: expected rate and size of pictures, Hz and px; by default those of the server.
+        camera: as `serve-robot` prints it, such as "top".
+        folder: value of `serve-robot --folder`.
+        fps, width, height: expected, Hz and px; by default those of the server.
     """
 
     camera: str

@@ -1,1 +1,1 @@
-"""Downloads and generates the meshes that yamsim does not ship. Only this package uses the network for them."""
+"""Downloads and generates the meshes that yamsim does not ship. No other package downloads meshes."""

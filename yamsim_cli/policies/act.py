@@ -1,6 +1,6 @@
 """Client of policy servers that answer HTTP POSTs of JSON to /act, such as MolmoAct2's and GR00T's for YAM arms.
 
-Arrays have the format of the package json_numpy: base64 of the bytes, the name of the dtype, and the shape.
+Arrays are in json_numpy's format: base64 of the bytes, name of the dtype, and shape.
 """
 
 from __future__ import annotations
@@ -28,19 +28,13 @@ from .policy_client import (
 
 SCHEME = "act"
 _PATH = "/act"
-_ARRAY_KEY = "__numpy__"  # key that marks a JSON object as an array of json_numpy
+_ARRAY_KEY = "__numpy__"  # marks a JSON object as an array
 
 
 class ActClient:
-    """Client of an /act server. A lost connection is restored for the next request.
+    """Client of an /act server, which connects again when the connection is lost.
 
-    Args:
-        url: `act://HOST:PORT`, with a path if the path is not `/act`.
-        timeout: time limit for each part of an answer, s.
-
-    Raises:
-        UsageError: the URL is invalid.
-        ResourceError: no server listens at the address.
+    The URL is `act://HOST:PORT`, with a path if that is not `/act`. `timeout` is for each part of an answer, s.
     """
 
     def __init__(self, url: str, timeout: float) -> None:
@@ -54,14 +48,11 @@ class ActClient:
             raise no_answer_error(url, error) from error
 
     def begin(self, seed: int) -> None:
-        """Do nothing, because the server keeps no state of a trial."""
+        """Do nothing: the server keeps no state of a trial."""
 
     def infer(self, message: Mapping[str, Any]) -> Mapping[str, Any]:
-        """Send an observation's message to the server, and return its answer.
-
-        Raises:
-            RemoteError: the server is gone, or its answer is an error or invalid.
-            TimeoutError: the server did not answer in time.
+        """Return the server's answer to an observation's message. Raise RemoteError or TimeoutError without a valid
+        answer.
         """
         with request_context(self._url, self._connection.close):
             data, status = self._post(dump_json(message))
@@ -83,7 +74,7 @@ class ActClient:
             self._connection.request("POST", self._path, body, headers)
             response = self._connection.getresponse()
         except (ConnectionError, http.client.BadStatusLine):
-            # A server may close an idle connection, so the request is sent again on a new connection.
+            # A server may close an idle connection: send again on a new one.
             self._connection.close()
             self._connection.request("POST", self._path, body, headers)
             response = self._connection.getresponse()
@@ -91,16 +82,12 @@ class ActClient:
 
 
 def dump_json(message: Any) -> bytes:
-    """Encode a message of dictionaries, lists, text, numbers and arrays as JSON."""
+    """Encode a message as JSON, with arrays in json_numpy's format."""
     return json.dumps(message, default=_encode).encode()
 
 
 def load_json(data: bytes) -> Any:
-    """Decode a JSON message whose arrays are in json_numpy's format. The arrays are read-only.
-
-    Raises:
-        DamagedMessageError: the bytes are no JSON, hold too many values, or an array is damaged.
-    """
+    """Decode a JSON message with arrays in json_numpy's format, which become read-only."""
     try:
         check_json(data)
         return json.loads(data, object_hook=_decode)

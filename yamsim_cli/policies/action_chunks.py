@@ -1,4 +1,4 @@
-"""Select the action at each control tick from action chunks that can overlap, arrive late, or run out."""
+"""Select each control tick's action from action chunks that can overlap, arrive late, or run out."""
 
 from __future__ import annotations
 
@@ -13,20 +13,19 @@ from ..core.errors import UsageError
 from ..core.geometry.se3 import Array
 from .policy_protocol import ActionChunk
 
-_ROUNDING = 1e-6  # ticks; fractions of a control tick below this count as rounding errors
+_ROUNDING = 1e-6  # ticks; smaller fractions are rounding errors
 _MAX_LATENCY = 60.0  # s, largest simulated latency
 
 
 @dataclass(frozen=True)
 class ChunkSettings:
-    """Settings for which actions of a policy's action chunks are executed, and when.
+    """Which actions of a policy's action chunks are executed, and when.
 
     Attributes:
         execute: executed actions of a chunk before the next inference; None for all.
-        ensemble: averages overlapping chunks, each with exp(-ensemble) times the weight of the previous chunk; None
-            uses the newest chunk alone.
-        latency: simulated time from a request until its chunk acts, s, during which earlier chunks act; None for the
-            measured time of the answer.
+        ensemble: weight each overlapping chunk exp(-ensemble) times as much as the previous one; None uses the newest
+            chunk alone.
+        latency: simulated time from a request until its chunk acts, s; None for the measured time of the answer.
     """
 
     execute: int | None = None
@@ -35,11 +34,7 @@ class ChunkSettings:
 
 
 def read_latency(text: str) -> float | None:
-    """Parse a latency such as `80ms` or `0.08s` and return it in s. Return None for the text `measured`.
-
-    Raises:
-        UsageError: the text is invalid, or the time exceeds a minute.
-    """
+    """Parse a latency such as `80ms` or `0.08s` to s. Return None for the text `measured`."""
     if text == "measured":
         return None
     found = re.fullmatch(r"(\d+(?:\.\d*)?|\.\d+) ?(ms|s)", text)
@@ -54,9 +49,8 @@ class ChunkStats:
     """Counts of a trial's action chunks.
 
     Attributes:
-        chunks, actions: number of received chunks and actions.
-        stale: number of actions that were skipped, because their time had passed when the chunk arrived.
-        waited: number of control ticks without an action, during which the last command was held.
+        stale: skipped actions, whose time had passed when their chunk arrived.
+        waited: control ticks without an action, during which the last command was held.
     """
 
     chunks: int = 0
@@ -68,12 +62,12 @@ class ChunkStats:
 @dataclass(frozen=True)
 class _TimedChunk:
     chunk: ActionChunk
-    requested: int  # control tick of the request, from which the times of the actions count
-    arrival_tick: int  # control tick from which the chunk can be used
+    requested: int  # control tick from which the times of the actions count
+    arrival_tick: int  # control tick from which the chunk acts
     per_action: float  # duration of an action, ticks
 
     def index(self, now: int) -> int:
-        """Return the index of the action at tick `now`. After the last action, the index is `actions` or more."""
+        """Return the index of the action at tick `now`; `actions` or more after the last."""
         return math.floor((now - self.requested) / self.per_action + _ROUNDING)
 
     @property
@@ -89,11 +83,10 @@ class _TimedChunk:
 class ChunkScheduler:
     """Decides when to request the next inference, and which action to execute at each tick.
 
-    The times of a chunk's actions count from the request. If a chunk arrives late, actions whose time has passed are
-    skipped. If the time of all actions has passed, the last action is held.
+    A chunk's times count from the request. Actions of a late chunk whose time has passed are skipped. After the last
+    action of all chunks, that action is held.
 
     Args:
-        chunking: settings for which actions are executed, and when.
         tick: length of a control tick, s.
         hold: duration of an action in control ticks, if its chunk has no period.
         rest: commands to each arm's drives (arms, drives) until the first chunk arrives.
@@ -106,11 +99,11 @@ class ChunkScheduler:
         self.chunk_stats = ChunkStats()
 
     def is_due(self, now: int) -> bool:
-        """Whether the policy must be asked for the next chunk at tick `now`."""
+        """Whether to request the next chunk at tick `now`."""
         return now >= self._next and not self.has_ended
 
     def last_chunk_is_over(self, now: int) -> bool:
-        """Whether the policy is finished (`done`), and its last action is over at tick `now`."""
+        """Whether the policy is finished (`done`), and its last action is over."""
         return self.has_ended and now >= max(self._chunks[-1].ends, self._chunks[-1].arrival_tick)
 
     @property
@@ -119,7 +112,7 @@ class ChunkScheduler:
         return bool(self._chunks) and self._chunks[-1].chunk.done
 
     def add_chunk(self, chunk: ActionChunk, now: int, seconds: float) -> None:
-        """Add the chunk that was requested at tick `now`. The answer took `seconds` s of real time."""
+        """Add the chunk that was requested at tick `now`, and took `seconds` s of real time."""
         chunking = self._chunking
         per_action = float(self._hold) if chunk.period is None else chunk.period / self._tick
         late = _ticks((seconds if chunking.latency is None else chunking.latency) / self._tick)
@@ -135,7 +128,7 @@ class ChunkScheduler:
         )
 
     def next_command(self, now: int) -> tuple[Array, WeldStates]:
-        """Return the commands to drives (arms, drives) and welds (arms,) at a tick. Call it once per tick, in order."""
+        """Return commands to drives (arms, drives) and welds (arms,). Call once per tick, in order."""
         self._drop_chunks(now)
         here = [timed for timed in self._chunks if timed.arrival_tick <= now]
         acting = [timed for timed in here if timed.index(now) < timed.actions]
@@ -155,9 +148,9 @@ class ChunkScheduler:
         return ctrl, weights @ np.array([magnet for _, magnet in rows], dtype=float) >= 0.5
 
     def _drop_chunks(self, now: int) -> None:
-        """Drop chunks that no longer act, except the newest that has arrived, whose last action may be held.
+        """Drop chunks that no longer act. Keep the newest that has arrived, whose last action may be held.
 
-        Without averaging, a chunk no longer acts after the arrival of a newer chunk that lasts as long.
+        Without averaging, a newer chunk that lasts as long replaces a chunk when it arrives.
         """
         kept: list[_TimedChunk] = []
         covered = -1

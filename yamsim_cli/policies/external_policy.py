@@ -1,4 +1,4 @@
-"""Adapter for policies of other programs. A config describes names, units and order of the values in their messages."""
+"""Adapter for policies of other programs. A config describes names, units and order of values in messages."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ from .policy_protocol import OBJECTS, InvalidActionError, Observation
 
 
 class PolicyClient(Protocol):
-    """Interface of the client of a policy server, or of a checkpoint in this process."""
+    """Client of a policy server, or of a checkpoint in this process."""
 
     def begin(self, seed: int) -> None:
-        """Prepare for a new trial. `seed` seeds the policy's random numbers, if it has any."""
+        """Prepare for a new trial. `seed` seeds the policy's random numbers, if any."""
         ...
 
     def infer(self, message: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -38,9 +38,8 @@ class PolicyStation:
     """Arms, cameras and objects of the scene in which a policy acts.
 
     Attributes:
-        rig: name of the rig, for error messages.
-        sides: sides of the arms, in the order of observations and actions.
-        drives: number of drives of each arm, of which the gripper is the last.
+        sides: in the order of observations and actions.
+        drives: of each arm; the gripper is the last.
         openings: opening of one finger of each fully open gripper, m; 0 without fingers.
         cameras: name that a policy requests -> key of the image in observations.
         things: name of an object -> key of its pose in observations, in the order of LeRobot's environment state.
@@ -57,12 +56,11 @@ class PolicyStation:
 
 
 class MappedPolicy:
-    """Policy that converts observations to a client's messages, and the client's answers to actions.
+    """Converts observations to a client's messages, and the client's answers to actions.
 
     Attributes:
-        images: names of the cameras whose images the messages contain.
-        wants: further values that observations must have: `objects` if the messages contain poses of objects.
-        execute: default number of executed actions of a chunk before the next inference; None for all.
+        wants: `objects` if the messages contain poses of objects.
+        execute: default of executed actions of a chunk before the next inference; None for all.
 
     Args:
         wanted: keys of the config whose values the client needs; None for all.
@@ -106,20 +104,16 @@ class MappedPolicy:
         self._seed = 0
 
     def reset(self, seed: int) -> None:
-        """Begin a trial with the random seed `seed`."""
+        """Begin a trial."""
         self._seed = seed
         self._client.begin(seed)
 
     def __call__(self, observation: Observation) -> Mapping[str, Any]:
-        """Send an observation to the client and return its actions, as a policy of yamsim does.
-
-        Raises:
-            InvalidActionError: the client's answer has no valid actions.
-        """
+        """Return the client's actions, as a policy of yamsim does."""
         return self._actions(self._client.infer(self.message(observation)))
 
     def message(self, observation: Observation) -> dict[str, Any]:
-        """Convert an observation to the message that the client expects, by the config."""
+        """Convert an observation to the client's message."""
         config = self._config
         message: dict[str, Any] = dict(config.constants)
         if config.state is not None:
@@ -164,7 +158,7 @@ class MappedPolicy:
         return found
 
     def _object_poses(self, observation: Observation) -> Array:
-        """Return the vector of all objects' poses in the base and joint positions, as LeRobot exports have it."""
+        """Return all objects' poses in the base, and joint positions, in the order of LeRobot exports."""
         T_world_in_base = inverse(self._station.T_base_in_world)
         return state_row(
             [
@@ -174,7 +168,6 @@ class MappedPolicy:
         )
 
     def _camera(self, key: str, picture: PictureMapping, wanted: Sequence[str] | None) -> str | None:
-        """Return the first camera of an image that the station has, or None if an optional image has no camera."""
         found = next((name for name in picture.cameras if name in self._station.cameras), None)
         if found is None and (wanted is not None or not picture.optional):
             there = ", ".join(self._station.cameras)

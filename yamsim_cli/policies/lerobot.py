@@ -1,5 +1,3 @@
-"""Client that runs a LeRobot checkpoint with its processors in this process."""
-
 from __future__ import annotations
 
 from collections.abc import Mapping
@@ -17,13 +15,10 @@ _INSTALL = "LeRobot is not here: pip install lerobot (0.4 or newer) beside yamsi
 
 
 def check_rows(message: Mapping[str, Any], expected: Mapping[str, tuple[int, ...]]) -> None:
-    """Check that the vectors in a message have the lengths with which the policy was trained.
+    """Refuse vectors whose lengths differ from those in training.
 
     Args:
         expected: key of a vector -> shape of the checkpoint's input.
-
-    Raises:
-        UsageError: a vector has another length.
     """
     for key, shape in expected.items():
         if key in message and (found := np.shape(message[key])) != shape:
@@ -34,22 +29,15 @@ def check_rows(message: Mapping[str, Any], expected: Mapping[str, tuple[int, ...
 
 
 class LeRobotClient:
-    """Loads a policy that was trained by LeRobot, and computes its actions in this process.
+    """Loads a policy that LeRobot trained, and computes its actions in this process.
 
-    A policy that uses one observation answers with a whole action chunk. A policy that uses several observations
-    answers with one action.
+    A policy of one observation answers with an action chunk, and a policy of several with one action.
 
     Attributes:
-        input_keys: keys of all inputs, images and vectors.
         execute: executed actions of a chunk before the next inference; None for all.
 
     Args:
         checkpoint: a folder with `config.json`, weights and processors, or a repository on the hub.
-        mapping: config of the messages, with the key of the actions in an answer.
-
-    Raises:
-        ResourceError: LeRobot is not installed.
-        UsageError: the checkpoint does not exist or cannot be loaded.
     """
 
     def __init__(self, checkpoint: str, mapping: PolicyConfig) -> None:
@@ -81,7 +69,7 @@ class LeRobotClient:
         self._sizes = {key: (shape[2], shape[1]) for key, shape in shapes.items()}
         self.input_keys = tuple(config.input_features)
         self._rows = {key: tuple(one.shape) for key, one in config.input_features.items() if key not in shapes}
-        # A policy with queues of earlier observations needs LeRobot's select_action, which alone fills the queues.
+        # Only LeRobot's select_action fills a policy's queues of earlier observations.
         kept = set(getattr(self._policy, "_queues", ())) - {"action"}
         self._needs_history = getattr(config, "n_obs_steps", 1) > 1 or bool(kept)
         self.execute: int | None = None if self._needs_history else getattr(config, "n_action_steps", None)
@@ -92,11 +80,7 @@ class LeRobotClient:
         self._policy.reset()
 
     def infer(self, message: Mapping[str, Any]) -> Mapping[str, Any]:
-        """Return the policy's actions for an observation, after its postprocessor.
-
-        Raises:
-            UsageError: a vector has another length than in training.
-        """
+        """Return the policy's actions, after its postprocessor."""
         check_rows(message, self._rows)
         torch = self._torch
         batch: dict[str, Any] = {}
@@ -115,4 +99,4 @@ class LeRobotClient:
         return {self._key: rows[0]}
 
     def close(self) -> None:
-        """Do nothing, because no connection is open."""
+        """Do nothing: no connection is open."""

@@ -22,9 +22,9 @@ from .policy_client import (
     request_context,
 )
 
-SCHEME = "ws"  # scheme of the URL by which a user names an openpi server
-_CLOSE_S = 0.5  # s that closing a connection waits for the server
-_MESSAGE_TOO_BIG = 1009  # WebSocket close code for a message that is too long. Source: RFC 6455, section 7.4.1
+SCHEME = "ws"  # scheme of an openpi server's URL
+_CLOSE_S = 0.5  # s, for a connection's closing handshake
+_MESSAGE_TOO_BIG = 1009  # WebSocket close code. Source: RFC 6455, section 7.4.1
 
 
 class WebSocketError(ConnectionError):
@@ -34,15 +34,8 @@ class WebSocketError(ConnectionError):
 class WebSocket:
     """WebSocket client with limits on waiting times and message sizes.
 
-    Args:
-        url: `ws://HOST:PORT` with an optional path.
-        timeout: time limit for the connection and for each message, s.
-
-    Raises:
-        ResourceError: websockets is not installed.
-        TimeoutError: the connection is not made in time.
-        OSError: no server listens at the address.
-        WebSocketError: the server speaks another protocol.
+    `timeout` is for the connection and for each message, s. TimeoutError, OSError and WebSocketError mean that no
+    server answers in time, listens, or speaks the protocol.
     """
 
     def __init__(self, url: str, timeout: float) -> None:
@@ -54,9 +47,8 @@ class WebSocket:
         try:
             self._connection = connect(
                 url,
-                # Images hardly compress.
                 compression=None,
-                # Connect to the given address directly, even if the environment names a proxy.
+                # Ignore a proxy that the environment names.
                 proxy=None,
                 # openpi answers no ping while it computes an action.
                 ping_interval=None,
@@ -68,11 +60,7 @@ class WebSocket:
             raise WebSocketError(f"it speaks no WebSocket: {error}") from error
 
     def send(self, data: bytes) -> None:
-        """Send a binary message.
-
-        Raises:
-            WebSocketError: the server has closed the connection.
-        """
+        """Send a binary message. Raise WebSocketError if the server has closed the connection."""
         try:
             self._connection.send(data)
         except self._closed as error:
@@ -81,9 +69,7 @@ class WebSocket:
     def receive(self) -> bytes | str:
         """Return the next message as bytes or text.
 
-        Raises:
-            TimeoutError: no message was received in time.
-            WebSocketError: the message is too long or damaged, or the server has closed the connection.
+        Raise TimeoutError without a message, and WebSocketError for a damaged one or a closed connection.
         """
         try:
             return self._connection.recv(self._timeout)
@@ -100,15 +86,10 @@ class WebSocket:
 
 
 class OpenpiClient:
-    """Client of an openpi server. A lost connection is restored for the next trial or request.
+    """Client of an openpi server, which connects again when the connection is lost.
 
     Args:
-        url: `ws://HOST:PORT`.
-        timeout: time limit for the connection and for each message, s.
-
-    Raises:
-        UsageError: the URL is invalid.
-        ResourceError: msgpack or websockets is not installed, or no openpi server answers.
+        timeout: for the connection and for each message, s.
     """
 
     def __init__(self, url: str, timeout: float) -> None:
@@ -128,11 +109,8 @@ class OpenpiClient:
         self._connection()
 
     def infer(self, message: Mapping[str, Any]) -> Mapping[str, Any]:
-        """Send an observation's message to the server, and return its answer.
-
-        Raises:
-            RemoteError: the server is gone, or its answer is an error or invalid.
-            TimeoutError: the server did not answer in time.
+        """Return the server's answer to an observation's message. Raise RemoteError or TimeoutError without a valid
+        answer.
         """
         return self._receive(self._connection(), pack_openpi(message))
 
@@ -166,18 +144,14 @@ class OpenpiClient:
 
 
 def pack_openpi(message: Mapping[str, Any]) -> bytes:
-    """Encode a message as msgpack with arrays as openpi's client does."""
+    """Encode a message as openpi's client does."""
     import msgpack
 
     return cast("bytes", msgpack.packb(message, default=_encode))
 
 
 def unpack_openpi(data: bytes) -> dict[str, Any]:
-    """Decode a mapping from msgpack with openpi's encoding of arrays. The arrays are read-only.
-
-    Raises:
-        DamagedMessageError: the bytes are no mapping, hold too many values, or an array is damaged.
-    """
+    """Decode a mapping with openpi's encoding of arrays, which become read-only."""
     import msgpack
 
     try:

@@ -16,14 +16,14 @@ from ..core.geometry.se3 import Array
 from .policy_faults import PolicyFault
 from .policy_protocol import MAX_ACTIONS, MAX_PERIOD, MIN_PERIOD, InvalidActionError
 
-MAX_ANSWER_BYTES = 4_000_000  # largest size of a server's answer; 1000 actions of two arms take 150,000 bytes as JSON
-MAX_VALUES = 100_000  # largest number of values and containers in a message: seven times 1000 actions of two arms
-MAX_TEXT = 2_000  # kept characters of the error text that the result of a trial stores
-_MAX_TRACEBACK = 50_000  # kept characters of a traceback, from its end
+MAX_ANSWER_BYTES = 4_000_000  # 1000 actions of two arms take 150,000 bytes as JSON
+MAX_VALUES = 100_000  # values and containers in a message: seven times 1000 actions of two arms
+MAX_TEXT = 2_000  # kept characters of an error text
+_MAX_TRACEBACK = 50_000  # kept characters, from the end
 
-_MAX_AXES = 8  # largest number of axes of an array
-_DTYPE_KINDS = "biuf"  # accepted kinds of NumPy dtypes: booleans, integers and floating-point numbers
-_MAX_ITEM_BYTES = 8  # largest size of one number in an array
+_MAX_AXES = 8
+_DTYPE_KINDS = "biuf"  # booleans, integers and floating-point numbers
+_MAX_ITEM_BYTES = 8  # bytes of a number in an array
 
 
 class DamagedMessageError(ValueError):
@@ -31,11 +31,7 @@ class DamagedMessageError(ValueError):
 
 
 class RemoteError(RuntimeError):
-    """The server's policy raised an exception, or the server is gone.
-
-    Attributes:
-        fault: description of the fault.
-    """
+    """The server's policy raised an exception, or the server is gone."""
 
     def __init__(self, text: str, traceback: str = "") -> None:
         text = text[:MAX_TEXT]
@@ -44,20 +40,16 @@ class RemoteError(RuntimeError):
 
 
 class ValueBudget:
-    """Counts the values of one message, and raises above a limit. msgpack calls `spend` for each container.
+    """Limits the number of values in one message. msgpack calls `spend` for each container.
 
-    Small containers take far more memory decoded than encoded, so the limit applies while msgpack decodes the message.
+    Small containers take far more memory decoded than encoded, so the limit applies during decoding.
     """
 
     def __init__(self) -> None:
         self._left = MAX_VALUES
 
     def spend(self, found: Any) -> Any:
-        """Count the values of a container and return the container.
-
-        Raises:
-            DamagedMessageError: the message has more than `MAX_VALUES` values.
-        """
+        """Count a container's values and return it. Raise DamagedMessageError above `MAX_VALUES` per message."""
         self._left -= 1 + len(found)
         if self._left < 0:
             raise DamagedMessageError(f"it holds more than {MAX_VALUES} values")
@@ -65,21 +57,13 @@ class ValueBudget:
 
 
 def check_json(data: bytes) -> None:
-    """Raise for a JSON text with too many values, before the text is decoded.
-
-    Raises:
-        DamagedMessageError: the text may hold more than `MAX_VALUES` values.
-    """
+    """Raise DamagedMessageError for a JSON text with too many values, before it is decoded."""
     if sum(data.count(mark) for mark in (b",", b"[", b"{")) > MAX_VALUES:
         raise DamagedMessageError(f"it holds more than {MAX_VALUES} values")
 
 
 def plain_numbers(value: object, key: str) -> np.ndarray:
-    """Convert a server's numbers to an array. Texts are refused first, as numpy pads each to the longest.
-
-    Raises:
-        InvalidActionError: the value is no array of numbers, or its rows differ in length.
-    """
+    """Convert a server's numbers to an array. Texts are refused first, as numpy pads each to the longest."""
     if not isinstance(value, np.ndarray):
         level = [value]
         for _ in range(_MAX_AXES):
@@ -98,11 +82,7 @@ def plain_numbers(value: object, key: str) -> np.ndarray:
 
 
 def array_from_bytes(content: object, dtype: object, shape: object) -> np.ndarray:
-    """Return a read-only array from its bytes, the name of its dtype, and its shape.
-
-    Raises:
-        DamagedMessageError: the dtype or the shape is invalid, or the number of bytes does not fit the shape.
-    """
+    """Return a read-only array from its bytes, dtype name and shape."""
     if not isinstance(content, bytes | bytearray) or not isinstance(dtype, str | bytes):
         raise DamagedMessageError("an array needs bytes and the name of a dtype")
     name = dtype.decode("ascii", "replace") if isinstance(dtype, bytes) else dtype
@@ -125,11 +105,7 @@ def array_from_bytes(content: object, dtype: object, shape: object) -> np.ndarra
 
 
 def action_rows(value: object, key: str, width: int) -> Array:
-    """Return a server's actions as finite numbers (actions, width). A single row is one action.
-
-    Raises:
-        InvalidActionError: the shape or the number of actions is wrong, or a number is not finite.
-    """
+    """Return a server's actions as finite numbers (actions, width). A single row is one action."""
     rows = plain_numbers(value, key)
     if rows.size > MAX_VALUES:
         raise InvalidActionError(f"{key} has the shape {rows.shape}, more than {MAX_VALUES} numbers")
@@ -145,11 +121,7 @@ def action_rows(value: object, key: str, width: int) -> Array:
 
 
 def action_period(value: Any, key: str) -> float | None:
-    """Return the duration of an action in s, from a server's value in ms. Return None for None or 0.
-
-    Raises:
-        InvalidActionError: the value is no number, or outside `MIN_PERIOD` to `MAX_PERIOD`.
-    """
+    """Return the duration of an action, s, from a server's value in ms; None for None or 0."""
     if value is None:
         return None
     if isinstance(value, bool) or not isinstance(value, int | float | np.number) or not math.isfinite(value):
@@ -163,11 +135,7 @@ def action_period(value: Any, key: str) -> float | None:
 
 
 def parse_address(url: str, scheme: str, port: int) -> tuple[str, int]:
-    """Return host and port of a URL; `port` is the default.
-
-    Raises:
-        UsageError: the URL has another scheme or no host, or has a query, a fragment or a user name.
-    """
+    """Return host and port of a URL; `port` is the default."""
     try:
         parts = urlsplit(url)
         given = parts.port
@@ -187,15 +155,7 @@ def no_answer_error(url: str, error: object) -> ResourceError:
 def request_context(url: str, hang_up: Callable[[], None]) -> Iterator[None]:
     """Context around one request to a policy server. An error closes the connection.
 
-    Otherwise, the late answer to a failed request could be taken for the answer to the next request.
-
-    Args:
-        url: address of the server, for error messages.
-        hang_up: function that closes the connection.
-
-    Raises:
-        RemoteError: the server is gone.
-        TimeoutError: the server did not answer in time.
+    Otherwise, its late answer could be taken for the answer to the next request. Raises RemoteError and TimeoutError.
     """
     try:
         yield
@@ -207,11 +167,7 @@ def request_context(url: str, hang_up: Callable[[], None]) -> Iterator[None]:
 
 
 def read_body(response: http.client.HTTPResponse) -> bytes:
-    """Return the body of an HTTP answer.
-
-    Raises:
-        http.client.HTTPException: the body is longer than `MAX_ANSWER_BYTES`.
-    """
+    """Return the body of an HTTP answer. Raise HTTPException above `MAX_ANSWER_BYTES`."""
     data = response.read(MAX_ANSWER_BYTES + 1)
     if len(data) > MAX_ANSWER_BYTES:
         raise http.client.HTTPException(f"its answer is longer than {MAX_ANSWER_BYTES} bytes")

@@ -1,5 +1,3 @@
-"""Describe exceptions in a policy's code by one line and the traceback."""
-
 from __future__ import annotations
 
 import sysconfig
@@ -9,15 +7,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 
-_YAMSIM = str(Path(__file__).resolve().parents[1])  # folder of this package
-# Folders of Python and of installed packages. A fault is described by the last line outside these folders.
+_YAMSIM = str(Path(__file__).resolve().parents[1])
+# Python and installed packages. A fault is described by the last line outside these folders.
 _INSTALLED = tuple({sysconfig.get_path(name) for name in ("stdlib", "platstdlib", "purelib", "platlib")})
-_MAX_CHARACTERS = 300  # largest length of an exception's message in a description
+_MAX_CHARACTERS = 300  # of an exception's message in a description
 
 
 @dataclass(frozen=True)
 class PolicyFault:
-    """Description of an exception that a policy's code raised, or of another fault of the policy.
+    """An exception that a policy's code raised, or another fault of the policy.
 
     Attributes:
         text: one line with the exception, and in brackets the last executed line of the user's code.
@@ -29,13 +27,8 @@ class PolicyFault:
 
 
 def describe_fault(error: BaseException, folder: Path) -> PolicyFault:
-    """Describe an exception that a policy raised.
-
-    Args:
-        folder: folder to which the paths of the policy's files are shown relative.
-    """
+    """Describe an exception that a policy raised, with paths relative to `folder`."""
     trace = error.__traceback__
-    # Skip yamsim's calls at the beginning.
     while trace is not None and trace.tb_next is not None and _is_below(trace.tb_frame.f_code.co_filename, _YAMSIM):
         trace = trace.tb_next
     whole = "".join(traceback.format_exception(type(error), error, trace))
@@ -46,7 +39,7 @@ def summarize_exception(error: BaseException) -> str:
     """Return the type and the message of an exception in one line."""
     try:
         message = str(error)
-    # The conversion of a user's exception to text may raise any exception.
+    # Converting a user's exception to text may raise any exception.
     except Exception:  # noqa: BLE001
         message = "its message cannot be shown"
     message = textwrap.shorten(message, _MAX_CHARACTERS, placeholder=" ...")
@@ -54,7 +47,6 @@ def summarize_exception(error: BaseException) -> str:
 
 
 def _place(trace: TracebackType | None, folder: Path) -> str:
-    """Return the last executed line of the user's code in brackets, or an empty text."""
     frames = [frame for frame in traceback.extract_tb(trace) if not _is_below(frame.filename, _YAMSIM)]
     frames = [frame for frame in frames if not frame.filename.startswith("<")]
     own = [frame for frame in frames if not any(_is_below(frame.filename, place) for place in _INSTALLED)]

@@ -1,5 +1,3 @@
-"""Load policies by name: a class in a module, or in a file of the user."""
-
 from __future__ import annotations
 
 import importlib
@@ -17,7 +15,7 @@ from .policy_faults import describe_fault
 from .policy_protocol import IMAGES, SCENE, STATE, WRIST, Policy
 
 _OWN = "module:Class or file.py:Class"
-# Policies of other programs: MolmoAct2's and GR00T's servers, openpi's, and checkpoints.
+# Policies of other programs: MolmoAct2's and GR00T's servers, openpi's, and LeRobot's checkpoints.
 EXTERNAL_FORMS = ("act://HOST:PORT", "ws://HOST:PORT", "lerobot:CHECKPOINT")
 FORMS = f"give scripted, hold_still, replay:DATASET, {', '.join(EXTERNAL_FORMS)}, http://HOST:PORT, {_OWN}"
 
@@ -25,18 +23,18 @@ _WITHOUT_IMAGES = ("scripted", "hold_still", "replay")  # policies that need no 
 
 
 def sees_images(name: str) -> bool:
-    """Whether the policy `name` may read images, so that the machine must be able to render."""
+    """Whether the policy may read images, so that the machine must be able to render."""
     return name.partition(":")[0] not in _WITHOUT_IMAGES
 
 
 def is_external(name: str) -> bool:
-    """Whether `name` is that of a policy of another program: it starts with `act:`, `ws:` or `lerobot:`."""
+    """Whether `name` is a policy of another program: it starts with `act:`, `ws:` or `lerobot:`."""
     kind, colon, _ = name.partition(":")
     return bool(colon) and kind in (form.partition(":")[0] for form in EXTERNAL_FORMS)
 
 
 def takes_keywords(name: str) -> bool:
-    """Whether `name` is that of a class of the user, whose constructor may get keyword arguments."""
+    """Whether `name` is a class of the user, whose constructor may get keyword arguments."""
     return name.partition(":")[0] not in (*_WITHOUT_IMAGES, "http", "https") and not is_external(name)
 
 
@@ -48,17 +46,10 @@ def load_policy(
     *,
     known_only: bool = False,
 ) -> Policy:
-    """Load a policy of the user.
+    """Load a policy of the user by `module:Class`, `file.py:Class`, or `file.py` with a single callable class.
 
-    Args:
-        name: `module:Class`, `file.py:Class`, or `file.py` if the file has a single callable class.
-        folder: folder that is searched first for modules and files.
-        forms: text of the error message on the names that are valid.
-        arguments: keyword arguments for the constructor of the class.
-        known_only: whether to leave out keywords that the class does not accept.
-
-    Raises:
-        UsageError: the policy does not exist, or cannot be loaded or made.
+    Modules and files are first searched in `folder`. With `known_only`, keywords that the class does not accept are
+    dropped.
     """
     place, _, attribute = name.partition(":")
     is_file = place.endswith(".py")
@@ -70,14 +61,12 @@ def load_policy(
         made = found(**(_known(found, keywords) if known_only else keywords))
     except UsageError:
         raise
-    # The user's code may raise any exception.
     except Exception as error:
         raise UsageError(f"--policy {name}: it cannot be loaded: {describe_fault(error, folder).text}") from error
     return check_policy(made, name)
 
 
 def _known(function: Callable[..., Any], keywords: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the keywords that a function accepts."""
     parameters = inspect.signature(function).parameters
     if any(parameter.kind is inspect.Parameter.VAR_KEYWORD for parameter in parameters.values()):
         return dict(keywords)
@@ -85,11 +74,7 @@ def _known(function: Callable[..., Any], keywords: Mapping[str, Any]) -> dict[st
 
 
 def read_arguments(given: Sequence[str]) -> dict[str, int | float | str]:
-    """Parse texts `KEY=VALUE` to keywords for a policy's class. Numeric values become numbers.
-
-    Raises:
-        UsageError: a text is invalid, or a key is given twice.
-    """
+    """Parse texts `KEY=VALUE` to keywords. Numeric values become numbers."""
     arguments: dict[str, int | float | str] = {}
     for text in given:
         key, equals, value = text.partition("=")
@@ -138,11 +123,7 @@ def _find(module: ModuleType, attribute: str, name: str) -> Any:
 
 
 def check_policy(policy: Any, name: str) -> Policy:
-    """Return the object if it is a policy.
-
-    Raises:
-        UsageError: the object has no `reset`, is not callable, or has invalid `images`, `wants` or `ticks`.
-    """
+    """Return the object if it is callable, has `reset`, and its `images`, `wants` and `ticks` are valid."""
     if not callable(policy) or not callable(getattr(policy, "reset", None)):
         raise UsageError(
             f"--policy {name}: {type(policy).__name__} needs the methods reset() and __call__(observation)"
@@ -162,12 +143,12 @@ def check_policy(policy: Any, name: str) -> Policy:
 
 
 def wanted_images(policy: Any) -> tuple[str, ...]:
-    """Return the names of the images that a policy requests, by default `scene` and `wrist`."""
+    """Return the images that a policy requests, by default `scene` and `wrist`."""
     return tuple(getattr(policy, "images", (SCENE, WRIST)))
 
 
 def wanted_state(policy: Any) -> tuple[str, ...]:
-    """Return the values in addition to images that a policy requests, from `STATE`; by default none."""
+    """Return the requested values other than images, from `STATE`; by default none."""
     return tuple(getattr(policy, "wants", ()))
 
 

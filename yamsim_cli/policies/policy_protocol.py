@@ -13,7 +13,7 @@ from ..core.attempt_data import WeldStates
 from ..core.files.documents.units import QuantityBounds
 from ..core.geometry.se3 import Array
 
-# Images that a policy can request. "wrist" stands for all wrist cameras.
+# Images that a policy can request; "wrist" stands for all wrist cameras.
 SCENE, WRIST = "scene", "wrist"
 IMAGES = (SCENE, WRIST, "left_wrist", "right_wrist")
 
@@ -21,12 +21,10 @@ IMAGES = (SCENE, WRIST, "left_wrist", "right_wrist")
 OBJECTS, VELOCITIES = "objects", "velocities"
 STATE = (OBJECTS, VELOCITIES)
 
-MAX_ACTIONS = 1000  # largest number of actions in one answer
-MIN_PERIOD, MAX_PERIOD = 1e-3, 10.0  # s, limits of the duration of one action
-_ANGLE = QuantityBounds(
-    "rad", -2 * math.pi, 2 * math.pi
-)  # range of joint angles: no joint turns farther, so larger values are degrees
-_MAX_CHUNK_S = 100.0  # s, largest duration of a chunk: 1000 actions at 10 Hz; chunks are in memory until they run out
+MAX_ACTIONS = 1000  # in one answer
+MIN_PERIOD, MAX_PERIOD = 1e-3, 10.0  # s, of one action
+_ANGLE = QuantityBounds("rad", -2 * math.pi, 2 * math.pi)  # rad; larger values are degrees
+_MAX_CHUNK_S = 100.0  # s: 1000 actions at 10 Hz; chunks are in memory until they run out
 
 # Keys of an observation. Values of two arms have the left arm's first.
 # - `scene_rgb` (height, width, 3), uint8, and `wrist_rgb`, or for two arms `left_wrist_rgb` and `right_wrist_rgb`:
@@ -55,7 +53,7 @@ class Policy(Protocol):
 
     @property
     def reset(self) -> Callable[..., None]:
-        """Method that forgets the previous trial. It gets the trial's seed if it has a parameter `seed`."""
+        """Forget the previous trial. The method gets the trial's seed if it has a parameter `seed`."""
         ...
 
     def __call__(self, observation: Observation) -> Mapping[str, Any]:
@@ -68,7 +66,7 @@ class Policy(Protocol):
 
 
 def squeeze_single_arm(poses: Array) -> Array:
-    """Return poses (arms, 4, 4) unchanged for two arms, and without the first axis, (4, 4), for a single arm."""
+    """Return poses (arms, 4, 4) unchanged for two arms, and as (4, 4) for a single arm."""
     return poses if len(poses) > 1 else poses[0]
 
 
@@ -79,7 +77,6 @@ class ActionChunk:
     Attributes:
         ctrl: commands to each arm's drives (actions, arms, drives), rad and m.
         magnet: whether each arm's weld, which attaches an object to the hand, is commanded on (actions, arms).
-        done: whether the policy is finished after these actions.
         period: duration of each action, s; None for the policy's `ticks`.
     """
 
@@ -97,9 +94,7 @@ def read_chunk(answer: object, arms: int, each: int) -> ActionChunk:
     """Check a policy's answer and return its actions.
 
     Args:
-        answer: answer of the policy.
-        arms: number of arms.
-        each: number of drives of each arm, including the gripper.
+        each: drives of each arm, including the gripper.
 
     Raises:
         InvalidActionError: the answer is no mapping, lacks a finite number for a drive, or has an invalid value.
@@ -126,7 +121,6 @@ def read_chunk(answer: object, arms: int, each: int) -> ActionChunk:
 
 
 def _weld_rows(value: Any, is_chunk: bool, count: int, arms: int) -> list[tuple[bool, ...]]:
-    """Return for each action whether each arm's weld is commanded on."""
     rows = _values(value, "magnet")
     if is_chunk and rows.size == count * arms:
         return [_truths(row, "magnet", arms) for row in rows.reshape(count, arms)]

@@ -31,17 +31,17 @@ from .remote_policy import PROTOCOL, MessageError, UnsendableError, pack_message
 
 LOOPBACK = "127.0.0.1"
 
-_MAX_BYTES = 64_000_000  # largest accepted message; two images of 1920 x 1080 take a fifth
-_MAX_SESSIONS = 256  # largest number of clients with a policy; a further client replaces the oldest
+_MAX_BYTES = 64_000_000  # of a message; two images of 1920 x 1080 take a fifth
+_MAX_SESSIONS = 256  # a further client replaces the oldest
 
 
 class PolicyServer(ThreadingHTTPServer):
     """HTTP server that answers clients until `shutdown`. As a context manager, it closes its port at the end.
 
     Args:
-        make_policy: function that makes a policy for each client, an object as `policies.policy_protocol.Policy`.
-        host: address to listen on; with an address other than 127.0.0.1, other machines can use the policy.
-        port: port to listen on; 0 selects a free port.
+        make_policy: makes a policy for each client, as `policies.policy_protocol.Policy`.
+        host: with an address other than 127.0.0.1, other machines can use the policy.
+        port: 0 selects a free port.
 
     Raises:
         ResourceError: msgpack is not installed, or the server cannot listen on the port.
@@ -71,10 +71,9 @@ class PolicyServer(ThreadingHTTPServer):
         """Return the encoded answer to a message that was posted to `/<what>`. An error becomes an answer too."""
         with self._one_at_a_time:
             try:
-                # Without this context, a process that the policy forks would answer the client again.
+                # Otherwise, a process that the policy forks would answer the client again.
                 with kill_forks_at_exit():
                     return pack_message(self._answer(what, message))
-            # The policy may raise any exception, which is sent to the client.
             except Exception as error:  # noqa: BLE001
                 return _fault(error)
 
@@ -107,7 +106,6 @@ class PolicyServer(ThreadingHTTPServer):
 
 
 def _fault(error: Exception) -> bytes:
-    """Return the answer that reports an exception."""
     if isinstance(error, MessageError):
         report: dict[str, Any] = {"error": str(error), "invalid": isinstance(error, UnsendableError)}
     else:
@@ -120,7 +118,7 @@ def _fault(error: Exception) -> bytes:
 
 class _Handler(BaseHTTPRequestHandler):
     server: PolicyServer
-    # HTTP/1.1 keeps the connection open, because a new connection for each action takes longer than the action.
+    # HTTP/1.1 keeps the connection open: a new connection for each action takes longer than the action.
     protocol_version = "HTTP/1.1"
     disable_nagle_algorithm = True
 
@@ -146,4 +144,4 @@ class _Handler(BaseHTTPRequestHandler):
         self.wfile.write(data)
 
     def log_message(self, format: str, *args: Any) -> None:
-        """Log nothing, because clients send about thirty requests per second."""
+        """Log nothing: clients send about thirty requests per second."""

@@ -1,7 +1,4 @@
-"""Client of a policy in another process or on another machine, over HTTP with msgpack messages.
-
-Arrays are sent as dtype, shape and content. Reading a message never executes code from it.
-"""
+"""Client of a policy in another process or machine, over HTTP with msgpack messages, which execute no code."""
 
 from __future__ import annotations
 
@@ -20,10 +17,10 @@ from ..core.errors import ResourceError, UsageError
 from .policy_client import MAX_TEXT, RemoteError, ValueBudget, plain_numbers, read_body, request_context
 from .policy_protocol import InvalidActionError, Observation
 
-PROTOCOL = 1  # version of the protocol; a server refuses clients with another version
+PROTOCOL = 1  # a server refuses clients with another version
 
 _ARRAY = 1  # msgpack's extension type of an array
-_DTYPE_KINDS = "biuf"  # accepted kinds of NumPy dtypes: booleans, integers and floating-point numbers
+_DTYPE_KINDS = "biuf"  # booleans, integers and floating-point numbers
 
 
 class MessageError(ValueError):
@@ -35,21 +32,9 @@ class UnsendableError(MessageError):
 
 
 class RemotePolicy:
-    """Policy that requests each action from a `policy_server.PolicyServer`.
+    """Policy that requests each action from a `policy_server.PolicyServer`, which keeps a session for each client.
 
-    The server keeps a session for each policy. One connection serves all calls.
-
-    Attributes:
-        images, wants: images and further values that the server's policy requests.
-        ticks: duration of an action of the server's policy, control ticks.
-
-    Args:
-        url: URL of the server, such as `http://127.0.0.1:8080`.
-        timeout: time limit for an answer, s.
-
-    Raises:
-        UsageError: the URL is invalid.
-        ResourceError: no server answers, the server has another protocol, or msgpack is not installed.
+    An action lasts `ticks` control ticks. `timeout` is for an answer, s.
     """
 
     def __init__(self, url: str, timeout: float) -> None:
@@ -71,17 +56,11 @@ class RemotePolicy:
             ) from error
 
     def reset(self, seed: int) -> None:
-        """Reset the server's policy for a new trial with the random seed `seed`."""
+        """Reset the server's policy for a new trial."""
         self._request("reset", {"session": self._session, "seed": seed})
 
     def __call__(self, observation: Observation) -> Mapping[str, Any]:
-        """Return the answer of the server's policy to an observation.
-
-        Raises:
-            RemoteError: the policy raised an exception, or the server is gone.
-            InvalidActionError: the policy's answer cannot be sent, or is not numeric.
-            TimeoutError: the server did not answer in time.
-        """
+        """Return the answer of the server's policy. Raise RemoteError, TimeoutError or InvalidActionError otherwise."""
         answer = self._request("act", {"session": self._session, "observation": dict(observation)})
         action = answer.get("action")
         if not isinstance(action, dict):
@@ -116,18 +95,14 @@ class RemotePolicy:
 
 
 def pack_message(message: Any) -> bytes:
-    """Encode a message of dictionaries, lists, text, numbers and arrays of numbers as msgpack."""
+    """Encode a message as msgpack."""
     import msgpack
 
     return cast("bytes", msgpack.packb(message, default=_pack_array, use_bin_type=True))
 
 
 def require_sendable(answer: Any) -> dict[str, Any]:
-    """Check that a policy's answer can be sent to a client, and return it as a dictionary.
-
-    Raises:
-        UnsendableError: the answer is no mapping, or a value cannot be sent.
-    """
+    """Return a policy's answer as a dictionary. Raise UnsendableError if it cannot be sent."""
     if not isinstance(answer, Mapping):
         raise UnsendableError(f"an action is a dictionary with ctrl, magnet and done, not {type(answer).__name__}")
     for key, value in answer.items():
@@ -140,11 +115,7 @@ def require_sendable(answer: Any) -> dict[str, Any]:
 
 
 def unpack_message(data: bytes) -> Any:
-    """Decode a msgpack message, with arrays as `pack_message` encodes them.
-
-    Raises:
-        MessageError: the bytes are no message, or the message has too many values.
-    """
+    """Decode a message of `pack_message`. Raise MessageError for other bytes, and for too many values."""
     import msgpack
 
     try:

@@ -1,12 +1,11 @@
 """Distribute attempts to workers, and write finished attempts to the dataset in order.
 
-Episode k is the k-th successful attempt in the order of attempts, regardless of which worker finishes first. The data
-therefore depends only on the configuration and the seed.
+Episode k is the k-th successful attempt in the order of attempts, whichever worker finishes first. The data therefore
+depends only on the configuration and the seed.
 
-An attempt that crashes all its workers becomes a failure with cause `worker_lost`. The attempt remains a failure after
-a resume, because later episodes are numbered without it. The crash can also be the machine's fault, so
-a lost attempt is uncertain until another attempt finishes. If none does, the recording stops without writing the
-uncertain attempts, and `--resume` tries them again.
+An attempt that crashes all its workers becomes a failure with cause `worker_lost`, also after a resume, because later
+episodes are numbered without it. The crash can also be the machine's fault, so the attempt is uncertain until another
+one finishes. If none does, the recording stops without writing uncertain attempts, and `--resume` tries them again.
 """
 
 from __future__ import annotations
@@ -25,10 +24,10 @@ from ..core.workers.executors import Executor, LostJobError
 from ..core.workers.stop_request import StopRequest
 from .retry_limit import AllStartsFail, RetryLimit
 
-_LOOKAHEAD = 4  # attempts per worker beyond the oldest unwritten attempt; limits the episodes in memory
-_MAX_LOST_IN_A_ROW = 3  # consecutive lost attempts after which the machine is considered at fault
-_STOP_SECONDS = 60.0  # s, how long running attempts may continue after a stop request
-_POLL_SECONDS = 0.5  # s, wait for a result before the stop request is checked again
+_LOOKAHEAD = 4  # attempts per worker beyond the oldest unwritten one; limits the episodes in memory
+_MAX_LOST_IN_A_ROW = 3  # lost attempts, after which the machine is considered at fault
+_STOP_SECONDS = 60.0  # s, for running attempts after a stop request
+_POLL_SECONDS = 0.5  # s between checks of the stop request
 
 EpisodeExecutor = Executor[AttemptJob, AttemptPayload]
 
@@ -39,7 +38,6 @@ class RecordCallbacks:
 
     Attributes:
         progress: called with the numbers of finished episodes, requested episodes and attempts.
-        warn: called with a sentence for the user.
     """
 
     progress: Callable[[int, int, int], None]
@@ -47,7 +45,7 @@ class RecordCallbacks:
 
 
 class Collector:
-    """Submits attempts to an executor, and writes their results until the dataset has all requested episodes."""
+    """Submits attempts to an executor, and writes their results, until the dataset is complete."""
 
     def __init__(
         self,
@@ -72,7 +70,7 @@ class Collector:
 
     @property
     def remaining_episodes(self) -> int:
-        """Number of episodes that are still to be recorded, including lost episodes of a resumed dataset."""
+        """Episodes that are still to be recorded, including lost episodes of a resumed dataset."""
         return max(0, self._config.episodes - self._sink.episodes) + len(self._lost_attempts)
 
     @property
@@ -86,20 +84,12 @@ class Collector:
         return self._sink.episodes - len(self._lost_attempts)
 
     def run(self, executor: EpisodeExecutor) -> None:
-        """Record until the dataset holds all requested episodes.
-
-        Raises:
-            InterruptedJobError: the user stopped the job. Running attempts were given `_STOP_SECONDS` to finish.
-            DatasetError: a lost episode cannot be reproduced on this machine.
-            PartialJobError: the task fails too often, or workers keep crashing.
-            SimulationError: all attempts fail for a cause in the task itself.
-            OSError: a write failed.
-        """
+        """Record until the dataset is complete. After a stop, running attempts have `_STOP_SECONDS` to finish."""
         self._report()
         while self.attempts_needed:
             while not self._stop.is_requested and executor.idle and self._can_start(executor):
                 executor.submit(AttemptJob(self._config.seed, self._next_attempt()))
-            # Write after submitting, so that workers are busy in the meantime.
+            # Write after submitting: workers are busy meanwhile.
             if self._commit_finished():
                 continue
             if self._stop.is_requested and (not executor.in_flight or self._stop.seconds_since_request > _STOP_SECONDS):
@@ -119,7 +109,7 @@ class Collector:
         self._finished[job.attempt] = payload
 
     def _commit_finished(self) -> bool:
-        """Write all results that are next in the order of attempts, and return whether any was written."""
+        """Write all results that are next in the order of attempts; return whether there were any."""
         before = len(self._finished)
         for attempt in self._lost_attempts.keys() & self._finished.keys():
             self._restore(self._finished.pop(attempt))
@@ -139,7 +129,7 @@ class Collector:
         return attempt in self._finished and attempt not in self._uncertain_attempts
 
     def _can_start(self, executor: EpisodeExecutor) -> bool:
-        """Return whether to submit another attempt. Limit: the missing episodes, if all running attempts succeed."""
+        """Whether to submit another attempt: at most the missing episodes, if all running attempts succeed."""
         if self._queue:
             return True
         if self._next >= self._limit.max_attempts and not self._uncertain_attempts:
@@ -191,7 +181,6 @@ class Collector:
             raise error
 
     def _restore(self, payload: AttemptPayload) -> None:
-        """Publish the repeated attempt of a lost episode, under the old episode number."""
         lost = self._lost_attempts[payload.job.attempt]
         if not payload.outcome.success or lost.episode is None:
             raise self._not_reproduced_error(payload, lost.episode or 0)

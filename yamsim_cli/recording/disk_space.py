@@ -1,5 +1,3 @@
-"""Estimate the size of a recording, and check the free disk space before recording."""
-
 from __future__ import annotations
 
 import math
@@ -14,29 +12,24 @@ from ..core.config.rendering import ImageConfig
 from ..core.dataset.records import ManifestEntry
 from ..core.errors import ResourceError, count_noun
 
-_MIN_JPEG_PER_PIXEL = 0.03  # bytes per pixel of a JPEG, lower bound: plain scenes at low quality
+_MIN_JPEG_PER_PIXEL = 0.03  # bytes per pixel, of plain scenes at low quality
 # JPEG quality -> bytes per pixel of a typical image. Source: the images of docs/images and tests/golden, 300 to 720
-# pixels wide, encoded at each quality. Noise (`--randomize`) doubles these values.
+# pixels wide. Noise (`--randomize`) doubles these values.
 _JPEG_PER_PIXEL = {1: 0.03, 50: 0.055, 70: 0.072, 85: 0.1, 95: 0.18, 100: 0.32}
-_JPEG_OVERHEAD = 600  # bytes of a JPEG for headers and tables
-_LOWDIM_BYTES = 2200  # bytes of the lowdim pickle of a frame; measured: 1600 to 2200
-_HASH_BYTES = 85  # bytes in the record of an episode for each of its files; measured: 85 to 95
-# Bytes of ground truth per pixel, for depth and segmentation together: lower bound and typical value. Measured at
-# 640x480: 0.09 in the scene camera and 0.12 in the wrist camera.
+_JPEG_OVERHEAD = 600  # of headers and tables
+_LOWDIM_BYTES = 2200  # of a frame; measured: 1600 to 2200
+_HASH_BYTES = 85  # in an episode's record for each file; measured: 85 to 95
+# Bytes of depth and segmentation together per pixel: lower bound and typical value. Source: at 640x480, 0.09 in the
+# scene camera and 0.12 in the wrist camera.
 _MIN_TRUTH_PER_PIXEL, _LIKELY_TRUTH_PER_PIXEL = 0.04, 0.11
-_TRUTH_ARRAY_BYTES = 1000  # bytes of ground truth arrays per frame and camera; measured: 600
-_RESERVED_BYTES = 1_000_000  # bytes kept free for the ledger, the manifest and other programs
-_MIN_SHARE_OF_MEAN = 0.9  # smallest size of an episode as a share of the mean size, at equal numbers of frames
+_TRUTH_ARRAY_BYTES = 1000  # per frame and camera; measured: 600
+_RESERVED_BYTES = 1_000_000  # for the ledger, the manifest and other programs
+_MIN_SHARE_OF_MEAN = 0.9  # smallest size of an episode, as a share of the mean at equal numbers of frames
 
 
 @dataclass(frozen=True)
 class EpisodeSize:
-    """Size of an episode on disk.
-
-    Attributes:
-        min_bytes, likely: lower bound and estimate of bytes.
-        min_inodes, inodes: lower bound and estimate of inodes.
-    """
+    """Size of an episode on disk: lower bounds, and estimates of bytes (`likely`) and inodes."""
 
     min_bytes: int
     likely: int
@@ -47,12 +40,9 @@ class EpisodeSize:
     def estimate(
         cls, frames: tuple[int, int], cameras: int, image: ImageConfig, block: int, *, truth: bool = False
     ) -> EpisodeSize:
-        """Estimate the size of an episode from the recording settings, without recorded episodes.
+        """Estimate the size of an episode from the recording settings.
 
-        Args:
-            frames: lower bound and typical value of the frames per episode.
-            block: block size of the filesystem, bytes.
-            truth: whether ground truth is recorded.
+        `frames` are a lower bound and the typical value per episode. `block` is the filesystem's block size, bytes.
         """
         pixels = image.size_px[0] * image.size_px[1]
         qualities = list(_JPEG_PER_PIXEL)
@@ -77,7 +67,7 @@ class EpisodeSize:
         )
 
     def from_recorded(self, entries: Collection[ManifestEntry], block: int) -> EpisodeSize:
-        """Return a copy with bytes estimated from recorded episodes, `entries`; `self` if there are none."""
+        """Return a copy with bytes estimated from recorded episodes, if there are any."""
         if not entries:
             return self
         # On average, each file wastes half a block.
@@ -87,19 +77,12 @@ class EpisodeSize:
 
 
 def files_per_episode(frames: int, cameras: int, *, truth: bool) -> int:
-    """Return the number of files of an episode, without `episode.json`."""
+    """Return the number of files, without `episode.json`."""
     return frames * (cameras + 1) + (2 * frames * cameras + cameras + 1 if truth else 0)
 
 
 def check_space(place: Path, episodes: int, size: EpisodeSize) -> str | None:
-    """Compare the free space at `place` with the size of `episodes` more episodes.
-
-    Returns:
-        A warning if the episodes may not fit, else None.
-
-    Raises:
-        ResourceError: the episodes cannot fit.
-    """
+    """Warn if `episodes` more episodes may not fit into the free space at `place`."""
     state = os.statvfs(place)
     free = max(0, state.f_bavail * state.f_frsize - _RESERVED_BYTES)
     # Filesystems that create inodes on demand report zero inodes.

@@ -1,4 +1,4 @@
-"""Factories for the executors of a recording: this process, other processes of this machine, or a Ray cluster.
+"""Factories for the executors of a recording.
 
 Workers of a Ray cluster need no shared filesystem and no local meshes: they receive robot models and meshes as bytes.
 """
@@ -36,7 +36,7 @@ class ExecutorFactory(Protocol):
 
 @dataclass(frozen=True)
 class ProcessExecutorFactory:
-    """Runs attempts in processes of this machine. `job_seconds` is the time limit of an attempt, s."""
+    """Runs attempts in processes of this machine, each up to `job_seconds`, s."""
 
     job_seconds: float = JOB_SECONDS
 
@@ -47,13 +47,7 @@ class ProcessExecutorFactory:
 
 @dataclass(frozen=True)
 class RayExecutorFactory:
-    """Runs attempts in actors of a Ray cluster.
-
-    Attributes:
-        address: address of a running cluster; None starts one on this machine.
-        environ: environment variables of the actor processes.
-        job_seconds: time limit of an attempt, s.
-    """
+    """Runs attempts in actors of a Ray cluster, each up to `job_seconds`, s. Without address, a cluster starts here."""
 
     address: str | None = None
     environ: Mapping[str, str] = field(default_factory=dict)
@@ -66,7 +60,7 @@ class RayExecutorFactory:
 
 
 class InlineExecutorFactory:
-    """Runs attempts in this process only, regardless of the number of workers."""
+    """Runs attempts in this process, regardless of the number of workers."""
 
     def open(self, session: Session, workers: int) -> EpisodeExecutor:
         """See `ExecutorFactory.open`."""
@@ -88,10 +82,10 @@ class PackedSession:
 
 
 def pack_session(session: Session) -> PackedSession:
-    """Pack a session with the content of all its robot models and meshes."""
+    """Pack a session with the content of its robot models and meshes."""
     locations = session.locations
     files: dict[str, bytes] = {}
-    # The data folder with the highest priority comes last, so that its files replace those of other folders.
+    # Files of the data folder with the highest priority replace others.
     for root in reversed(locations.data):
         files |= _read(root / _MODELS, _MODELS)
     for name, folder in locations.meshes.items():
@@ -102,7 +96,7 @@ def pack_session(session: Session) -> PackedSession:
 
 
 def unpack_session(packed: PackedSession, place: Path) -> Session:
-    """Write the files below `place`, and return the session with their new locations."""
+    """Write the files below `place`, and return the session with their locations."""
     for name, data in packed.files.items():
         file = place / name
         file.parent.mkdir(parents=True, exist_ok=True)
@@ -113,7 +107,7 @@ def unpack_session(packed: PackedSession, place: Path) -> Session:
 
 @contextlib.contextmanager
 def unpacked_runner(packed: PackedSession) -> Iterator[AttemptRunner]:
-    """Yield an `AttemptRunner` of a packed session. The unpacked files are removed at the end."""
+    """Yield an `AttemptRunner`, and remove the unpacked files at the end."""
     # Keep the files while the runner is in use: scenes are composed from them when first needed.
     with (
         tempfile.TemporaryDirectory(prefix="yamsim-") as place,

@@ -1,7 +1,6 @@
-"""Worker pool with actors of a Ray cluster.
+"""Worker pool with actors of a Ray cluster, with the code, retries and time limits of local worker processes.
 
-Actors run the same code as local worker processes, with the same retries and time limits. If an actor is lost with its
-process or node, its job uses up one try. A new actor then starts where the cluster has capacity.
+A job whose actor is lost uses up one try. A new actor then starts where the cluster has capacity.
 """
 
 from __future__ import annotations
@@ -20,22 +19,14 @@ from ..core.workers.executors import Factory, J, R
 from ..core.workers.job_server import STOP_SIGNALS, WorkerJobRunner
 from ..core.workers.worker_pool import JOB_SECONDS, BaseWorkerPool, Event, Worker, WorkerDied
 
-_CONNECT_SECONDS = 5.0  # s, timeout for a connection to the head of a cluster
+_CONNECT_SECONDS = 5.0  # s, to the head of a cluster
 
 
 class RayPool(BaseWorkerPool[J, R]):
-    """An `Executor` that runs jobs in the actors of a Ray cluster.
+    """An `Executor` that runs jobs in the actors of a Ray cluster, each on one CPU.
 
-    Args:
-        factory: makes the runner of each worker, inside the actor.
-        workers: number of workers, each on one CPU of the cluster.
-        address: address of a running cluster, as for `ray.init`. None starts a cluster on this machine that ends with
-            the pool.
-        environ: environment variables of the actor processes.
-        job_seconds: time limit of a job, s.
-
-    Raises:
-        ResourceError: Ray is not installed, no cluster answers, or the cluster has fewer CPUs than `workers`.
+    Without address, as for `ray.init`, a cluster starts on this machine and ends with the pool. `environ` is of the
+    actor processes. `job_seconds` limits a job, s.
     """
 
     def __init__(
@@ -67,7 +58,7 @@ class _Actor(Generic[J]):
 
 
 class _Cluster(Generic[J, R]):
-    """Starts Ray actors as workers, and waits for their answers; implements `WorkerBackend`."""
+    """Starts Ray actors as workers, and waits for their answers."""
 
     def __init__(self, factory: Factory[J, R], workers: int, address: str | None, environ: dict[str, str]) -> None:
         self._ray = _import_ray()
@@ -138,7 +129,7 @@ def _connect(ray: Any, address: str | None, workers: int) -> None:
 
 
 def _require_listener(address: str) -> None:
-    """Raise OSError if no server listens at a HOST:PORT. Ray itself takes minutes to report that."""
+    """Raise OSError if no server listens at a HOST:PORT, which Ray itself reports after minutes."""
     host, colon, port = address.rpartition("://")[2].rpartition(":")
     if colon and port.isdecimal():
         socket.create_connection((host, int(port)), _CONNECT_SECONDS).close()
@@ -146,7 +137,7 @@ def _require_listener(address: str) -> None:
 
 @contextlib.contextmanager
 def _restore_signal_handlers() -> Iterator[None]:
-    """Restore signal handlers after the block, because Ray replaces the SIGTERM handler when it connects."""
+    """Restore signal handlers after the block, because Ray replaces that of SIGTERM."""
     before = {number: signal.getsignal(number) for number in STOP_SIGNALS}
     try:
         yield

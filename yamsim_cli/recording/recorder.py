@@ -1,5 +1,3 @@
-"""Record a dataset: workers simulate attempts, and only this process writes."""
-
 from __future__ import annotations
 
 import contextlib
@@ -25,7 +23,7 @@ from .retry_limit import RetryLimitError, all_starts_fail
 
 @dataclass(frozen=True)
 class RecordReport:
-    """Result of a recording: totals of the dataset, duration in s, and the backup path of an earlier dataset."""
+    """Result of a recording: totals of the dataset, duration, s, and backup path of an earlier dataset."""
 
     path: Path
     episodes: int
@@ -41,15 +39,7 @@ def record(
     callbacks: RecordCallbacks,
     stop: StopRequest,
 ) -> RecordReport:
-    """Record until the dataset holds the number of successful episodes that the config requests.
-
-    Raises:
-        UsageError, ConfigError, DatasetError, ResourceError: the output cannot be opened. ResourceError also if an
-            object has failed its certification.
-        InterruptedJobError: the user stopped the job.
-        PartialJobError: a write failed, workers keep crashing, or the task fails too often.
-        SimulationError: no attempt can succeed, for a cause in the task itself.
-    """
+    """Record until the dataset holds as many successful episodes as the config requests."""
     began = time.monotonic()
     _check_certificates(session, callbacks)
     session = with_mesh_descriptions(session)
@@ -70,7 +60,7 @@ def record(
 
 
 def _check_certificates(session: Session, callbacks: RecordCallbacks) -> None:
-    """Raise ResourceError if an object failed its certification. Warn if an object has changed since then."""
+    """Refuse an object that failed its certification. Warn about an object that changed since."""
     config, locations = session.config, session.locations
     lock = load_lock(locations)
     for item in (*config.task.objects, *config.randomization.extras):
@@ -90,7 +80,7 @@ def _check_certificates(session: Session, callbacks: RecordCallbacks) -> None:
 def _report_on_early_end(
     config: RecordConfig, collector: Collector, destination: OpenRecordingOutput
 ) -> Iterator[None]:
-    """If the recording ends early, write the manifest, and add the recorded and remaining episodes to the error."""
+    """At an early end, write the manifest, and add recorded and remaining episodes to the error."""
     place = destination.writer.path
 
     def whole() -> str:

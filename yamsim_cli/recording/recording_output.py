@@ -1,4 +1,4 @@
-"""Output of a recording: a dataset directory, written directly or through a staging directory."""
+"""Output of a recording, written directly or through a staging directory."""
 
 from __future__ import annotations
 
@@ -23,19 +23,15 @@ from ..core.workers.stop_request import StopRequest
 from .collect import RecordCallbacks
 from .disk_space import EpisodeSize, check_space, files_per_episode
 
-_ROUND_TRIPS_PER_FILE = 6  # network round trips to write one file; over sshfs: 60 ms at 10 ms per round trip
-_ROUND_TRIP = 0.01  # s, duration of a network round trip that warnings assume
-_POLL_SECONDS = 0.5  # s, wait before the stop request is checked again
-_MIN_DURATION = 0.5  # lower bound of the frames of a successful episode, as a share of the typical number
+_ROUND_TRIPS_PER_FILE = 6  # over sshfs: 60 ms at 10 ms per round trip
+_ROUND_TRIP = 0.01  # s, that warnings assume
+_POLL_SECONDS = 0.5  # s between checks of the stop request
+_MIN_DURATION = 0.5  # frames of a successful episode, as a share of the typical number
 
 
 @dataclass(frozen=True)
 class RecordingOutput:
-    """Output directory of a recording, and what to do if it is not empty.
-
-    Attributes:
-        stage: local directory for episodes that wait to be moved to a slow or remote `path`; None for none.
-    """
+    """Output directory of a recording. With a slow or remote `path`, episodes wait in the local directory `stage`."""
 
     path: Path
     mode: OpenMode
@@ -57,18 +53,13 @@ class OpenRecordingOutput:
 
     @property
     def describe_staged(self) -> str:
-        """Clause for messages that says how many episodes are still in the staging directory; empty for none."""
+        """Clause for messages on how many episodes are still in the staging directory."""
         if self._staged is None or not (waiting := self._staged.pending_episodes):
             return ""
         return f" ({waiting} of them still in {self._staged.folder}: give the same --stage)"
 
     def finish(self, callbacks: RecordCallbacks, stop: StopRequest) -> None:
-        """Wait until all episodes are in the dataset, and write the manifest.
-
-        Raises:
-            InterruptedJobError: the user stopped the job.
-            OSError: a write failed.
-        """
+        """Wait until all episodes are in the dataset, and write the manifest."""
         if self._staged is None:
             self.writer.finish()
             return
@@ -80,7 +71,7 @@ class OpenRecordingOutput:
         self._staged.finish()
 
     def abandon(self) -> None:
-        """Write the manifest and ignore disk errors. The next --resume writes the manifest again."""
+        """Write the manifest and ignore disk errors; the next --resume writes it again."""
         with contextlib.suppress(OSError):
             (self._staged or self.writer).finish()
 
@@ -89,12 +80,7 @@ class OpenRecordingOutput:
 def open_destination(
     config: RecordConfig, output: RecordingOutput, callbacks: RecordCallbacks
 ) -> Iterator[OpenRecordingOutput]:
-    """Open an output for the `with` block. No other recorder can open the output meanwhile.
-
-    Raises:
-        UsageError, ConfigError, DatasetError, ResourceError: the output cannot be opened, see `DatasetWriter`.
-        ResourceError: the disk has not enough free space.
-    """
+    """Open an output for the `with` block, exclusively."""
     # Warn before any access to the mount, which may not respond.
     mount = _check_mounts(config, output, callbacks)
     resuming = output.mode is OpenMode.RESUME
@@ -121,7 +107,7 @@ def open_destination(
 
 
 def _check_mounts(config: RecordConfig, output: RecordingOutput, callbacks: RecordCallbacks) -> Mount | None:
-    """Return the network mount of the output, or None. Warn that writing to network mounts is slow."""
+    """Return the output's network mount, and warn that writing to it is slow."""
     mounts = read_mounts()
     mount = network_mount(output.path, mounts)
     if output.stage is None and mount is not None:
@@ -156,7 +142,7 @@ def _check_space(
 
 
 def _frames(config: RecordConfig, entries: Mapping[int, ManifestEntry]) -> tuple[int, int]:
-    """Return lower bound and typical number of frames of an episode, from the mean of `entries` or else estimated."""
+    """Return lower bound and typical frames of an episode, from the mean of `entries` or else estimated."""
     every = config.task.timing.ticks_per_frame
     frames = math.ceil(typical_ticks(config.task) / every)
     if entries:

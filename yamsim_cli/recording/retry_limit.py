@@ -1,10 +1,10 @@
 """Retry limit of a recording: stop if no attempt of the task can succeed, or too few succeed.
 
-Ten failures with one cause prove little. A task with success rate 1/5 starts with ten failures in one of nine
-recordings. If the cause depends only on geometry, the starts of a hundred more attempts are checked without physics.
-A task with success rate 1/5 is then wrongly stopped in one of 4e10 recordings (0.8 ** 110), with rate 1/10 in one of
-1e5. If the cause depends on physics, recording stops after a hundred attempts without success. For the same success
-rates, that is wrong in one of 5e9 and one of 4e4 recordings.
+Ten failures with one cause prove little: a task with success rate 1/5 starts with them in one of nine recordings. If
+the cause depends only on geometry, the starts of a hundred more attempts are checked without physics. A task with
+success rate 1/5 is then wrongly stopped in one of 4e10 recordings (0.8 ** 110), with rate 1/10 in one of 1e5. If the
+cause depends on physics, recording stops after a hundred attempts without success. For the same success rates, that is
+wrong in one of 5e9 and one of 4e4 recordings.
 """
 
 from __future__ import annotations
@@ -24,12 +24,10 @@ from ..core.episode.simulator import Simulators
 from ..core.errors import PartialJobError, SimulationError, YamsimError
 from ..core.expert.skills.program import build_program
 
-SAME_CAUSE_LIMIT = (
-    10  # first attempts; if all fail for one cause, the starts of `STARTS_TO_CHECK` further attempts are checked
-)
-STARTS_TO_CHECK = 100  # attempts whose start layouts are checked without physics after `SAME_CAUSE_LIMIT` failures
-MIN_ATTEMPTS = 100  # attempts; a task without a success among them is considered impossible
-_ATTEMPTS_PER_EPISODE = 20  # attempts per requested episode; a task that needs more succeeds too rarely
+SAME_CAUSE_LIMIT = 10  # first attempts; if all fail for one cause, the starts of `STARTS_TO_CHECK` more are checked
+STARTS_TO_CHECK = 100  # attempts, after `SAME_CAUSE_LIMIT` failures
+MIN_ATTEMPTS = 100  # a task without a success among these is considered impossible
+_ATTEMPTS_PER_EPISODE = 20  # a task that needs more per episode succeeds too rarely
 
 HAND_HEIGHT = 0.05  # m above the table, assumed height of grasps
 
@@ -50,14 +48,14 @@ _TASK_PARTS: Mapping[str, str] = {
 
 
 class RetryLimitError(PartialJobError):
-    """Raised if a task succeeds too rarely. Recorded episodes are complete, and `--resume` would not help."""
+    """A task succeeds too rarely. Recorded episodes are complete, and `--resume` would not help."""
 
 
 AllStartsFail = Callable[[FailureCause, int], bool]  # (cause, first attempt) -> whether all starts fail
 
 
 class RetryLimit:
-    """Decides from the outcomes so far when to stop a recording. The number of workers has no effect."""
+    """Decides from the outcomes so far when to stop. The number of workers has no effect."""
 
     def __init__(self, config: RecordConfig, no_better_start: AllStartsFail) -> None:
         self._name, self._wanted = config.task.name, config.episodes
@@ -66,11 +64,11 @@ class RetryLimit:
 
     @property
     def max_attempts(self) -> int:
-        """The number of attempts after which the recording stops in any case."""
+        """Number of attempts after which the recording stops in any case."""
         return max(MIN_ATTEMPTS, _ATTEMPTS_PER_EPISODE * self._wanted)
 
     def stop_error(self, attempts: Sequence[AttemptRecord], episodes: int) -> YamsimError | None:
-        """Return the error that stops a recording after `attempts` with `episodes` successes; None to continue."""
+        """Return the error that stops a recording after `attempts`; None to continue."""
         tried, last = len(attempts), attempts[-1].outcome if attempts else None
         if last is None or (episodes and tried < self.max_attempts):
             return None
@@ -106,10 +104,7 @@ class RetryLimit:
 
 
 def all_starts_fail(session: Session, cause: FailureCause, first: int) -> bool:
-    """Return whether the starts of all `STARTS_TO_CHECK` attempts from number `first` on fail for `cause`.
-
-    The result is False for causes that depend on physics.
-    """
+    """Whether all starts from attempt `first` on fail for `cause`; False for causes that depend on physics."""
     if cause not in (FailureCause.NO_LAYOUT, FailureCause.UNREACHABLE):
         return False
     with Simulators(session.without_meshes()) as simulators:
@@ -120,9 +115,9 @@ def all_starts_fail(session: Session, cause: FailureCause, first: int) -> bool:
 
 
 def _start_is_feasible(simulators: Simulators, cause: FailureCause, job: AttemptJob) -> bool:
-    """Return whether the objects have room and, for `UNREACHABLE`, whether grippers reach all objects to be grasped.
+    """Whether the objects have room and, for `UNREACHABLE`, whether grippers reach all objects to be grasped.
 
-    These conditions are necessary for a program: if the check fails, the program fails too.
+    Without that, the program fails.
     """
     simulator = simulators.get(job)
     places = sample_object_placements(simulator, job)

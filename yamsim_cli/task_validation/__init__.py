@@ -1,1 +1,0 @@
-"""Validation of tasks, and the catalog and templates of task files."""

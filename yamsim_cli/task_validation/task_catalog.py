@@ -1,5 +1,3 @@
-"""The catalog of tasks that commands accept by name, and the template of a new task's file."""
-
 from __future__ import annotations
 
 import re
@@ -57,18 +55,12 @@ expert:
 
 
 def task_entries(locations: Locations) -> list[dict[str, Any]]:
-    """Return the descriptions of all tasks that commands accept by name, JSON-ready, see `task_entry`.
-
-    Raises ConfigError if a task's file is not valid.
-    """
+    """Return the descriptions of all tasks that commands accept by name, as JSON data."""
     return [task_entry(name, locations) for name in locations.config_names("tasks")]
 
 
 def task_entry(name: str, locations: Locations) -> dict[str, Any]:
-    """Return the description of a task, JSON-ready: name, kind, rig, prompt, things, skills, goal, starts, path etc.
-
-    Raises ConfigError if no task has that name, or its file is not valid.
-    """
+    """Return the description of a task as JSON data: name, kind, rig, prompt, things, skills, goal, starts etc."""
     task = load_config(ProgramTask, "tasks", name, locations, check=check_task_config)
     names = {kind: name for name, kind in SKILLS.items()}
     program = parse_program(task.expert, task.typical_roles)
@@ -95,10 +87,7 @@ def _as_data(config: Config) -> Mapping[str, Any]:
 
 
 def write_task_template(name: str, folder: Path) -> Path:
-    """Write the template of a task, and return its file.
-
-    Raises UsageError if the name is not valid, the file exists, or the folder cannot be written.
-    """
+    """Write the template of a task, and return its file."""
     if not _NAME.fullmatch(name):
         raise UsageError(f"{name!r} is no name for a task; start with a letter, then letters, digits and underscores")
     path = folder / f"{name}.yaml"

@@ -29,12 +29,12 @@ from ..core.geometry.se3 import Array, quat_from_rotation, rotation_from_vector
 from ..core.progress import Progress
 from ..core.scene.compiled import CompiledScene, Ids
 
-MIN_REACH = 0.9  # share of the points of a start region that hands have to reach
-_GRID_POINTS = 8  # points along each side of a start region, where the reach is checked
-_HAND_HEIGHT = 0.03  # m, height of the hand over the surface
-_MIN_MOTION = 0.05  # m, distance from the start above which an object counts as moved
-_STILL_SECONDS = 2.0  # s, for which the arms hold still, besides the hold time, before the goal is evaluated
-_MAX_ATTEMPTS = 3  # attempts of each check in which the goal must not be reached
+MIN_REACH = 0.9  # share of a start region's points that hands must reach
+_GRID_POINTS = 8  # along each side of a start region
+_HAND_HEIGHT = 0.03  # m over the surface
+_MIN_MOTION = 0.05  # m from the start, above which an object counts as moved
+_STILL_SECONDS = 2.0  # s at rest before the goal is evaluated, besides the hold time
+_MAX_ATTEMPTS = 3  # of each check in which the goal must not be reached
 
 # Keys of a batch report that are also in a validation report.
 _BATCH_KEYS = (
@@ -45,14 +45,7 @@ _BATCH_KEYS = (
 
 @dataclass(frozen=True)
 class TaskCheck:
-    """The result of one check.
-
-    Attributes:
-        name: the check's name in reports.
-        ok: whether the task passed; None if the check does not apply.
-        value: the share or the count that was measured; None without one.
-        detail: the figures behind the result, as text.
-    """
+    """Result of one check: `ok` is None if it does not apply, and `value` is the measured share or count, if any."""
 
     name: str
     ok: bool | None
@@ -67,7 +60,7 @@ def check_program_fits(task: ProgramTask) -> TaskCheck:
 
 
 def check_reach(simulator: Simulator) -> TaskCheck:
-    """Check that a hand reaches enough points of each start region on the table, in any orientation."""
+    """Check that a hand reaches enough points of each start region on the table."""
     shares = {
         role: _reachable_share(simulator, start) for role, start in simulator.config.starts.items() if start.on == TABLE
     }
@@ -201,16 +194,9 @@ def _hold_actions(scene: CompiledScene, start: Array, ticks: int) -> ActionSeque
 
 
 def validate_task(session: Session, minimum: float, progress: Progress) -> dict[str, Any]:
-    """Run as many trials of a task as the config has `episodes`, and every check.
+    """Run `episodes` trials of a task, and every check. Return a report as JSON data.
 
-    Args:
-        minimum: share of trials in which the expert has to reach the goal.
-
-    Returns:
-        JSON-ready: ok, task, rig, n, n_success, success_rate, wilson95, causes, recovered, core_seconds_per_trial,
-        checks, failed trials.
-
-    Raises InterruptedJobError if the user stops the trials.
+    The expert must reach the goal in the share `minimum` of the trials.
     """
     config = session.config
     report = run_batch(session, (), progress)

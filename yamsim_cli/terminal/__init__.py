@@ -1,1 +1,0 @@
-"""Terminal output of commands (results, progress, tables) and handling of Ctrl-C."""

@@ -1,4 +1,4 @@
-"""Print results to stdout and everything else to stderr, with a progress bar only on a terminal."""
+"""Print results to stdout and everything else to stderr."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ if TYPE_CHECKING:
 
 console = Console(stderr=True)
 
-_LOG_SECONDS = 30.0  # s before and between progress lines without a terminal; a shorter job writes none
+_LOG_SECONDS = 30.0  # s between progress lines without a terminal; a shorter job writes none
 
-_end_notes = list[str]()  # lines for stderr at the end of the command
+_end_notes = list[str]()  # for stderr at the end of the command
 
 
 class ProgressCallback(Protocol):
@@ -37,7 +37,7 @@ def print_json(data: Mapping[str, Any]) -> None:
 
 
 def print_report(report: Mapping[str, Any], table: Callable[[], RenderableType], json: bool) -> None:
-    """Write a result to stdout: `report` as JSON if `json` is true, else the table that `table()` returns."""
+    """Write a result to stdout: `report` as JSON, or the table that `table()` returns."""
     if json:
         print_json(report)
     else:
@@ -45,7 +45,7 @@ def print_report(report: Mapping[str, Any], table: Callable[[], RenderableType],
 
 
 def print_result_now(data: Mapping[str, Any], line: str, json: bool) -> None:
-    """Write a result to stdout before the command ends: `data` as JSON if `json` is true, else the text `line`."""
+    """Write a result to stdout before the command ends: `data` as JSON, or `line`."""
     if json:
         print_json(data)
     else:
@@ -55,7 +55,7 @@ def print_result_now(data: Mapping[str, Any], line: str, json: bool) -> None:
 
 
 def print_table(table: RenderableType) -> None:
-    """Write a rich renderable to stdout, with the width of the terminal, or 80 columns without a terminal."""
+    """Write a rich renderable to stdout, as wide as the terminal, or 80 columns without one."""
     out = Console()
     if out.is_terminal:
         out.print(table)
@@ -72,7 +72,7 @@ def print_line(text: str) -> None:
 
 
 def print_text(marked: str, text: str, style: str) -> None:
-    """Write two columns to stdout: `marked` in the rich style `style`, and to its right `text`, wrapped."""
+    """Write to stdout `marked` in the rich style `style`, and to its right `text`, wrapped."""
     from rich.table import Table
     from rich.text import Text
 
@@ -89,19 +89,19 @@ def print_note(text: str) -> None:
 
 
 def note_moved(path: Path, moved: Path | None) -> None:
-    """Write to stderr that an older output at `path` was renamed to `moved`, unless `moved` is None."""
+    """Note that an older output at `path` was renamed to `moved`, unless `moved` is None."""
     if moved:
         print_note(f"What was at {path} is now at {moved}.")
 
 
 def note_at_end(text: str) -> None:
-    """Queue a line that `write_end_notes` writes to stderr at the end of the command. Duplicates are ignored."""
+    """Queue a line for stderr at the end of the command. Duplicates are ignored."""
     if text not in _end_notes:
         _end_notes.append(text)
 
 
 def write_end_notes() -> None:
-    """Write the lines that `note_at_end` queued to stderr, and empty the queue."""
+    """Write and empty the queue of `note_at_end`."""
     for text in _end_notes:
         print_note(text)
     _end_notes.clear()
@@ -112,9 +112,8 @@ def progress_bar(label: str, unit: str, log_seconds: float | None = None) -> Ite
     """Yield a function that shows progress, rate and time left on stderr: a bar in a terminal, else lines of text.
 
     Args:
-        label: name of the job.
-        unit: name of the counted items, in the plural.
-        log_seconds: s before the first line of text and between lines; None for 30 s.
+        unit: of the counted items, in the plural.
+        log_seconds: s before and between lines of text; None for 30 s.
     """
     if console.is_terminal:
         with _bar(label, unit) as advance:
@@ -155,12 +154,12 @@ def _bar(label: str, unit: str) -> Iterator[ProgressCallback]:
 
 
 class _ProgressLog:
-    """Writes a line of progress to stderr if `seconds` have passed since the start or since the last line."""
+    """Writes a line of progress to stderr every `seconds`."""
 
     def __init__(self, label: str, unit: str, seconds: float) -> None:
         self._label, self._unit, self._seconds = label, unit, seconds
         self._written = time.monotonic()
-        # Time (s) and finished items at the first call. The rate excludes these items: a resumed job has many.
+        # Time (s) and finished items at the first call; the rate excludes these items: a resumed job has many.
         self._first: tuple[float, int] | None = None
 
     def __call__(self, done: int, total: int, remark: str = "") -> None:

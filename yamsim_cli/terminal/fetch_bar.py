@@ -1,5 +1,3 @@
-"""A progress bar for the download of meshes and their reduction to smaller ones."""
-
 from __future__ import annotations
 
 from collections.abc import Iterator
@@ -18,7 +16,7 @@ class FetchBar(Protocol):
 
 @contextmanager
 def fetch_bar() -> Iterator[FetchBar]:
-    """Yield a function that updates a progress bar on stderr, or does nothing visible without a terminal."""
+    """Yield a function that updates a progress bar on stderr, without effect outside a terminal."""
     from rich.progress import BarColumn, Progress, TextColumn
 
     from .console import console

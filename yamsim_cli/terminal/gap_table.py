@@ -1,5 +1,3 @@
-"""Tables of `yamsim gap` for a terminal of 80 columns."""
-
 from __future__ import annotations
 
 from collections.abc import Mapping
@@ -13,8 +11,8 @@ from yamsim_cli.real.gap.report import display_name
 
 from .tables import FactTable, ItemTable
 
-_WIDTH = 80  # terminal columns, maximum width of the tables
-_MAX_RECORDINGS = 10  # recordings in the table, those with the largest errors; --json has all
+_WIDTH = 80  # terminal columns
+_MAX_RECORDINGS = 10  # those with the largest errors; --json has all
 
 
 def gap_tables(report: Mapping[str, Any]) -> RenderableType:

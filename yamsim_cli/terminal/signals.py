@@ -14,12 +14,12 @@ if TYPE_CHECKING:
 
 _STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM)
 _STDERR = 2  # file descriptor of stderr
-_RETRY_SECONDS = 0.02  # s by which a signal that arrives during an import is postponed
+_RETRY_SECONDS = 0.02  # s by which a signal during an import is postponed
 
 
 @contextmanager
 def defer_signals() -> Iterator[Callable[[], bool]]:
-    """Yield a function that returns whether a signal has arrived. Inside the block, signals raise no exception."""
+    """Yield a function that returns whether a signal has arrived. In the block, signals raise no exception."""
     came = False
 
     def note(number: int, frame: FrameType | None) -> None:
@@ -36,11 +36,7 @@ def defer_signals() -> Iterator[Callable[[], bool]]:
 
 @contextmanager
 def stop_on_signal(message: str) -> Iterator[StopRequest]:
-    """Yield a stop request that the first signal or a closed terminal sets. A second signal raises KeyboardInterrupt.
-
-    Args:
-        message: line for stderr on the first signal.
-    """
+    """Yield a stop request that the first signal or a closed terminal sets. The second raises KeyboardInterrupt."""
     from yamsim_cli.core.workers.stop_request import StopRequest
 
     stop = StopRequest()
@@ -64,13 +60,13 @@ def stop_on_signal(message: str) -> Iterator[StopRequest]:
 
 
 def raise_signals() -> None:
-    """Make later SIGINT and SIGTERM raise KeyboardInterrupt at once, or after an import that is in progress."""
+    """Make later signals raise KeyboardInterrupt at once, or after an import that is in progress."""
     for number in (*_STOP_SIGNALS, signal.SIGALRM):
         signal.signal(number, _interrupt)
 
 
 def _interrupt(number: int, frame: FrameType | None) -> None:
-    # If the import of an extension module is interrupted, the importing library may treat the module as missing.
+    # A library whose import of an extension module is interrupted may treat the module as missing.
     if _importing(frame):
         signal.setitimer(signal.ITIMER_REAL, _RETRY_SECONDS)
         return

@@ -1,5 +1,3 @@
-"""Tables of `yamsim summarize` for a terminal of 80 columns."""
-
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
@@ -15,14 +13,14 @@ from yamsim_cli.datasets.dataset_page import group_by_code, problem_counts
 
 from .tables import FactTable, ItemTable
 
-_WIDTH = 80  # terminal columns, maximum width of the tables
-_MAX_EXAMPLES = 2  # problems shown for each problem code; --json has all problems
-_MAX_EXAMPLE_LENGTH = 200  # characters of a problem's description; longer ones are cut
-_STATISTIC_LABELS = {"median": "median", "p95": "95 %", "max": "most"}  # statistic in the report -> label in the table
+_WIDTH = 80  # terminal columns
+_MAX_EXAMPLES = 2  # for each problem code; --json has all
+_MAX_EXAMPLE_LENGTH = 200  # characters
+_STATISTIC_LABELS = {"median": "median", "p95": "95 %", "max": "most"}  # statistic in the report -> label
 
 
 def summary_tables(report: Mapping[str, Any]) -> RenderableType:
-    """Return the tables of a dataset summary: figures, success rates by threshold, workspace, and problems by code."""
+    """Return tables of a dataset summary: figures, success rates by threshold, workspace, and problems by code."""
     parts: list[RenderableType] = [_figures(report)]
     if report["episodes"] and not report["real"]:
         parts += [*([_rates(report)] if report["success_rate"] else []), _workspace(report["workspace"])]

@@ -1,4 +1,4 @@
-"""Tables for a terminal of any width. Long cells wrap, and no text is cut off."""
+"""Tables for a terminal of any width: long cells wrap."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ if TYPE_CHECKING:
     from rich.table import Table
     from rich.text import Text
 
-_MIN_WIDE_COLUMNS = 60  # width of a terminal in characters, below which the cells of a row may be stacked
-_MAX_NAME_SHARE = 0.4  # share of a narrow terminal's width; longer names have their values below
+_MIN_WIDE_COLUMNS = 60  # characters; the cells of a row may be stacked in a narrower terminal
+_MAX_NAME_SHARE = 0.4  # of a narrow terminal's width; longer names have their values below
 
 Item = Mapping[str, Any]
 
 
 class FactTable:
-    """A table of an item's properties. A row has a name and a value; narrow terminals show it below long names."""
+    """Table of names and values; narrow terminals show values below long names."""
 
     def __init__(self, rows: Iterable[tuple[str | Text, str | Text]], title: str | None = None) -> None:
         self._rows = [(_plain(name), _plain(value)) for name, value in rows]
@@ -37,11 +37,10 @@ class FactTable:
 
 
 class ItemTable:
-    """A table with one item in each row, or a stacked list in a narrow terminal whose columns would break words.
+    """Table with one item in each row, or a stacked list where columns would break words.
 
     Args:
-        headings: the heading of each column.
-        numbers_from, numbers_to: the columns with indices from `numbers_from` to `numbers_to` - 1 are aligned right.
+        numbers_from, numbers_to: the columns from `numbers_from` to `numbers_to` - 1, from 0, are aligned right.
         whole: whether cells of the first column never wrap.
     """
 
@@ -59,7 +58,7 @@ class ItemTable:
         self._rows: list[list[Text]] = []
 
     def add_row(self, *cells: str | Text) -> None:
-        """Add a row at the end, with one cell for each column."""
+        """Add a row, with one cell for each column."""
         self._rows.append([_plain(cell) for cell in cells])
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
@@ -75,7 +74,6 @@ class ItemTable:
             yield _indented(FactTable((name, cell) for name, cell in named if cell.plain))
 
     def _narrowest(self) -> int:
-        """Return the smallest width (characters) of the table at which no word is broken."""
         columns = zip(map(_plain, self._headings), *self._rows, strict=True)
         return sum(max(len(word) for cell in column for word in (cell.plain.split() or [""])) + 3 for column in columns)
 
@@ -95,11 +93,7 @@ class ItemTable:
 def print_items(
     items: Sequence[Item], headings: Sequence[str], row: Callable[[Item], Sequence[str]], json: bool
 ) -> None:
-    """Print items to stdout: as the JSON object `{"items": [...]}` if `json` is true, else as a table.
-
-    Args:
-        row: returns the cells of an item, one for each heading.
-    """
+    """Print items to stdout: as the JSON object `{"items": [...]}`, or as a table."""
     from .console import print_json, print_table
 
     if json:
@@ -112,10 +106,9 @@ def print_items(
 
 
 def print_item(item: Item, json: bool, words: Mapping[str, Callable[[Any], str]] | None = None) -> None:
-    """Print an item to stdout: as JSON `{"items": [item]}` if `json` is true, else as a table with its keys and values.
+    """Print an item to stdout: as JSON `{"items": [item]}`, or as a table of keys and values.
 
-    Args:
-        words: key -> function that formats the key's value; `format_value` formats all other values.
+    `words` has functions that format a key's value; the default is `format_value`.
     """
     from .console import print_json, print_table
 

@@ -1,5 +1,3 @@
-"""Tables of the results of trials and evaluations, and videos of trials."""
-
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
@@ -16,17 +14,17 @@ if TYPE_CHECKING:
 
 
 def trials_table(report: dict[str, Any]) -> FactTable:
-    """Return a table of a batch of trials: success rates, causes of failure, and motor load. See `run_batch`."""
+    """Return a table of a batch of trials, the result of `run_batch`."""
     return FactTable([("trials", str(report["n"])), *_counted(report, report), *_batch(report)])
 
 
 def evaluation_table(report: dict[str, Any]) -> FactTable:
-    """Return a table of a policy's evaluation: success rates, response times, and errors. See `evaluation_report`."""
+    """Return a table of a policy's `evaluation_report`."""
     return FactTable([("policy", report["policy"]), *_counted(report, report["stats"]), *_evaluation(report)])
 
 
 def open_films(path: Path, settings: RecordConfig, *, overwrite: bool) -> TrialFilms:
-    """Return a writer of trial videos to `path`. An unusable path raises an error now, before any trial runs."""
+    """Return a writer of trial videos. An unusable path raises an error now, before any trial runs."""
     from yamsim_cli.core.episode.trials import TrialFilms
 
     timing = settings.task.timing
@@ -34,7 +32,7 @@ def open_films(path: Path, settings: RecordConfig, *, overwrite: bool) -> TrialF
 
 
 def film_with_progress(films: TrialFilms, make: Callable[[Progress], list[FilmedTrial]]) -> list[dict[str, Any]]:
-    """Call `make`, which records videos, with a progress bar. Return the number and video path of each trial."""
+    """Make videos with a progress bar. Return the number and video path of each trial."""
     with progress_bar("filming", "trials") as advance:
         filmed = make(advance)
     note_moved(films.path, films.moved_aside)
@@ -42,7 +40,7 @@ def film_with_progress(films: TrialFilms, make: Callable[[Progress], list[Filmed
 
 
 def _counted(report: dict[str, Any], counts: dict[str, Any]) -> Iterator[tuple[str, str]]:
-    """Yield (label, text) rows of success rates and causes of failure. `counts` is from `count_outcomes`."""
+    """Yield (label, text) rows of success rates and causes of failure, from `count_outcomes`."""
     yield "task", f"{report['task']} on {report['rig']}"
     low, high = counts["wilson95"]
     limit_m = counts["threshold_m"]

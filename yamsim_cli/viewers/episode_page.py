@@ -1,4 +1,4 @@
-"""A browser page that plays a recorded episode."""
+"""Browser page that plays a recorded episode."""
 
 from __future__ import annotations
 
@@ -21,16 +21,12 @@ class Images(Protocol):
     cameras: tuple[str, ...]
 
     def read(self, camera: str, frame: int) -> NDArray[np.uint8]:
-        """Return an RGB image (height, width, 3), uint8.
-
-        Raises:
-            DatasetError: the image is missing or damaged.
-        """
+        """Return an RGB image (height, width, 3). Raise DatasetError if it is missing or damaged."""
         ...
 
 
 class EpisodePage(ScenePage):
-    """Browser page that plays an episode, with the images of the shown frame and a slider to choose the frame."""
+    """Plays an episode, with the images of the shown frame and a slider to choose the frame."""
 
     def __init__(self, player: EpisodePlayer, viewpoint: Viewpoint, address: PageAddress, images: Images) -> None:
         super().__init__(player, viewpoint, address)
@@ -44,7 +40,7 @@ class EpisodePage(ScenePage):
         self.update()
 
     def update(self) -> None:
-        """Send scene, slider and images of the shown frame to all browsers, as far as they changed."""
+        """Send changes of scene, slider and images to all browsers."""
         super().update()
         with self._player.lock:
             frame = self._player.frame
@@ -74,7 +70,7 @@ class EpisodePage(ScenePage):
 
     async def _seek(self, event: Any) -> None:
         # viser runs a coroutine immediately, but a thread often only after the player has moved the slider.
-        # An event without a client was caused by `update`, not by a user.
+        # An event without a client comes from `update`, not from a user.
         if event.client is not None:
             with self._player.lock:
                 self._slider_frame = self.slider.value

@@ -1,5 +1,3 @@
-"""Shows a scene in MuJoCo's passive viewer window."""
-
 from __future__ import annotations
 
 import contextlib
@@ -14,7 +12,7 @@ from .viewed_scene import ViewedScene
 from .viewpoint import Viewpoint
 
 _KEY_SPACE = 32  # key code in GLFW
-_CLOSE_SECONDS = 5.0  # s, longest wait at the end for the window's thread, which renders at most one more image
+_CLOSE_SECONDS = 5.0  # s, longest wait for the window's thread, which renders at most one more image
 
 
 def run_window(
@@ -22,15 +20,11 @@ def run_window(
 ) -> None:
     """Show a scene in MuJoCo's window until the window is closed, or `stopped` returns True.
 
-    The Control sliders of the window command the drives of a simulated rig. Space pauses. Backspace or the window's
-    reset button resets the scene.
+    Control sliders command the drives of a simulated rig. Space pauses. Backspace or the reset button resets the scene.
 
     Args:
         period: time between two images, s.
         ready: called when the window is open, unless `stopped` returns True before.
-
-    Raises:
-        ResourceError: no window can be opened here.
     """
     _check_display()
     with _window(shown) as viewer:
@@ -68,13 +62,13 @@ def _window(shown: ViewedScene) -> Iterator[Any]:
         yield viewer
     finally:
         viewer.close()
-        # If the window's thread outlives the interpreter, the thread reads freed memory.
+        # A thread of the window that outlives the interpreter reads freed memory.
         for thread in set(threading.enumerate()) - others:
             thread.join(_CLOSE_SECONDS)
 
 
 def _check_display() -> None:
-    """Open an invisible window as a test. If that fails, MuJoCo's viewer would wait for its own window forever."""
+    """Open an invisible window as a test: without a display, MuJoCo's viewer would wait forever."""
     try:
         import glfw
     except ImportError as error:

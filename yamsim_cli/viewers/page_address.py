@@ -1,5 +1,3 @@
-"""The network address of a browser page."""
-
 from __future__ import annotations
 
 import ipaddress
@@ -10,10 +8,10 @@ LOOPBACK = "127.0.0.1"
 
 @dataclass(frozen=True)
 class PageAddress:
-    """The network address of a browser page.
+    """Network address of a browser page.
 
     Attributes:
-        port: TCP port to listen on; 0 chooses an unused one.
+        port: to listen on; 0 chooses an unused one.
         host: an address or name of this machine; `0.0.0.0` for all addresses.
     """
 
@@ -30,7 +28,7 @@ class PageAddress:
 
     @property
     def url_host(self) -> str:
-        """The host in a URL for a browser on this machine."""
+        """Host in a URL for a browser on this machine."""
         if self.host in ("0.0.0.0", "::"):
             return LOOPBACK
         return f"[{self.host}]" if ":" in self.host else self.host

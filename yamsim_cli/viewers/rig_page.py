@@ -1,5 +1,3 @@
-"""A browser page that shows a simulated rig, moves its joints, and shows the images of its cameras."""
-
 from __future__ import annotations
 
 import itertools
@@ -19,29 +17,23 @@ from .scene_page import ScenePage
 from .viewed_scene import DriveControl, LiveRig
 from .viewpoint import Viewpoint
 
-_STATUS_PERIOD = 1.0  # s, between two updates of the status
-_STEP = 0.001  # rad or m, step of the sliders
-_MARGINS = (0.2, 1.2)  # m, range of the slider for the distance between two arm bases, which touch below 0.2
+_STATUS_PERIOD = 1.0  # s, between updates
+_STEP = 0.001  # rad or m, of the sliders
+_MARGINS = (0.2, 1.2)  # m, range of the slider for the distance between two bases, which touch below 0.2
 
 
 class CameraPictures(Protocol):
     """Renders images of the rig's cameras. All calls come from one thread."""
 
     def render(self, camera: str) -> NDArray[np.uint8]:
-        """Return an RGB image (height, width, 3), uint8.
-
-        Raises:
-            ResourceError: nothing can be rendered here.
-        """
+        """Return an RGB image (height, width, 3). Raise ResourceError if nothing can be rendered here."""
         ...
 
 
 class RigPage(ScenePage):
-    """Browser page of a simulated rig, with a slider for every drive, check boxes for visibility, and a camera panel.
+    """Page of a simulated rig: a slider for each drive, check boxes for visibility, and a camera panel.
 
-    Args:
-        boards: whether boards and mounts are visible at first, if the rig has them.
-        pictures: renders the images of the rig's cameras; None if nothing can be rendered.
+    `boards` are visible at first or not. Without `pictures`, nothing is rendered.
     """
 
     def __init__(
@@ -65,13 +57,12 @@ class RigPage(ScenePage):
         self.update()
 
     def update(self) -> None:
-        """Send scene, status and requested camera images to all browsers, as far as they changed."""
+        """Send scene, status and requested camera images to all browsers."""
         super().update()
         self._cameras.update()
         self._show_status()
 
     def _add_sliders(self) -> dict[tuple[str, str], viser.GuiSliderHandle[float]]:
-        """Add a slider for each drive, and return (arm, drive) -> slider."""
         sliders = {}
         for arm, drives in itertools.groupby(self._live.drives, key=lambda drive: drive.arm):
             with self._server.gui.add_folder(arm):
@@ -89,7 +80,6 @@ class RigPage(ScenePage):
         return slider
 
     def _add_margin(self) -> viser.GuiSliderHandle[float] | None:
-        """Add a slider for the distance between two arms, and return it; None for one arm."""
         rig = self._live.rig
         if len(rig.arms) < 2:
             return None
@@ -137,7 +127,7 @@ class RigPage(ScenePage):
 
 
 class CamerasPanel:
-    """Group of buttons that render camera images and move the view to a camera. The group is absent without cameras."""
+    """Buttons that render camera images and move the view to a camera; absent without cameras."""
 
     def __init__(self, server: viser.ViserServer, live: LiveRig, pictures: CameraPictures | None) -> None:
         self._gui = server.gui
@@ -157,7 +147,7 @@ class CamerasPanel:
                 self._add_view(camera)
 
     def update(self) -> None:
-        """Render the requested images. Call the method from the thread that owns the OpenGL context."""
+        """Render the requested images. Call from the thread that owns the OpenGL context."""
         if not self._requested or self._pictures is None:
             return
         self._requested = False

@@ -1,4 +1,4 @@
-"""Adds a compiled scene to a viser page: a frame with geoms for each body, and a mesh for each cloth."""
+"""Adds a compiled scene to a page of viser: a frame with geoms for each body, and a mesh for each cloth."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ import viser
 
 from ..core.geometry.se3 import Array
 
-_FIRST_HIDDEN_GROUP = 3  # first geom group that MuJoCo's viewer hides; holds the collision primitives
-_DEFAULT_RGBA = (0.5, 0.5, 0.5, 1.0)  # MuJoCo's default colour of geoms; any other value overrides the material
+_FIRST_HIDDEN_GROUP = 3  # of geoms in MuJoCo's viewer; holds the collision primitives
+_DEFAULT_RGBA = (0.5, 0.5, 0.5, 1.0)  # MuJoCo's default; any other colour overrides the material
 _IMAGE_IN_PLANE = (0.0, 1.0, 0.0, 0.0)  # quaternion wxyz; y points down in viser's images, and up in MuJoCo's planes
 
-# Collision primitives are transparent, so that the meshes inside them stay visible.
+# Transparent, so that the meshes inside collision primitives stay visible.
 _COLLISION_PAINT = {"color": (230, 120, 30), "opacity": 0.6}
 
 Paint = dict[str, Any]
@@ -24,7 +24,7 @@ Paint = dict[str, Any]
 
 @dataclass(frozen=True)
 class BodyNodes:
-    """The nodes that represent a scene's bodies in viser, the library of the browser page.
+    """Nodes of a scene's bodies in viser.
 
     Attributes:
         frames: body -> frame in `world`, for bodies with geoms. Frames start at the origin.
@@ -38,7 +38,7 @@ class BodyNodes:
 
 
 def add_bodies(scene: viser.SceneApi, model: mujoco.MjModel) -> BodyNodes:
-    """Add all geoms of a model to a page, and return their nodes."""
+    """Add all geoms of a model to a page."""
     frames: dict[int, viser.FrameHandle] = {}
     groups: dict[tuple[int, bool], viser.FrameHandle] = {}
     for geom in range(model.ngeom):
@@ -66,7 +66,6 @@ def _colour(model: mujoco.MjModel, geom: int) -> tuple[int, int, int]:
 
 
 def _rgb(colour: Array) -> tuple[int, int, int]:
-    """Return the first three channels of a colour in 0..255 as integers."""
     red, green, blue = (round(float(part)) for part in colour[:3])
     return red, green, blue
 
@@ -108,7 +107,7 @@ def _add_mesh(
 
 
 def textured_mesh(model: mujoco.MjModel, geom: int) -> trimesh.Trimesh | None:
-    """Return the mesh of a geom with the texture of its material; None without a texture."""
+    """Return the mesh of a geom with the texture of its material, if any."""
     from PIL import Image
 
     mesh, material = int(model.geom_dataid[geom]), int(model.geom_matid[geom])
@@ -138,7 +137,7 @@ def textured_mesh(model: mujoco.MjModel, geom: int) -> trimesh.Trimesh | None:
 
 
 def _add_plane(scene: viser.SceneApi, model: mujoco.MjModel, geom: int, name: str, placed: dict[str, Any]) -> None:
-    """Add a plane: as a printed board if the texture covers the plane once, or as a floor if the texture repeats."""
+    """Add a printed board if the texture covers the plane once, or a floor if it repeats."""
     material = int(model.geom_matid[geom])
     texture = _texture_of(model, material)
     width, height = 2 * model.geom_size[geom, :2]
@@ -146,7 +145,7 @@ def _add_plane(scene: viser.SceneApi, model: mujoco.MjModel, geom: int, name: st
         wxyz = np.empty(4)
         mujoco.mju_mulQuat(wxyz, model.geom_quat[geom], np.array(_IMAGE_IN_PLANE))
         pixels, turned = _texture(model, texture), placed | {"wxyz": wxyz}
-        # Use PNG, since the edges of markers must stay sharp.
+        # PNG, since the edges of markers must stay sharp.
         scene.add_image(name, pixels, width, height, format="png", cast_shadow=False, **turned)
         return
     image = _texture(model, texture) if texture >= 0 else 255 * np.array([[model.geom_rgba[geom, :3]]])
@@ -165,7 +164,6 @@ def _add_plane(scene: viser.SceneApi, model: mujoco.MjModel, geom: int, name: st
 
 
 def _texture_of(model: mujoco.MjModel, material: int) -> int:
-    """Return the number of the colour texture of a material; -1 without one."""
     return int(model.mat_texid[material, mujoco.mjtTextureRole.mjTEXROLE_RGB]) if material >= 0 else -1
 
 
@@ -178,7 +176,7 @@ def _texture(model: mujoco.MjModel, texture: int) -> Array:
 
 
 class ClothNodes:
-    """Shows cloths on a page, each in the mean colour of its texture. All points start at the origin."""
+    """Cloths on a page, each in the mean colour of its texture. All points start at the origin."""
 
     def __init__(self, scene: viser.SceneApi, model: mujoco.MjModel) -> None:
         self._points = [
@@ -188,7 +186,6 @@ class ClothNodes:
             scene.add_mesh_simple(
                 f"/cloth/{mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_FLEX, k)}",
                 np.zeros((int(model.flex_vertnum[k]), 3)),
-                # Point numbers start at 0 in each cloth.
                 model.flex_elem[model.flex_elemdataadr[k] :][: 3 * model.flex_elemnum[k]].reshape(-1, 3),
                 color=_cloth_colour(model, int(model.flex_matid[k])),
                 side="double",
@@ -197,12 +194,12 @@ class ClothNodes:
         ]
 
     def show(self, points: Array) -> None:
-        """Set the positions of all points (nflexvert, 3) in `world`, m. viser sends changes only."""
+        """Set the positions of all points (nflexvert, 3) in `world`, m."""
         for node, own in zip(self._nodes, self._points, strict=True):
             node.vertices = points[own].astype(np.float32)
 
     def remove(self) -> None:
-        """Remove the cloths from the page."""
+        """Remove the cloths."""
         for node in self._nodes:
             node.remove()
 

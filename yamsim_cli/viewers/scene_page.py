@@ -1,4 +1,4 @@
-"""The base class of all browser pages: a server of the library viser, moving bodies, and a pause button."""
+"""Base class of all browser pages: a server of the library viser, moving bodies, and a pause button."""
 
 from __future__ import annotations
 
@@ -23,23 +23,19 @@ from .scene_nodes import ClothNodes, add_bodies
 from .viewed_scene import ViewedScene
 from .viewpoint import FOV_DEG, Viewpoint
 
-_DECIMALS = 5  # decimals of sent positions (m) and quaternions; an arm at rest moves by less, so nothing is sent
-_HEARTBEAT_PERIOD = 1.0  # s, between two heartbeats to a page
-_HEARTBEAT_TIMEOUT = 5.0  # s without a heartbeat, after which a page shows that it is disconnected
+_DECIMALS = 5  # of sent positions (m) and quaternions; an arm at rest moves by less, so nothing is sent
+_HEARTBEAT_PERIOD = 1.0  # s
+_HEARTBEAT_TIMEOUT = 5.0  # s, after which a page shows that it is disconnected
 
 # Held while a server starts, since `_refusing_other_sites` then replaces a function of `websockets`.
 _START_LOCK = threading.Lock()
 
 
 class ScenePage:
-    """A page that shows the moving bodies and cloths of a scene. Closing the page frees its port.
-
-    Raises:
-        UsageError: the page cannot listen on the address.
-    """
+    """Shows the moving bodies and cloths of a scene. Closing the page frees its port."""
 
     def __init__(self, shown: ViewedScene, viewpoint: Viewpoint, address: PageAddress) -> None:
-        # Browsers drop connections at any time. Without a handler, each drop would print a traceback on stderr.
+        # Browsers drop connections at any time. Without a handler, each drop prints a traceback on stderr.
         logging.getLogger("websockets").addHandler(logging.NullHandler())
         self._shown = shown
         self._server = serve_page(address, f"yamsim: {shown.title}")
@@ -55,7 +51,7 @@ class ScenePage:
         self._pause_button.on_click(self._toggle_pause)
 
     def update(self) -> None:
-        """Send all changes of the scene since the last call to all browsers."""
+        """Send changes of the scene to all browsers."""
         if self._model is not self._shown.model:
             for node in self._bodies.frames.values():
                 node.remove()
@@ -65,7 +61,7 @@ class ScenePage:
         points = np.round(self._shown.cloth_points(), _DECIMALS)
         with self._server.atomic():
             if len(positions) != self._model.nbody or len(points) != self._model.nflexvert:
-                return  # The model was replaced meanwhile; the next call shows the new model.
+                return  # the next call shows the new model
             for body, frame in self._bodies.frames.items():
                 # viser sends changed poses only.
                 frame.position, frame.wxyz = positions[body], quaternions[body]
@@ -91,10 +87,9 @@ class ScenePage:
 
 
 def _disconnected(beat: int) -> str:
-    """Return HTML that shows a notice on the panel and across the page, unless the next heartbeat replaces it in time.
+    """Return HTML that shows a notice on the page, unless the next heartbeat replaces it in time.
 
-    Without its server, a page still shows the last state, such as a recording in progress. A server that is gone cannot
-    send a notice, so each heartbeat contains the notice in advance.
+    A server that is gone cannot send a notice, so each heartbeat contains it in advance.
     """
     name = f"yamsim-gone-{beat}"
     hidden = "visibility: hidden; overflow: hidden; max-height: 0"
@@ -109,7 +104,7 @@ def _disconnected(beat: int) -> str:
 
 
 class _LocalServer(viser.ViserServer):
-    """A viser server that refuses to open a tunnel to a public address, which any browser could request."""
+    """A viser server without public tunnels, which any browser could request."""
 
     def request_share_url(self, verbose: bool = True) -> None:
         """Do nothing, instead of opening a tunnel to a public address."""
@@ -117,7 +112,7 @@ class _LocalServer(viser.ViserServer):
 
 
 def serve_page(address: PageAddress, title: str) -> viser.ViserServer:
-    """Serve an empty page that refuses requests of other sites. Raise an error if the address cannot be used."""
+    """Serve an empty page that refuses requests of other sites."""
     require_free_address(address)
     with _refusing_other_sites(address.host):
         server = _LocalServer(host=address.host, port=address.port, label=title, verbose=False)
@@ -134,7 +129,7 @@ def serve_page(address: PageAddress, title: str) -> viser.ViserServer:
 def _refusing_other_sites(host: str) -> Iterator[None]:
     """Make a WebSocket server that starts inside this block refuse requests from pages of other sites.
 
-    viser creates its server without a hook for requests, so the block wraps the function that viser calls.
+    viser has no hook for requests, so the block wraps the function that viser calls.
     """
     serve = websockets.asyncio.server.serve
 
@@ -157,12 +152,7 @@ def _refusing_other_sites(host: str) -> Iterator[None]:
 
 
 def require_free_address(address: PageAddress) -> None:
-    """Check that a page can listen on an address.
-
-    Raises:
-        UsageError: the host is no address of this machine.
-        ResourceError: the port is in use, or is not permitted.
-    """
+    """Raise UsageError or ResourceError unless a page can listen on an address."""
     try:
         family, kind, _, _, place = socket.getaddrinfo(address.host, address.port, type=socket.SOCK_STREAM)[0]
     except socket.gaierror as error:

@@ -1,5 +1,3 @@
-"""Abstract interface with which a browser page controls a teleoperated arm."""
-
 from __future__ import annotations
 
 import abc
@@ -11,20 +9,17 @@ from .viewed_scene import ViewedScene
 
 @dataclass(frozen=True)
 class TeleopStatus:
-    """The state of a teleoperation session, for display.
+    """State of a teleoperation session, for display.
 
     Attributes:
-        arm: the teleoperated arm, "left" or "right"; empty for a rig with one arm.
-        recording: whether an attempt is being recorded.
+        arm: "left" or "right"; empty for a rig with one arm.
         seconds: length of the recording so far, s.
-        episodes, failures, waiting: numbers of episodes in the dataset, failed attempts, and attempts not yet judged.
-        target_distance: distance from the target pose of the hand to the nearest reachable pose, m; 0 if reachable.
-        at_limit: names of the joints at a joint limit.
-        obstacle: name of the obstacle that blocks the arm; empty without one.
+        episodes, failures, waiting: numbers of attempts; `waiting` ones are not judged yet.
+        target_distance: from the target pose of the hand to the nearest reachable pose, m; 0 if reachable.
+        at_limit: joints at a joint limit.
+        obstacle: that blocks the arm; empty without one.
         gripper_open, magnet: commands of the gripper and the weld; `magnet` is None if grasps hold by friction alone.
-        is_weld_holding: whether the weld holds an object.
-        message: the result of the last command.
-        prompt: the instruction, if it differs between attempts.
+        prompt: empty unless it differs between attempts.
         goal: how far the goal of the task is met; empty for tasks without a goal.
     """
 
@@ -46,22 +41,22 @@ class TeleopStatus:
 
     @property
     def can_follow(self) -> bool:
-        """Whether the hand can reach its target: no distance remains, and no joint limit or obstacle blocks the arm."""
+        """Whether the hand can reach its target."""
         return not (self.target_distance or self.at_limit or self.obstacle)
 
 
 class TeleopInterface(ViewedScene):
-    """A scene with one or two arms, one of which a user teleoperates by a target pose. All methods are thread-safe."""
+    """A scene with one or two arms, one of which is teleoperated by a target pose. All methods are thread-safe."""
 
     @property
     @abc.abstractmethod
     def target(self) -> Array:
-        """The target pose (4, 4) of the pinch frame, between the finger tips, in `world`."""
+        """Target pose (4, 4) of the pinch frame, between the finger tips, in `world`."""
 
     @property
     @abc.abstractmethod
     def status(self) -> TeleopStatus:
-        """The state of the session, for display."""
+        """State of the session, for display."""
 
     @abc.abstractmethod
     def switch_arm(self) -> None:
@@ -85,12 +80,12 @@ class TeleopInterface(ViewedScene):
 
     @abc.abstractmethod
     def stop(self) -> None:
-        """End the recording. Afterwards the attempt is judged as success or failure."""
+        """End the recording, which is then judged as success or failure."""
 
     @abc.abstractmethod
     def pause_unattended(self) -> None:
-        """Pause a recording because the last browser page was closed. A user can resume the recording."""
+        """Pause a recording because the last browser page was closed."""
 
     @abc.abstractmethod
     def discard(self) -> None:
-        """End the recording, and delete it."""
+        """End and delete the recording."""

@@ -1,5 +1,3 @@
-"""A browser page to teleoperate one arm, or two arms in turn, and to record attempts."""
-
 from __future__ import annotations
 
 import html
@@ -19,9 +17,9 @@ from .teleop_interface import TeleopInterface, TeleopStatus
 from .viewpoint import Viewpoint
 
 _GREEN, _RED = (46, 139, 87), (200, 40, 40)  # RGB, 0 to 255
-_STEP = 0.01  # m, translation of the target by one key press
-_TURN = np.radians(5.0)  # rad, rotation of the target about the vertical by one key press
-_TYPING_PAUSE = 1.0  # s from the last key press until typed numbers act; typing 0.15 must not move the target to 0
+_STEP = 0.01  # m, by one key press
+_TURN = np.radians(5.0)  # rad, about the vertical, by one key press
+_TYPING_PAUSE = 1.0  # s after the last key press; typing 0.15 must not move the target to 0
 
 # Key, description, translation of the target in `world` (m), and rotation about the vertical (rad).
 _MOVES = (
@@ -42,7 +40,7 @@ _KEYS = (
 
 
 class TeleopPage(ScenePage):
-    """Browser page to teleoperate an arm: a 3D handle for the target, recording buttons, and notices of obstacles."""
+    """Page to teleoperate an arm: a 3D handle for the target, recording buttons, and notices of obstacles."""
 
     def __init__(self, arm: TeleopInterface, viewpoint: Viewpoint, address: PageAddress) -> None:
         super().__init__(arm, viewpoint, address)
@@ -65,7 +63,7 @@ class TeleopPage(ScenePage):
         self.update()
 
     def update(self) -> None:
-        """Send scene, target and status to all browsers, as far as they changed."""
+        """Send changes of scene, target and status to all browsers."""
         super().update()
         with self._acting:
             if self._fields.ready:
@@ -177,7 +175,7 @@ class TeleopPage(ScenePage):
 
 
 def _notice(status: TeleopStatus) -> str:
-    """Return HTML with the reasons why the hand cannot reach its target, in red, or that the hand follows, in green."""
+    """Return HTML: in red why the hand cannot reach its target, or in green that the hand follows."""
     reasons = []
     if status.obstacle:
         reasons.append(f"{status.obstacle} is in the way")
@@ -193,10 +191,10 @@ def _notice(status: TeleopStatus) -> str:
 
 
 class TargetFields:
-    """Input fields for the position and heading of the hand's target.
+    """Input fields for position and heading of the hand's target.
 
-    The fields follow the target until a user types. They then keep the typed numbers until `take`. The class is not
-    thread-safe; only `_type` runs in the server's thread.
+    The fields follow the target until a user types, and then keep the typed numbers until `take`. Only `_type` runs in
+    the server's thread.
     """
 
     def __init__(self, gui: viser.GuiApi) -> None:
@@ -221,7 +219,7 @@ class TargetFields:
         return typed_at is not None and time.monotonic() - typed_at >= _TYPING_PAUSE
 
     def take(self, target: Array) -> Array:
-        """Return the pose `target` (4, 4) in `world` with position and heading replaced by the typed numbers."""
+        """Return the pose (4, 4) in `world` with position and heading replaced by the typed numbers."""
         self._typed_at = None
         (x, y, z), heading = self._place.value, self._heading.value
         (shown_place, shown_heading), T = self._shown, target.copy()
@@ -246,11 +244,11 @@ class TargetFields:
         self._place.value, self._heading.value = numbers  # type: ignore[misc]
 
     async def _type(self, event: Any) -> None:
-        # An event without a client was caused by `show`, not by a user.
+        # An event without a client comes from `show`, not from a user.
         if event.client is not None:
             self._typed_at = time.monotonic()
 
 
 def hand_heading(T: Array) -> float:
-    """Return the heading of the y axis of the hand, along which the fingers close, in the xy plane of `world`, rad."""
+    """Return the heading of the hand's y axis, along which the fingers close, in `world`, rad."""
     return float(np.arctan2(T[1, 1], T[0, 1]))

@@ -1,5 +1,3 @@
-"""Scenes for viewers: a rig that is simulated in real time, and a player of recorded episodes."""
-
 from __future__ import annotations
 
 import abc
@@ -12,16 +10,15 @@ from ..core.config.rig import ArmConfig, RigConfig
 from ..core.geometry.se3 import Array, quat_from_rotation
 from ..core.scene.fiducials import BOARD_BODY, MOUNT_BODY
 
-_MAX_CATCH_UP = 0.1  # s, longest delay that the simulation catches up with; after a longer stall, the rest is skipped
+_MAX_CATCH_UP = 0.1  # s, largest delay that the simulation catches up with; the rest is skipped
 
 
 class ViewedScene(abc.ABC):
-    """Base class of scenes that viewers show while their state changes. All methods are thread-safe.
+    """Base class of scenes in viewers. All methods are thread-safe.
 
     Attributes:
-        title: title of the browser tab.
+        title: of the browser tab.
         model, data: the scene and its state. After `model` is replaced, a page shows the new model.
-        paused: whether time is paused.
         lock: held while the state is changed or read. The controls of a page run in threads of their own.
     """
 
@@ -41,14 +38,14 @@ class ViewedScene(abc.ABC):
 
     @abc.abstractmethod
     def advance(self, now: float) -> None:
-        """Advance the state of the scene to the time `now`, s on a monotonic clock."""
+        """Advance to the time `now`, s on a monotonic clock."""
 
     @abc.abstractmethod
     def reset(self) -> None:
         """Reset the scene to its initial state."""
 
     def body_poses(self) -> tuple[Array, Array]:
-        """Return the positions (nbody, 3), m, and quaternions (nbody, 4), wxyz, of all bodies in `world`."""
+        """Return positions (nbody, 3), m, and quaternions (nbody, 4), wxyz, of all bodies in `world`."""
         with self.lock:
             return self.data.xpos.copy(), self.data.xquat.copy()
 
@@ -59,7 +56,6 @@ class ViewedScene(abc.ABC):
             return points
 
     def _elapsed(self, now: float) -> float:
-        """Return the seconds since the last call; 0 at the first call."""
         elapsed = 0.0 if self._last is None else now - self._last
         self._last = now
         return elapsed
@@ -70,10 +66,9 @@ class DriveControl:
     """A position drive that a user can command.
 
     Attributes:
-        arm: name of the arm.
-        name: name of the drive without the prefix of the arm.
+        name: without the prefix of the arm.
         actuator: index in `ctrl`.
-        low, high, home: limits of the command, and the command in keyframe `home`, in `unit`.
+        low, high, home: limits of the command, and command in keyframe `home`, in `unit`.
         unit: `rad`, or `m` for a gripper, whose command is the opening of one finger.
     """
 
@@ -87,12 +82,7 @@ class DriveControl:
 
 
 class LiveRig(ViewedScene):
-    """A rig that is simulated in real time, with joints that a user can move.
-
-    Args:
-        model: a compiled rig, with or without the objects of a task. Its first keyframe is `home`.
-        title: title of the browser tab; by default the name of the rig.
-    """
+    """A rig that is simulated in real time, with joints that a user can move. `home` is the model's first keyframe."""
 
     def __init__(self, rig: RigConfig, model: mujoco.MjModel, title: str = "") -> None:
         super().__init__()
@@ -110,19 +100,19 @@ class LiveRig(ViewedScene):
         return float(self.data.time)
 
     def reset(self) -> None:
-        """Reset the rig to keyframe `home`, at rest, with every drive holding its position."""
+        """Reset to keyframe `home`, at rest."""
         with self.lock:
             mujoco.mj_resetDataKeyframe(self.model, self.data, 0)
             self._follow_bases()
             mujoco.mj_forward(self.model, self.data)
 
     def command(self, drive: DriveControl, value: float) -> None:
-        """Set the command of a drive, in its unit, clipped to its range."""
+        """Command a drive, clipped to its range."""
         with self.lock:
             self.data.ctrl[drive.actuator] = min(max(value, drive.low), drive.high)
 
     def set_margin(self, margin: float) -> None:
-        """Set the distance (m) between the bases of the arms. Boards and mounts move with the arms."""
+        """Set the distance (m) between the bases. Boards and mounts move with the arms."""
         with self.lock:
             self.rig = self.rig.model_copy(update={"margin": margin})
             for k, arm in enumerate(self.rig.arms):
@@ -167,10 +157,8 @@ class EpisodePlayer(ViewedScene):
     """Plays recorded states in a loop, without physics.
 
     Args:
-        title: title of the browser tab.
-        model: the scene.
         positions: `qpos` of each frame (frames, nq).
-        frame_period: simulated time between two frames, s.
+        frame_period: simulated time between frames, s.
         speed: playback speed; 1 is real time.
     """
 

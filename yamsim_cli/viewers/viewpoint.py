@@ -1,5 +1,3 @@
-"""The initial camera pose of a viewer."""
-
 from __future__ import annotations
 
 import math
@@ -11,12 +9,12 @@ from ..core.config.rig import RigConfig
 from ..core.geometry.se3 import Array
 
 FOV_DEG = 45.0  # deg, vertical field of view
-_AZIMUTH_DEG, _ELEVATION_DEG = 150.0, -32.0  # deg, a view from the front, to one side and above
+_AZIMUTH_DEG, _ELEVATION_DEG = 150.0, -32.0  # deg, from the front, to one side and above
 
 # Sphere around an arm in its rest posture and its calibration board; the view must contain the sphere.
 _BALL_CENTRE = (0.12, 0.0, 0.17)  # m, in the arm's base frame
-_BALL_RADIUS = 0.34  # m, radius of the sphere
-_TABLE_MARGIN = 0.12  # m, added to the radius for the table of a task
+_BALL_RADIUS = 0.34  # m
+_TABLE_MARGIN = 0.12  # m, added to the radius for a task's table
 
 
 @dataclass(frozen=True)
@@ -25,9 +23,8 @@ class Viewpoint:
 
     Attributes:
         look_at: the point (3,) in `world`, m.
-        distance: distance from the point, m.
         azimuth_deg: heading of the line of sight about world z, from +x.
-        elevation_deg: angle of the line of sight above the horizon; negative values look down.
+        elevation_deg: above the horizon; negative values look down.
     """
 
     look_at: Array
@@ -37,24 +34,22 @@ class Viewpoint:
 
     @property
     def position(self) -> Array:
-        """The camera's position (3,) in `world`, m."""
+        """Position (3,) of the camera in `world`, m."""
         azimuth, elevation = math.radians(self.azimuth_deg), math.radians(self.elevation_deg)
         sight = (math.cos(elevation) * math.cos(azimuth), math.cos(elevation) * math.sin(azimuth), math.sin(elevation))
         return self.look_at - self.distance * np.array(sight)
 
 
 def workspace_viewpoint(x: float, y: float, z: float, span: float = 0.0) -> Viewpoint:
-    """Return a viewpoint that shows a table and its arms.
+    """Return a viewpoint of a table and its arms, towards a point in `world`, m.
 
-    Args:
-        x, y, z: the point in `world` to look at, m.
-        span: distance between the bases of the outermost arms, m.
+    `span` is the distance between the bases of the outermost arms, m.
     """
     return _framing(np.array([x, y, z]), _BALL_RADIUS + _TABLE_MARGIN + span / 2)
 
 
 def rig_viewpoint(rig: RigConfig) -> Viewpoint:
-    """Return a viewpoint that shows all arms and calibration boards of a rig."""
+    """Return a viewpoint that shows all arms and boards of a rig."""
     bases = [rig.T_base_in_world(arm) for arm in range(len(rig.arms))]
     centres = np.array([(T @ (*_BALL_CENTRE, 1.0))[:3] for T in bases])
     look_at: Array = centres.mean(axis=0)
@@ -62,5 +57,5 @@ def rig_viewpoint(rig: RigConfig) -> Viewpoint:
 
 
 def _framing(look_at: Array, radius: float) -> Viewpoint:
-    """Return a viewpoint that shows a whole sphere around `look_at` with this radius, m."""
+    """Return a viewpoint that shows a sphere around `look_at` with this radius, m."""
     return Viewpoint(look_at, radius / math.sin(math.radians(FOV_DEG / 2)), _AZIMUTH_DEG, _ELEVATION_DEG)

@@ -1,4 +1,4 @@
-"""What the real client of /act sends, of pictures, a state and a task in a file: observed.npz, sent.json."""
+"""The messages of the real client of /act for pictures, a state and a task: observed.npz, sent.json."""
 
 import json
 import sys

@@ -1,4 +1,4 @@
-"""What yamsim's client makes of a checkpoint and an observation: folder, observed.npz, actions.npy."""
+"""The answer of yamsim's client for a checkpoint and an observation: folder, observed.npz, actions.npy."""
 
 import json
 import os

@@ -1,6 +1,7 @@
-"""dm_control: composed scenes parsed, stepped from their keyframe, and those without boards attached to an arena.
+"""dm_control: composed scenes are parsed and stepped from their keyframe; those without boards are attached to an
+arena.
 
-Called with folders of scenes; what stands after `--attach` is attached too.
+Called with folders of scenes; folders after `--attach` are attached too.
 """
 
 import json

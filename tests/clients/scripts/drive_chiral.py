@@ -1,4 +1,4 @@
-"""chiral's own client against a served robot: `drive_chiral.py CHECKOUT PORT`. It drives a path of joints and looks."""
+"""chiral's own client on a served robot: `drive_chiral.py CHECKOUT PORT`. It drives a path of joints and observes."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import numpy as np
 from chiral import PolicyClient
 
 SIDES = ("left", "right")
-# As many actions a second as raiden's robot goes through.
+# Actions a second, as raiden's robot takes.
 HZ = 9.0
 
 

@@ -1,4 +1,4 @@
-"""What gymnasium's own checker says of the environment; it raises where something is wrong."""
+"""Run gymnasium's checker on the environment; it raises for a fault."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import yamsim_cli.gym_env
 for options in ({}, {"observation": "images", "render_mode": "rgb_array", "size": (64, 48)}):
     env = gymnasium.make(yamsim_cli.gym_env.ENV_ID, **options)
     with warnings.catch_warnings():
-        # Bounds of joints are what they are, and not -1..1.
+        # Joints have their own bounds, and not -1..1.
         warnings.filterwarnings("ignore", message=".*(Box action space|normalized).*")
         check_env(env.unwrapped)
     env.close()

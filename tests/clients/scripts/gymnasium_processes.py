@@ -1,4 +1,4 @@
-"""Environments with images in processes of their own, made by gymnasium: what each way of starting them comes to."""
+"""Environments with images in processes of their own, for each way in which gymnasium starts processes."""
 
 from __future__ import annotations
 

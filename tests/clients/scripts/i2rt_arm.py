@@ -1,4 +1,4 @@
-"""The maker's SDK on a simulated arm, as it is installed: JSON of what it found and did.
+"""The manufacturer's SDK, unmodified, on a simulated arm. Prints what it found and did as JSON.
 
 python i2rt_arm.py CHANNEL HOLD_SECONDS FLOAT_SECONDS
 """
@@ -39,13 +39,13 @@ def main() -> None:
     finally:
         logging.disable()
         robot.close()
-        # Its loop, which still runs, tells that the bus was closed under it.
+        # Its loop, which still runs, reports that the bus was closed.
         time.sleep(0.5)
     print(json.dumps(told))
 
 
 def _hold(robot: object, seconds: float) -> dict[str, float]:
-    """How steadily the SDK's own loop turned while it held a pose, and how far off it was."""
+    """Return the period of the SDK's loop while it holds a pose, and its position error."""
     recorder = robot.motor_chain._rate_recorder
     turned, track = [], recorder.track
 

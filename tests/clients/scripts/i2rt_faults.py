@@ -1,4 +1,4 @@
-"""How the maker's SDK takes a fault: JSON of what it said. `python i2rt_faults.py CHANNEL SECONDS`."""
+"""The manufacturer's SDK on a faulty motor: JSON of its messages. `python i2rt_faults.py CHANNEL SECONDS`."""
 
 from __future__ import annotations
 

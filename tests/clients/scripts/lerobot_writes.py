@@ -1,6 +1,6 @@
 """A dataset by LeRobot's own writer: `lerobot_writes.py MOTIONS.npz OUT films|pictures`.
 
-Each episode has `state{k}` and `action{k}` (n, 14); its pictures are grey, and `grey{k}` (n,) says how.
+Each episode has `state{k}` and `action{k}` (n, 14); `grey{k}` (n,) is the grey level of its pictures.
 """
 
 import json

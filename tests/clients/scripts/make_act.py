@@ -1,5 +1,5 @@
-"""Writes a tiny ACT policy of LeRobot with random weights and its processors, and what LeRobot's own inference makes of
-an observation: folder, observed.npz, actions.npy.
+"""Writes a small ACT policy of LeRobot with random weights and its processors, and the actions of LeRobot's own
+inference: folder, observed.npz, actions.npy.
 """
 
 import json

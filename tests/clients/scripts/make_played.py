@@ -1,7 +1,4 @@
-"""Writes a checkpoint of LeRobot that plays what a task's expert does in its first trials.
-
-OUT TRIALS TASK ACTION FPS RIG
-"""
+"""Writes a checkpoint of LeRobot that plays the expert's first trials of a task. OUT TRIALS TASK ACTION FPS RIG"""
 
 from __future__ import annotations
 

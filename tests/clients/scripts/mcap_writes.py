@@ -1,7 +1,8 @@
-"""An MCAP file by Foxglove's writers, as ABC-130k has its topics: `mcap_writes.py MOTION.npz OUT.mcap libx264|libx265`.
+"""An MCAP file by Foxglove's writers, with the topics of ABC-130k: `mcap_writes.py MOTION.npz OUT.mcap
+libx264|libx265`.
 
-`left`, `right`, `left_told`, `right_told` are (n, 7), `times` (n,) ns, `grey` (m,) the film's, one picture every fourth
-sample.
+`left`, `right`, `left_told`, `right_told` are (n, 7), `times` (n,) ns, `grey` (m,) the grey levels of the film, one
+picture every fourth sample.
 """
 
 from __future__ import annotations

@@ -9,7 +9,7 @@ import sys
 import mujoco
 import numpy as np
 
-# Of the model: all that its motion follows from.
+# All model arrays on which its motion depends.
 FIELDS = """
 body_parentid body_pos body_quat body_ipos body_iquat body_mass body_inertia body_gravcomp body_mocapid
 jnt_type jnt_pos jnt_axis jnt_range jnt_limited jnt_stiffness jnt_margin jnt_solref jnt_solimp jnt_actfrclimited
@@ -29,15 +29,15 @@ ls_tolerance noslip_iterations noslip_tolerance ccd_iterations ccd_tolerance o_m
 def arrays(model):
     found = {name: np.array(getattr(model, name)) for name in FIELDS.split()}
     found |= {f"opt.{name}": np.array(getattr(model.opt, name)) for name in OPTIONS.split()}
-    # Meshes are looks; where MuJoCo puts a mesh's middle is its own.
+    # Meshes are visual only; MuJoCo computes a mesh's centre itself.
     solid = model.geom_type != mujoco.mjtGeom.mjGEOM_MESH
     found |= {name: getattr(model, name)[solid] for name in ("geom_pos", "geom_quat", "geom_size")}
-    # Newer versions have one number more, which says whether a weld is of bodies or sites.
+    # Newer versions have a further number: whether a weld connects bodies or sites.
     return found | {"eq_data": model.eq_data[:, :11].copy()}
 
 
 def hold(model, data, weld, hand, item):
-    """Let a weld keep an object where it is in the hand."""
+    """Make a weld hold an object at its present place in the hand."""
     hand, item = data.body(hand), data.body(item)
     position, quat, inverse = np.empty(3), np.empty(4), np.empty(4)
     mujoco.mju_negQuat(inverse, hand.xquat)

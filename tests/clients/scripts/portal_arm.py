@@ -1,4 +1,4 @@
-"""portal's own client on a simulated arm: JSON of what it was answered. `python portal_arm.py PORT CALLS`."""
+"""portal's own client on a simulated arm: JSON of the answers. `python portal_arm.py PORT CALLS`."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """Served pictures by raiden's own camera class: `raiden_cameras.py CHECKOUT REPOSITORY FOLDER`.
 
-Only the library of the real cameras is replaced, which raiden imports beside.
+Only the library of the real cameras, which raiden imports, is replaced.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ for name, camera in (("left_wrist_camera", "left"), ("right_wrist_camera", "righ
     frame = one.get_frame()
     K, distortion, size = one.get_intrinsics()
     with CameraReader(camera, FOLDER) as reader:
-        # Nothing moves: each picture is the same.
+        # Nothing moves: all pictures are equal.
         straight = reader.read().image[..., ::-1]
     one.close()
     found[name] = {

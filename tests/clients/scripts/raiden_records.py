@@ -1,7 +1,7 @@
 """A recording by raiden's own recorder: `raiden_records.py CHECKOUT MOTION.npz OUT`.
 
-The motion (`l` and `r` measured, `l_told` and `r_told` commanded, (n, 7)) is played by stand-ins for arms and for a
-camera, as fast as the recorder asks. Only the libraries of hardware and of clouds are replaced.
+Stand-ins for arms and a camera play the motion (`l` and `r` measured, `l_told` and `r_told` commanded, (n, 7)) at the
+recorder's rate. Only the libraries of hardware and cloud services are replaced.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ SECONDS_AT_MOST = 60
 
 
 class Camera:
-    """Sees nothing, and tells the time."""
+    """A camera without an image, with a timestamp."""
 
     name = "scene_camera"
     recording_extension = "svo2"
@@ -45,7 +45,7 @@ class Camera:
 
 
 class Controller:
-    """Plays the motion, a sample each time that it is asked."""
+    """Plays the motion, a sample per call."""
 
     def __init__(self) -> None:
         self.k = -1

@@ -1,4 +1,4 @@
-"""What raiden's own sharder, unmodified, takes from an export: `raiden_shards.py CHECKOUT EXPORT OUT CAMERA`."""
+"""Output of raiden's sharder, unmodified, for an export: `raiden_shards.py CHECKOUT EXPORT OUT CAMERA`."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ sys.modules["rerun"] = mock.MagicMock()
 
 from raiden import shardify  # noqa: E402
 
-# It infers cameras from their poses, and nobody recorded those.
+# It finds cameras by their poses, which were not recorded.
 config = shardify.ShardifyConfig(
     output_dir=OUT / "shards", resize_images_size=(96, 96), use_depth=False, camera_names=[CAMERA]
 )

@@ -1,7 +1,7 @@
-"""What raiden's own code, unmodified, makes of an exported dataset: `read_raiden.py CHECKOUT EXPORT OUT ARMS`.
+"""Output of raiden's code, unmodified, for an exported dataset: `read_raiden.py CHECKOUT EXPORT OUT ARMS`.
 
-ARMS is `bimanual`, or `single` for arrays of one arm, as `rd replay --arms` has it. Only what would open hardware or a
-window is replaced: the arms' controller, and rerun.
+ARMS is `bimanual`, or `single` for arrays of one arm, as in `rd replay --arms`. Only the arms' controller and rerun are
+replaced, which would open hardware or a window.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ sys.path[:0] = [str(CHECKOUT), str(CHECKOUT / "third_party" / "i2rt")]
 
 
 class Arm:
-    """An arm that stands at home, and notes what it is told."""
+    """An arm at home that records its commands."""
 
     def __init__(self) -> None:
         self.told: list[np.ndarray] = []
@@ -43,7 +43,7 @@ class Arm:
 
 
 class Controller:
-    """In place of raiden's, which opens CAN buses."""
+    """Replaces raiden's controller, which opens CAN buses."""
 
     made: ClassVar[list[Controller]] = []
 
@@ -71,7 +71,7 @@ def frames_of(episode: Path) -> list[dict[str, Any]]:
 
 
 def sharded(episodes: list[Path]) -> dict[str, Any]:
-    """`rd shardify` with its own defaults, depth included where there is any: what lies in its tars."""
+    """Return the content of the tars of `rd shardify` with its defaults, with depth if there is any."""
     depth = (episodes[0] / "depth").is_dir()
     config = shardify.ShardifyConfig(output_dir=OUT / "shards", resize_images_size=(384, 384), use_depth=depth)
     shardify.run_shardify(episodes, config)
@@ -110,7 +110,7 @@ def sharded(episodes: list[Path]) -> dict[str, Any]:
 
 
 def replayed(episode: Path) -> dict[str, Any]:
-    """`rd replay` of the poses: the fastest that each arm's joints are told to move, rad/s."""
+    """Return the largest commanded speed of each arm's joints in `rd replay` of the poses, rad/s."""
     Controller.made.clear()
     rate = 150
     with mock.patch("time.sleep"):
@@ -122,13 +122,13 @@ def replayed(episode: Path) -> dict[str, Any]:
     return {
         "commands": len(told[0]),
         "peak": [(np.abs(np.diff(rows[:, :6], axis=0)).max(axis=0) * rate).tolist() for rows in told],
-        # How far inverse kinematics of the poses ends from the joints that they are of.
+        # Distance of the result of inverse kinematics from the recorded joints.
         "off": [rows.max(axis=1).tolist() for rows in off],
     }
 
 
 def converted(episode: Path) -> dict[str, float]:
-    """The same frames again by `rd convert`'s code, from the joints and the calibration: how far apart, by key."""
+    """Convert the frames again by `rd convert`'s code, from joints and calibration. Return the difference by key."""
     frames = frames_of(episode)
     calibration = json.loads((EXPORT / "calibration_results.json").read_text())
     cameras = json.loads((episode / "metadata.json").read_text())["cameras"]
@@ -189,7 +189,7 @@ def converted(episode: Path) -> dict[str, float]:
 
 
 def visualized(episode: Path) -> dict[str, Any]:
-    """`rd visualize`: how many pictures it shows, and where it has the right arm's hand in the left base."""
+    """Return the number of pictures in `rd visualize`, and the right hand's position in the left base."""
     rerun.reset_mock()
     visualizer.visualize_recording(str(EXPORT), episode.name, image_scale=0.5)
     shown = [call.args for call in rerun.log.call_args_list]
@@ -202,7 +202,7 @@ def visualized(episode: Path) -> dict[str, Any]:
 
 def main() -> None:
     episodes = sorted(path for path in EXPORT.iterdir() if (path / "metadata.json").exists())
-    # What they print on the way is not the answer.
+    # Their prints are not part of the answer.
     with contextlib.redirect_stdout(sys.stderr):
         found = {
             "shards": sharded(episodes),

@@ -1,4 +1,4 @@
-"""All that rerun finds in an .rrd file: by its verifier, and by the storage that its viewer and its catalog share."""
+"""Content of an .rrd file by rerun's verifier, and by the storage of its viewer and catalog."""
 
 from __future__ import annotations
 

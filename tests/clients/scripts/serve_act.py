@@ -1,6 +1,4 @@
-"""Serves plans at /act as MolmoAct2's server does, with json_numpy itself: plans.npz. Prints its port; ends with its
-input.
-"""
+"""Serves plans at /act as MolmoAct2's server does, with json_numpy: plans.npz. Prints its port; ends with its input."""
 
 import http.server
 import json

@@ -1,4 +1,4 @@
-"""Serves plans as openpi's server does, with openpi's own packer: plans.npz. Prints its port; ends with its input."""
+"""Serves plans as openpi's server does, with openpi's packer: plans.npz. Prints its port; ends with its input."""
 
 import asyncio
 import json

@@ -1,4 +1,4 @@
-"""Camera files of yamsim and of other programs, files of several cameras, and files made to do harm."""
+"""Camera files of yamsim and of other programs, files of several cameras, and malicious files."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def in_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def read(name: str, locations: Locations) -> CameraModel:
-    """What `--camera` makes of a name; `config validate` has to make the same of it."""
+    """Read a name as `--camera` does; `config validate` must agree."""
     model = load_config(CameraConfig, "cameras", name, locations).model
     assert validate_file(CameraConfig, Path(name), locations).model == model
     return model
@@ -88,7 +88,7 @@ projection_matrix:
 """
 
 
-# What a page of Python that dumps OpenCV's arrays makes.
+# A Python script's dump of OpenCV's arrays.
 DUMPED = f"camera_matrix: {K}\ndist_coeff: [{DISTORTION}]\nwidth: 640\nheight: 480\n"
 
 
@@ -122,7 +122,7 @@ def test_the_focal_lengths_uncertainty_is_kept_from_any_file(locations: Location
         (", [0.0, 0.0, 1.0]", "", 3, "K must have 3 x 3 numbers"),
         # In millimetres.
         ("610.5", "3.6", None, "does not fit images of 640 x 480: its focal length is 3.6 px"),
-        # Of images twice or half as large, or of a crop that lies elsewhere.
+        # Of images twice or half as large, or of an offset crop.
         ("width: 640\nheight: 480", "width: 1280\nheight: 960", None, "middle of images of about 644 x 474"),
         ("width: 640\nheight: 480", "width: 320\nheight: 240", None, "principal point is (322.25, 236.75)"),
         ("width: 640\nheight: 480", "width: 400\nheight: 300", None, "middle of images of about 644 x 474"),
@@ -169,7 +169,7 @@ OPENCV_NAMES = ("image_width", "image_height", "camera_matrix", "distortion_coef
 def write_file_storage(
     name: str, distortion: np.ndarray[Any, Any], comment: str = "", keys: tuple[str, ...] = OPENCV_NAMES
 ) -> None:
-    """What OpenCV's own calibration program writes, with its other values and its comment."""
+    """A file of OpenCV's calibration program, with its further values and comment."""
     storage = cv2.FileStorage(name, cv2.FILE_STORAGE_WRITE)
     storage.write("calibration_time", 'Sat Nov 21 2026 "<&>"')
     storage.write("nr_of_frames", 20)
@@ -238,7 +238,7 @@ def test_plain_json_however_it_is_laid_out(locations: Locations) -> None:
     assert refusal("c.json", locations) == "c.json: the top level must be a mapping of keys to values"
 
 
-# Fields of sensor_msgs/msg/CameraInfo, in its order.
+# Fields of sensor_msgs/msg/CameraInfo, in order.
 MESSAGE = OrderedDict(
     header=OrderedDict(stamp=OrderedDict(sec=12, nanosec=5), frame_id="head"),
     height=480,
@@ -255,7 +255,7 @@ MESSAGE = OrderedDict(
 
 
 class RosDumper(yaml.Dumper):
-    """Ordered mappings in their order, as rosidl_runtime_py represents them."""
+    """Mappings in their order, as rosidl_runtime_py writes them."""
 
 
 RosDumper.add_representer(
@@ -267,7 +267,7 @@ RosDumper.add_representer(
 
 
 def echoed(flow: bool) -> str:
-    """What `ros2 topic echo` prints of one message."""
+    """Output of `ros2 topic echo` for one message."""
     text = yaml.dump(MESSAGE, Dumper=RosDumper, allow_unicode=True, width=1 << 60, default_flow_style=flow)
     return f"{text}---\n"
 
@@ -349,7 +349,7 @@ def test_what_a_chain_lacks_is_named(key: str, locations: Locations) -> None:
 
 
 def raiden_camera(kind: str) -> dict[str, Any]:
-    """As raiden's CalibrationRunner makes it of a camera of 640 x 480."""
+    """As raiden's CalibrationRunner writes a camera of 640 x 480."""
     return {
         "type": kind,
         "serial_number": 37038161,

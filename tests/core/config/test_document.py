@@ -60,7 +60,7 @@ def test_scalars_are_read_by_the_core_schema(text, wanted):
     ],
 )
 def test_what_only_old_yaml_would_convert_stays_text(text):
-    # A lone dash is a list's.
+    # A single dash is a list.
     assert value_of(text if text != "-" else "'-'") == text
 
 

@@ -13,10 +13,10 @@ from yamsim_cli.core.files.documents.yaml_document import dump_yaml
 from yamsim_cli.core.files.resources import Locations
 
 SHIPPED = [(kind, name) for kind in KINDS for name in Locations.find({}).config_names(kind)]
-# Robots are files beside each other, and are written down by their names.
+# Robots are files beside each other, recorded by name.
 BY_NAME = ("robots", "grippers")
 
-# Where a recording of pickplace has what `--object`, `--target` and `--threshold` set.
+# Key paths of `--object`, `--target` and `--threshold` in a pickplace recording.
 OBJECT, TARGET = (("task", "things", role, "of") for role in ("object", "target"))
 RADIUS = ("task", "goal", "on", "radius")
 
@@ -40,7 +40,7 @@ def refusal(load, *arguments: Any, kind: type[YamsimError] = ConfigError, **opti
 
 @pytest.fixture
 def puck(tmp_path, locations):
-    """Checks the puck with one line of it replaced."""
+    """Check the puck with one line replaced."""
 
     def check(old: str = "", new: str = "") -> ObjectConfig:
         assert old in PUCK
@@ -53,7 +53,7 @@ def puck(tmp_path, locations):
 
 @pytest.fixture
 def record(tmp_path, locations):
-    """Loads the default recording with lines of it replaced, and with overrides."""
+    """Load the default recording with lines replaced, and with overrides."""
 
     def load(replaced: dict[str, str] | None = None, overrides: dict | None = None) -> RecordConfig:
         text = locations.config_file("record", "default").read_text()

@@ -149,7 +149,7 @@ def test_the_footprint_knows_every_primitive(config):
         assert ObjectConfig.model_validate(plain | {"collision": [part]}).footprint
     whole = ObjectConfig.model_validate(plain | {"collision": list(parts.values())})
     assert covered(whole.footprint, around((0.1, 0.01), 0.01) + around((0.2, 0.3), 0.02) + around((0, 0), 0.03))
-    # The box: its corners, turned by 30 degrees.
+    # The box's corners, rotated by 30 degrees.
     c, s = math.cos(math.radians(30)), math.sin(math.radians(30))
     corners = [(0.7 + c * x - s * y, 0.7 + s * x + c * y) for x in (-0.01, 0.01) for y in (-0.035, 0.035)]
     assert covered(whole.footprint, corners)

@@ -1,4 +1,4 @@
-"""Tasks of the kinds `pickplace` and `handover`, in files and in datasets, are read as tasks of skills."""
+"""Older files and datasets with tasks of the kinds `pickplace` and `handover` are read as tasks of skills."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from yamsim_cli.core.files.resources import Locations
 
 TIMING = {"physics_steps_per_tick": 16, "timestep": 0.002, "ticks_per_frame": 2}
 
-#: `pickplace` as it was shipped with version 1 of the engine.
+# `pickplace` as shipped with version 1 of the engine.
 PICKPLACE: dict[str, Any] = {
     "kind": "pickplace",
     "object": "011_banana",
@@ -39,7 +39,7 @@ PICKPLACE: dict[str, Any] = {
     "success": {"threshold": 0.05, "max_height": 0.10, "max_speed": 0.05},
 }
 
-#: `handover`, likewise.
+# `handover`, likewise.
 HANDOVER: dict[str, Any] = PICKPLACE | {
     "kind": "handover",
     "language_task": "hand_over_{object}",
@@ -84,7 +84,7 @@ def test_what_was_shipped_before_means_what_is_shipped_now(name: str, tmp_path: 
 
 @pytest.mark.parametrize(("name", "arm"), [("pickplace", "right"), ("handover", "right"), ("handover", "left")])
 def test_a_datasets_own_task_is_read_as_it_was(name: str, arm: str, locations: Locations) -> None:
-    """A dataset's config has its objects spelled out and its words filled in."""
+    """A dataset's config states its objects and instruction in full."""
     overrides = {("task",): ("test", name), ("rig",): ("test", STATION), ("arm",): ("test", arm)}
     now = load_config(RecordConfig, "record", "default", locations, overrides)
     words = {role: now.task.things[role].of[0] for role in ("object", "target")}

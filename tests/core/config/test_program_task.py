@@ -1,4 +1,4 @@
-"""Bad tasks: what is wrong with one is told with its file, line and key."""
+"""Errors of invalid tasks name file, line and key."""
 
 from __future__ import annotations
 

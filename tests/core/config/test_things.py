@@ -1,4 +1,4 @@
-"""Shipped things: kitchen things made from their sizes, how things may rest, and the banana's shadow."""
+"""Shipped objects: kitchen objects made from sizes, resting poses, and the banana's shadow."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ NOMINAL = {
     "dish_rack": (35, 25, 12), "pasta_box": (8, 4, 26), "utensil": (4, 25, 3), "produce_item": (8, 8, 8),
     "distractor": (8, 8, 8), "dry_pasta": (1, 5, 1), "penne": (1, 4, 1), "rigatoni": (2, 4, 2),
 }  # fmt: skip
-# Where real things differ from the benchmark's boxes: a pot's ears and a cup's handle stick out of two sides or one.
+# Objects that exceed the benchmark's boxes: a pot's ears and a cup's handle stick out.
 OURS = {"pot": (24, 19, 14), "measuring_cup": (10, 8, 9), "jar_lid": (8, 8, 2),
         "bottle_cap": (3.5, 3.5, 2)}  # fmt: skip
 SIZES = NOMINAL | OURS
@@ -56,14 +56,14 @@ def test_it_is_closed_and_as_large_as_it_is_to_be(name: str, locations: Location
         assert uniform_mass_properties(vertices, faces).volume > 0
     points = np.concatenate([vertices for vertices, _ in surfaces])
     assert points[:, 2].min() == pytest.approx(0, abs=5e-4)
-    # Within 5 %, or 3 mm of what is small.
+    # Within 5 %, or 3 mm for small sizes.
     for found, nominal in zip(np.ptp(points, axis=0) * 100, SIZES[name], strict=True):
         assert found == pytest.approx(nominal, rel=0.05, abs=0.3)
 
 
 @pytest.mark.parametrize("name", ["bowl", "spoon", "tray", "penne"])
 def test_what_a_dataset_holds_needs_no_sizes_for_physics(name: str, locations: Locations) -> None:
-    """A recording says everything; only looks are made again."""
+    """A recording holds everything for physics; only looks are made again."""
     item = thing(name, locations)
     text = dump_yaml(item.model_dump(mode="json"))
     assert parse_config(ObjectConfig, text, "dataset", locations, as_recorded=True) == item
@@ -123,7 +123,7 @@ def test_walls_are_held_by_friction_along_them(name: str, locations: Locations) 
 
 @pytest.mark.parametrize("name", ["plate", "bowl", "cup"])
 def test_dishes_stand_in_the_rack_and_not_on_top_of_it(name: str, locations: Locations) -> None:
-    """Let go over the middle of a slot, a dish comes to rest upright, under the top of the rack's bows."""
+    """Released over the middle of a slot, a dish comes to rest upright, below the top of the rack's bows."""
     rack, dish = thing("dish_rack", locations), thing(name, locations)
     assert isinstance(rack.shape, RackShape)
     spec = mujoco.MjSpec()
@@ -177,7 +177,7 @@ def _depth(point: np.ndarray, within: Capsule) -> float:
 
 
 def test_the_bananas_core_casts_its_shadow_and_is_not_seen(locations: Locations) -> None:
-    """The scan itself casts none, since light that grazes it would speckle it."""
+    """The scan itself casts no shadow, since grazing light would speckle it."""
     item = load_config(ObjectConfig, "objects", "011_banana", locations)
     assert not item.mesh.castshadow
     core = [part for part in item.look if isinstance(part, Capsule) and part.rgba is None]

@@ -1,4 +1,4 @@
-"""A value in another unit than its key asks for is refused, and told what it probably is; what was recorded is not."""
+"""A value in another unit is refused with the probable remedy; recorded values stay valid."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from yamsim_cli.core.files.resources import Locations
 
 Replace = Callable[[str, str, str], str]
 
-# Kind/name, what stands there, what someone might write instead, and what the message has to say.
+# kind/name, original text, text in another unit, and expected message.
 SLIPS = [
     ("tasks/pickplace", "x: [0.30, 0.55]", "x: [300, 550]", ("starts.object.x[0]: 300", "in mm? Then give 0.3")),
     ("tasks/pickplace", "x: [0.30, 0.55]", "x: [30, 55]", ("starts.object.x[0]: 30", "in cm? Then give 0.3")),
@@ -90,7 +90,7 @@ def test_a_flag_in_another_unit_is_a_fault_of_the_command_line(locations: Locati
 
 
 def test_what_was_recorded_stays_valid(make_config: Callable[..., RecordConfig], locations: Locations) -> None:
-    """A dataset's own config says what it was recorded with, however odd."""
+    """A dataset's config may have any values."""
     data = make_config().data_config()
     odd = data | {"task": data["task"] | {"start_joints": [0, 106, 109, -78, 0, 0]}}
     odd["scene"] = data["scene"] | {"scene_camera": data["scene"]["scene_camera"] | {"fovy_deg": 1.2}}
@@ -136,7 +136,7 @@ def _inside(annotation: Any) -> Iterator[Any]:
         yield from _inside(part)
 
 
-# Numbers without a unit, or whose bounds are given in another way.
+# Numbers without a unit, or with bounds of another form.
 PLAIN = {
     "rgba", "quat", "x_axis", "y_axis", "direction", "diffuse", "specular", "shininess", "reflectance", "ambient",
     "sky", "axis", "approach",
@@ -147,12 +147,12 @@ PLAIN = {
 }  # fmt: skip
 
 
-# Bounded by the object that they are parts of.
+# Bounded by the object whose parts they are.
 PARTS = (Box, Capsule, Cylinder, HullPart, Ring, SdfPart, Sphere)
 
 
 def test_every_quantity_has_its_bounds() -> None:
-    """A new field of floating point numbers either says what is plausible, or is named above."""
+    """Each float field has plausible bounds, or is named above."""
     seen: set[type[BaseModel]] = set()
     bare = []
     for kind in KINDS.values():

@@ -9,7 +9,7 @@ from tests.core.dataset.making import write_dataset
 
 @pytest.fixture
 def build(tmp_path) -> Callable[..., Path]:
-    """Writes a dataset of given episodes, three by default."""
+    """Write a dataset of given episodes, three by default."""
     return partial(write_dataset, tmp_path / "dataset")
 
 

@@ -80,7 +80,7 @@ def test_a_writer_that_is_refused_leaves_no_lock(tmp_path: Path) -> None:
 def test_a_lock_that_its_holder_just_removed_is_not_mistaken_for_the_new_one(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Between our opening the file and locking it, the holder ends and a third recorder begins."""
+    """Between opening and locking the file, the holder ends and a third recorder begins."""
     first = DirectoryLock.acquire(tmp_path)
     third: list[DirectoryLock] = []
     real = fcntl.flock

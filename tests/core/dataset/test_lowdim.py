@@ -99,7 +99,7 @@ def test_arrays_are_contiguous_float32_and_scalars_plain():
 
 
 def test_a_lone_arm_has_no_axis_and_two_come_one_after_the_other():
-    """What is there for each arm comes in with an axis of arms."""
+    """Values per arm have an axis of arms after reading."""
     for arms in (1, 2):
         given = {key: np.zeros((arms, 7)) for key in ("joints", "ctrl", "action_joints")}
         data = frame_data(
@@ -206,7 +206,7 @@ def test_random_bytes_are_a_dataset_error_or_a_dictionary(data):
 
 def test_frames_written_with_numpy_1_are_read():
     data = frame(1) | {"scale": np.float64(0.5)}
-    # In protocol 3 a module's name is a plain line, so it can be replaced by the one that numpy 1 wrote.
+    # In protocol 3 a module's name is a plain line, so it can be replaced by numpy 1's name.
     old = pickle.dumps(data, 3).replace(b"cnumpy._core.", b"cnumpy.core.")
     assert {b"multiarray\n_reconstruct", b"multiarray\nscalar"} <= set(re.findall(rb"cnumpy\.core\.(\w+\n\w+)", old))
     assert b"numpy._core" not in old
@@ -251,7 +251,7 @@ def test_a_flat_frame_names_what_its_dictionaries_hold():
 
 
 OBJECTS = ("banana", "plate")
-# No two of these are the same number in float32.
+# No two values are equal in float32.
 QPOS = 0.1 + np.arange(22) * 1e-12
 CTRL = 0.2 + np.arange(14).reshape(2, 7) * 1e-12
 

@@ -141,7 +141,7 @@ def test_an_attempt_is_written_down_with_its_outcome():
         ({"dz_m": 0.0}, True),
         ({"dz_m": -0.001}, False),
         ({"cause": "unstable"}, False),
-        # Thrown onto the plate is not put onto it.
+        # Thrown onto the plate is not placed.
         ({"cause": "dropped"}, False),
         ({"cause": "slipped"}, False),
         ({"cause": "collided"}, False),

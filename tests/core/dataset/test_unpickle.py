@@ -1,4 +1,4 @@
-"""Pickles that mean harm: none runs anything, none takes memory or time beyond what its few bytes deserve."""
+"""Malicious pickles run nothing, and take no memory or time beyond their few bytes."""
 
 from __future__ import annotations
 
@@ -67,10 +67,10 @@ def doubled(times: int) -> bytes:
 DOUBLED = doubled(60)
 FOUR_BYTES = pickle.SHORT_BINBYTES + b"\x04\0\0\0\0"
 BOMBS = {
-    # An index into the memo: the C unpickler makes a table of that many entries.
+    # An index into the memo: the C unpickler allocates a table of that many entries.
     "memo": frame(pickle.NONE + pickle.LONG_BINPUT + struct.pack("<I", 2**31)),
     "memo in text": frame(pickle.NONE + b"p2147483648\n"),
-    # Sizes that are not there.
+    # Missing bytes.
     "bytes": frame(pickle.BINBYTES8 + struct.pack("<Q", 2**40)),
     "bytearray": frame(pickle.BYTEARRAY8 + struct.pack("<Q", 2**33)),
     "text": frame(pickle.BINUNICODE8 + struct.pack("<Q", 2**40)),
@@ -84,7 +84,7 @@ BOMBS = {
     "endless shape": frame(state(shape(*[1] * 2000), FOUR_BYTES)),
     "wide type": frame(dtype("V2147483647")),
     "array of arrays": frame(dtype("(9999,9999)f4")),
-    # One long value, many times over.
+    # One long value, many times.
     "shared bytes": frame(
         pickle.BINBYTES
         + struct.pack("<I", 2**19)
@@ -97,7 +97,7 @@ BOMBS = {
         + (pickle.BINGET + b"\x01") * 10_000
         + pickle.APPENDS
     ),
-    # 2^60 values out of 200 bytes: as a value, as a dictionary's key, as a shape.
+    # 2^60 values in 200 bytes: as a value, as a dictionary's key, as a shape.
     "doubled tuples": frame(DOUBLED),
     "doubled key": PROTO + pickle.EMPTY_DICT + DOUBLED + pickle.NONE + pickle.SETITEM + b".",
     "doubled shape": frame(state(DOUBLED, FOUR_BYTES)),
@@ -109,7 +109,7 @@ BOMBS = {
 }
 
 
-# Read as the little they hold: only the C unpickler would have been hurt.
+# Read as their small content: only the C unpickler is affected.
 HARMLESS = {"memo", "memo in text", "pickle frame"}
 
 
@@ -122,7 +122,7 @@ def test_a_bomb_is_refused(name: str) -> None:
 
 
 def test_bombs_take_neither_memory_nor_time() -> None:
-    """All of them, in a process that may not have more than 200 MB beyond its start, within seconds."""
+    """All of them, in a process with at most 200 MB beyond its start, within seconds."""
     script = (
         "import resource\n"
         "from tests.core.dataset.test_unpickle import BOMBS, DatasetError, read_pickle\n"
@@ -196,7 +196,7 @@ def test_arrays_can_be_written_to_as_others_can() -> None:
 @pytest.mark.parametrize("shape", [(), (2,), (1, 2)])
 @pytest.mark.parametrize("protocol", [4, 5])
 def test_text_in_arrays_of_objects_is_read(shape: tuple[int, ...], protocol: int) -> None:
-    """As raiden's converter writes its prompts."""
+    """As raiden's converter writes prompts."""
     array = np.full(shape, "put it there", dtype=object)
     read = read_pickle(pickle.dumps({"prompt": array}, protocol=protocol))["prompt"]
     assert read.dtype.kind == "U"

@@ -16,7 +16,7 @@ from yamsim_cli.core.files.documents.yaml_document import load_yaml
 
 
 def resume(path: Path, config: dict = CONFIG, mode: OpenMode = OpenMode.RESUME) -> DatasetWriter:
-    """A writer that has released its lock, so that one test can open a dataset several times."""
+    """A writer that has released its lock, so that a test can open a dataset several times."""
     with DatasetWriter(path, config, mode) as writer:
         return writer
 
@@ -207,7 +207,7 @@ BROKEN = [b"{\n", b"\xff\xfe\n", b"null\n", b"{}\n", b"\n", b""]
 
 @pytest.fixture
 def with_failures(build):
-    """Attempts 0 to 5, of which 1 and 4 failed."""
+    """Attempts 0 to 5; 1 and 4 failed."""
     path = build(made(0))
     writer = resume(path)
     for attempt, episode in enumerate((0, None, 1, 2, None, 3)):
@@ -220,7 +220,7 @@ def with_failures(build):
 
 
 def damage(dataset: Path, change) -> bytes:
-    """Spoil the ledger's lines, a list of bytes; returns what it was."""
+    """Damage the ledger's lines (bytes), and return the original."""
     ledger = dataset / "attempts.jsonl"
     whole = ledger.read_bytes()
     lines = whole.splitlines(keepends=True)
@@ -281,7 +281,7 @@ def test_a_ledger_that_is_gone_is_built_from_the_episodes(with_failures, lost):
 
 
 def test_other_lines_stay_the_bytes_that_they_were(with_failures):
-    """Those of an earlier version may lack a key, or have one that is unknown today."""
+    """Lines of an earlier version may lack a key, or have one that is unknown today."""
 
     def change(lines):
         lines[2] = lines[2].replace(b'"seed"', b'"mood": "good", "seed"')

@@ -1,4 +1,4 @@
-"""Attempts in which friction alone holds the object: that it does, what is told when not, and that they repeat."""
+"""Attempts with grasps by friction: they hold, report slips, and repeat."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ HELD_SLIP = 0.0075  # m, how far a thing that a hand holds may move in it
 FRICTION = {("rig",): "single_linear", ("grasp",): "contact", ("image", "size_px"): SIZE, ("seed",): 5}
 
 
-# An attempt, and what acts in it.
+# Attempt and actions.
 Succeeded = tuple[Attempt, ActionSequence]
 
 
@@ -55,7 +55,7 @@ def original(tmp_path_factory: pytest.TempPathFactory, friction: RecordConfig, l
 
 @pytest.fixture(scope="module")
 def succeeded(simulator: Simulator) -> Succeeded:
-    """An attempt that succeeds, and what acts in it."""
+    """Return a successful attempt and its actions."""
     done = planned(simulator, 5)
     assert done.outcome.success
     return done.attempt, all_actions(done.states)
@@ -81,12 +81,12 @@ def test_friction_alone_holds_the_object(simulator: Simulator) -> None:
 
 
 def test_no_two_frames_are_the_same(original: Path) -> None:
-    """From each frame to the next something moves: arm, fingers or object."""
+    """From each frame to the next, arm, fingers or object move."""
     frames = open_episode(original / "ep_000000").frames()
     positions = np.array([frame["sim_qpos"] for frame in frames])
     arm_and_fingers = np.abs(np.diff(positions[:, :8], axis=0)).max(axis=1)
     assert arm_and_fingers.min() > 1e-5
-    # Speeds of the joints change steadily: never by as much between two frames as a motor's whole speed.
+    # Joint speeds change steadily: between two frames by less than a motor's maximum speed.
     speeds = np.diff(positions[:, :6], axis=0) / 0.064
     assert (np.abs(np.diff(speeds, axis=0)).max(axis=0) < (5, 5, 5, 10, 10, 10)).all()
 
@@ -129,8 +129,7 @@ def test_an_arm_that_touches_the_table_fails_whatever_becomes_of_the_object(
     simulator: Simulator, succeeded: Succeeded
 ) -> None:
     attempt, acting = succeeded
-    # Once the banana lies on the plate, the hand turns away from it, and the shoulder bows until the fingers are on the
-    # table.
+    # Once the banana lies on the plate, the hand turns away, and the shoulder bends until the fingers are on the table.
     turn, bow = 40, 40
     begin, ticks = len(acting.ctrl) + turn, turn + bow
     longer = [
@@ -170,7 +169,7 @@ def test_an_episode_is_made_again_bit_for_bit(original: Path, locations: Locatio
 def test_its_record_says_how_it_was_held(original: Path, tmp_path: Path) -> None:
     copy = shutil.copytree(original, tmp_path / "dataset")
     run = yamsim("summarize", copy, "--json")
-    # The images are no pictures, and there is neither ledger nor manifest.
+    # The images are fake, and there is neither ledger nor manifest.
     codes = {problem["code"] for problem in run.json["problems"] if problem["severity"] == "error"}
     assert codes <= {"ledger.missing", "image.frozen"}
     assert run.json["grasps"] == ["contact"]
@@ -199,7 +198,7 @@ def test_the_drive_is_told_to_close_further_than_the_object_lets_it(simulator: S
         weld_on=(False,) * n,
         tick=0.032,
     )
-    # 2 x 15 N over 2000 N/m; and no further than the drive can be told.
+    # 2 x 15 N over 2000 N/m, clipped to the drive's range.
     np.testing.assert_allclose(path_actions(scene, [path]).ctrl[:, 6], (0.018, 0.003, -0.005))
 
 

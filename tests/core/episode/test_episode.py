@@ -1,4 +1,4 @@
-"""The one engine: what the same commands lead to, how the goal is judged, and what ends an episode."""
+"""The episode engine: effects of commands, verdicts, and ends of an episode."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def open_at(
 
 
 def still(simulator: Simulator, start: Array, ticks: int) -> ActionSequence:
-    """Actions with which the arm holds its place."""
+    """Actions that hold the arm's joints."""
     (arm,) = simulator.scene.arms
     ctrl = np.zeros(simulator.scene.model.nu)
     ctrl[arm.drives] = place = start[arm.recorded_qpos]
@@ -76,7 +76,7 @@ def start(simulator: Simulator) -> Array:
 
 @pytest.fixture(scope="module")
 def over_plate(simulator: Simulator, start: Array) -> Array:
-    """The start with the banana 20 mm above where it will come to lie on the plate."""
+    """The start with the banana 20 mm above its place on the plate."""
     address, over = simulator.scene.object_qpos["plate"], start.copy()
     put(simulator, over, "banana", start[address : address + 3] + np.array([0.0, 0.0, 0.042]))
     return over
@@ -123,7 +123,7 @@ def test_the_same_commands_in_pieces_or_at_once_give_the_same_bits(
 def test_what_happened_in_another_episode_leaves_no_trace(
     simulator: Simulator, done: SimulatedAttempt, over_plate: Array
 ) -> None:
-    """The scene's model is shared, and welds are written into it."""
+    """The compiled model is shared, and welds change it."""
     other = planned(simulator, 9)
     assert other.outcome.success
     open_at(simulator, over_plate).run_commands(still(simulator, over_plate, 10))
@@ -181,12 +181,12 @@ def test_commands_are_clipped_to_what_drives_can_be_told(simulator: Simulator, s
     episode.step(command[None], [False])
     low, high = simulator.scene.model.actuator_ctrlrange[arm.drives].T
     np.testing.assert_array_equal(episode.actions.ctrl[0, arm.drives], np.clip(command, low, high))
-    # Without references of the actor's own, records have the commands that acted.
+    # Without references of the actor, records have the executed commands.
     np.testing.assert_array_equal(episode.actions.joints[0, 0], np.clip(command, low, high))
 
 
 def _first_held(simulator: Simulator, start: Array) -> int:
-    """The first tick after which the goal holds where nothing is done."""
+    """Return the first tick after which the goal holds without actions."""
     episode = open_at(simulator, start)
     for tick in range(1, 40):
         episode.run_commands(still(simulator, start, 1))
@@ -235,7 +235,7 @@ def test_success_ends_at_the_first_tick_at_which_it_has_held_and_an_actor_goes_o
     at_success.run_commands(still(simulator, over_plate, 40))
     assert at_success.end == EpisodeEnd(EndReason.SUCCESS, first + HOLD)
     assert at_success.ticks == len(at_success.actions.ctrl) == first + HOLD
-    # Nothing acts any more.
+    # Later actions have no effect.
     before = at_success.data.qpos.copy()
     at_success.run_commands(still(simulator, over_plate, 3))
     np.testing.assert_array_equal(at_success.data.qpos, before)
@@ -246,7 +246,7 @@ def test_success_ends_at_the_first_tick_at_which_it_has_held_and_an_actor_goes_o
     assert by_actor.end is None and by_actor.ticks == 40
     assert by_actor.finish().end == EpisodeEnd(EndReason.ACTOR, 40)
 
-    # An actor can leave out the rest.
+    # An actor can omit later actions.
     waiting = open_at(simulator, over_plate)
     waiting.run_commands(still(simulator, over_plate, 40), until_success=True)
     assert (waiting.ticks, waiting.end, waiting.succeeds) == (first + HOLD, None, True)
@@ -301,7 +301,7 @@ def test_the_time_limit_ends_it(simulator: Simulator, start: Array, over_plate: 
 
 
 def _bows(simulator: Simulator, start: Array, ticks: int = 60) -> ActionSequence:
-    """Actions by which the arm bows until its fingers are on the table, slowly enough for its motors."""
+    """Actions that bend the arm until its fingers are on the table, within the motors' speeds."""
     actions, (arm,) = still(simulator, start, ticks), simulator.scene.arms
     actions.ctrl[:, arm.arm_ctrl[1]] += np.linspace(0, 1.5, ticks)
     return actions
@@ -315,7 +315,7 @@ def test_a_strict_rule_ends_it_at_the_first_forbidden_contact(simulator: Simulat
     assert (strict.end.reason, strict.end.cause) == (EndReason.FORBIDDEN, FailureCause.COLLIDED)
     assert "table" in strict.end.detail and "finger" in strict.end.detail
     assert 0 < strict.end.tick < len(actions.ctrl)
-    # The tick before ends without one.
+    # One tick earlier, there is no end.
     shorter = open_at(simulator, start, EXPERT_RULES)
     shorter.run_commands(
         ActionSequence(*(part[: strict.end.tick - 1] for part in (actions.ctrl, actions.magnet, actions.joints)))
@@ -328,7 +328,7 @@ def test_a_strict_rule_ends_it_at_the_first_forbidden_contact(simulator: Simulat
     assert (played.end.reason, played.end.tick, played.collision) == (
         EndReason.ACTOR, len(actions.ctrl), strict.end.detail
     )  # fmt: skip
-    # Up to there, both are the same.
+    # Up to there, both are equal.
     for one, other in zip(strict.finish().states, played.states, strict=False):
         np.testing.assert_array_equal(one.qpos, other.qpos)
 

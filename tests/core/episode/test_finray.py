@@ -1,4 +1,4 @@
-"""An arm with fin-ray fingers: what it does when it runs into the table, and its attempts made again."""
+"""An arm with fin-ray fingers: contact with the table, and reproduced attempts."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from yamsim_cli.core.geometry.se3 import pose
 from yamsim_cli.core.scene.compilation import physics_failure
 from yamsim_cli.core.scene.compiled import GeomOwner
 
-# Both on the table, out of the hand's way.
+# Both on the table, away from the hand.
 _ASIDE = Layout({"strawberry": pose([0.60, -0.25, 0.0213]), "plate": pose([0.58, 0.20, 0.001])})
 
 
@@ -44,7 +44,7 @@ def test_all_of_a_finger_is_a_finger(simulator: Simulator) -> None:
 
 @pytest.mark.parametrize("ticks", [1, 40])
 def test_driven_into_the_table_it_bends_and_comes_back(simulator: Simulator, ticks: int) -> None:
-    """Told at once, or within 1.3 s, to be where the tips would be 6 cm under the table's top."""
+    """Commanded at once, or within 1.3 s, to 6 cm below the table's top."""
     scene, model = simulator.scene, simulator.scene.model
     data = mujoco.MjData(model)
     stand = ArmPosture(np.array(simulator.config.rig.arms[0].robot.start), 0.0375)
@@ -68,7 +68,7 @@ def test_driven_into_the_table_it_bends_and_comes_back(simulator: Simulator, tic
 
     go(told + 0.5)
     assert np.abs(data.qvel).max() < 0.1
-    # The middles of the tips' ends, 4 mm high, come down to the table and do not sink in.
+    # The middles of the tips' ends, 4 mm high, touch the table without sinking in.
     assert table < lowest < table + 0.006
     assert most < np.radians(60)
     go(told)
@@ -81,6 +81,6 @@ def test_an_attempt_comes_out_the_same_from_its_actions(simulator: Simulator) ->
     assert done.outcome.success, done.outcome.detail
     again = run_actions(simulator, done.attempt, all_actions(done.states), EXPERT_RULES)
     for one, other in zip(done.states, again.states, strict=True):
-        # With the fingers' bends.
+        # Including the fingers' bending joints.
         assert len(one.qpos) == 6 + 2 * (1 + 8) + 2 * 7
         np.testing.assert_array_equal(one.qpos, other.qpos)

@@ -1,4 +1,4 @@
-"""How hands hold things: by a weld, by friction, or cloth by a constraint; and how still things lie in them."""
+"""Grasps by welds, by friction, and of cloth by constraints; and how objects move in the hand."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ def test_a_magnet_takes_the_nearest_thing(simulator: Simulator, thing: str) -> N
 
 
 def test_a_magnet_that_stays_on_keeps_what_it_holds(simulator: Simulator) -> None:
-    """However near something else comes meanwhile."""
+    """Another object that comes nearer changes nothing."""
     scene, data = simulator.scene, at_hand(simulator, 0.03)
     (_, weld), grasp = weld_of(scene), make_grasp_simulator(scene, None)
     grasp.update(data, data.ctrl, ON)
@@ -112,7 +112,7 @@ def test_attaching_moves_nothing(simulator: Simulator) -> None:
     data.eq_active[weld] = True
     mujoco.mj_step(scene.model, data, 50)
     mujoco.mj_kinematics(scene.model, data)
-    # The weld is soft: the weight of a banana pulls it down by less than 2 mm.
+    # The weld is soft: a banana's weight pulls it down by less than 2 mm.
     np.testing.assert_allclose(data.body("banana").xpos, before, atol=2e-3)
 
 
@@ -159,7 +159,7 @@ def test_cloth_is_held_by_fingers_that_press_on_it_and_let_go_when_they_open(tmp
         placed = site.xpos + np.outer(flat @ along, turned[:, 0]) + np.outer(flat @ across, turned[:, 2])
         start[cloth.qpos] = placed - cloth.flat_points
         episode = Episode(scene, start, config.task.timing, arm_sides(config), None)
-        # It is taken before it falls.
+        # Grasped before it falls.
         for opening, ticks, holds in ((0.004, 1, False), (-0.004, 10, True), (0.02, 5, False)):
             command = np.array([start[one.recorded_qpos] for one in scene.arms])
             command[0, -1] = opening
@@ -167,12 +167,12 @@ def test_cloth_is_held_by_fingers_that_press_on_it_and_let_go_when_they_open(tmp
                 episode.step(command, [False, False])
             assert bool(episode.actions.magnet[-1, 0]) is holds, opening
             assert episode.world.holding_sides("napkin") == ({arm_sides(config)[0]} if holds else frozenset())
-        # A weld there is none, whatever holds.
+        # No weld, whatever the hand holds.
         assert episode.welds_active == (False, False)
 
 
 class InHand:
-    """A banana welded to the hand, which is put elsewhere in it by hand."""
+    """A banana welded to the hand, whose pose in the hand the test sets."""
 
     def __init__(self, simulator: Simulator) -> None:
         self.scene, self.data = simulator.scene, at_hand(simulator, 0.03)
@@ -184,7 +184,7 @@ class InHand:
         self.R: Array = self.data.body("banana").xmat.reshape(3, 3).copy()
 
     def watch(self, ticks: int, *, on: bool = True, moved: float = 0.0, tilted: float = 0.0) -> tuple[float, float]:
-        """Move the thing along x by `moved` (m), lean it by `tilted` (rad), let time pass; return slip and tilt."""
+        """Move the object along x by `moved` (m), tilt it by `tilted` (rad), and step; return slip and tilt."""
         T = pose(self.place + np.array([moved, 0.0, 0.0]), rotation_from_vector([tilted, 0.0, 0.0]) @ self.R)
         self.grasp.update(self.data, self.data.ctrl, [on])
         self.data.qpos[self.address : self.address + 3] = T[:3, 3]
@@ -204,7 +204,7 @@ def in_hand(simulator: Simulator) -> InHand:
 def test_slip_is_how_far_a_settled_thing_moved_in_the_hand(in_hand: InHand) -> None:
     assert in_hand.watch(SETTLED_TICKS) == (0.0, pytest.approx(0.0, abs=1e-6))
     assert in_hand.watch(1, moved=0.005)[0] == pytest.approx(0.005, abs=1e-6)
-    # The largest counts.
+    # The largest value counts.
     assert in_hand.watch(3)[0] == pytest.approx(0.005, abs=1e-6)
 
 
@@ -225,6 +225,6 @@ def test_tilt_is_that_of_a_things_vertical_axis_since_it_was_taken(in_hand: InHa
     assert in_hand.watch(1, tilted=0.3 + math.radians(10))[1] == pytest.approx(math.radians(10), abs=1e-6)
     assert in_hand.watch(1, tilted=0.3)[1] == pytest.approx(math.radians(10), abs=1e-6)
     in_hand.watch(1, on=False)
-    # Nothing is measured of what no hand holds.
+    # Without a holding hand, nothing is measured.
     assert in_hand.watch(1, on=False, tilted=1.0)[1] == pytest.approx(math.radians(10), abs=1e-6)
     assert in_hand.watch(1, tilted=1.0)[1] == pytest.approx(math.radians(10), abs=1e-6)

@@ -1,4 +1,4 @@
-"""Ground truth of whole episodes, as they are recorded."""
+"""Ground truth of whole recorded episodes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Attempts of a task that is data: recorded and made again bit for bit, and judged by the goal alone."""
+"""Attempts of a program task: recorded and reproduced bit for bit, and judged by the goal alone."""
 
 from __future__ import annotations
 
@@ -193,7 +193,7 @@ def _height(simulator: Simulator, attempt: Attempt) -> tuple[float, float]:
 
 
 def test_a_thing_starts_with_the_middle_of_what_it_is_when_open(tmp_path: Path) -> None:
-    """An open drawer and its knob reach 260 mm ahead of a cabinet's origin, and its back 100 mm behind it."""
+    """With an open drawer, a cabinet reaches 260 mm ahead of its origin, and 100 mm behind it."""
     cabinet = {"x": [0.48, 0.48], "y": [0, 0], "yaw_deg": [0, 0], "open": {"drawer": [1, 1]}}
     task = changed(
         {
@@ -219,7 +219,7 @@ def test_a_start_in_which_a_thing_still_moves_is_drawn_again(
     again = sampling.sample_attempt(simulator, calm.job)
     assert not speeds and again.layout is not None and calm.layout is not None
     assert not np.allclose(again.layout.T_in_world["cube"], calm.layout.T_in_world["cube"])
-    # Where things move in every draw, the first one is used.
+    # If objects move in every sample, the first sample is used.
     monkeypatch.setattr(sampling, "settle_objects", lambda *given: settle_objects(*given)._replace(speed=1.0))
     restless = sampling.sample_attempt(simulator, calm.job)
     assert restless.start is not None and np.array_equal(restless.start, calm.start)

@@ -1,4 +1,4 @@
-"""Rigs of two arms: either arm picks and places while the other one rests, and one arm hands over to the other."""
+"""Rigs of two arms: either arm picks and places while the other rests, or one hands over to the other."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def handed(handover: RecordConfig, locations: Locations) -> Frames:
 def test_commands_are_the_left_arms_first_and_physics_own_order_is_kept_beside(
     left: Frames, make_config: Callable[..., RecordConfig], locations: Locations
 ) -> None:
-    """On this rig MuJoCo has the right arm first."""
+    """In this rig's model, the right arm comes first."""
     config = _config(make_config, rig="bimanual", arm="left", wrist=True)
     with Simulator(Session(config, locations)) as simulator:
         names = [simulator.scene.model.actuator(k).name for k in range(14)]
@@ -75,7 +75,7 @@ def test_commands_are_the_left_arms_first_and_physics_own_order_is_kept_beside(
     ctrl, first = _column(left, "ctrl"), np.array([frame["sim_ctrl"][0] for frame in left], np.float32)
     np.testing.assert_array_equal(ctrl[:, LEFT], first[:, of_left])
     np.testing.assert_array_equal(ctrl[:, RIGHT], first[:, [k for k in range(14) if k not in of_left]])
-    # So it goes with the joints that it leads to.
+    # The same holds for the joints.
     assert np.abs(ctrl - _column(left, "action_joints")).max() < 0.4
 
 
@@ -100,7 +100,7 @@ def test_one_arm_acts_and_the_other_one_holds_its_place(
 
 
 def test_either_arm_does_the_very_same_before_its_own_base(left: Frames, right: Frames) -> None:
-    """The regions move with the arm, so the same attempt is the same motion."""
+    """The regions move with the arm, so the same attempt has the same motion."""
     np.testing.assert_allclose(_column(left, "joints")[:, LEFT], _column(right, "joints")[:, RIGHT], atol=1e-3)
     apart = _column(left, "banana_pose") - _column(right, "banana_pose")
     np.testing.assert_allclose(apart[:, 1, 3], 0.7, atol=1e-3)
@@ -132,7 +132,7 @@ def test_simulation_data_of_another_number_of_arms_are_a_fault(left: Frames) -> 
 
 
 def _held(ticks: np.ndarray) -> tuple[int, int]:
-    """The first and the last tick at which a hand holds something; it does so without a break."""
+    """First and last tick at which a hand holds something, without a break."""
     held = np.flatnonzero(ticks)
     np.testing.assert_array_equal(held, np.arange(held[0], held[-1] + 1))
     return int(held[0]), int(held[-1])
@@ -161,7 +161,7 @@ def test_both_wrists_are_recorded_of_a_hand_over(handed: Frames) -> None:
     cameras = ("scene_camera", "left_wrist_camera", "right_wrist_camera")
     assert set(handed[0]["extrinsics"]) == set(cameras)
     assert frame_faults(handed[0], expected_specs(OBJECTS, cameras, 2, 7)) == []
-    # Which of them it would be of could not be told.
+    # The key would not tell of which arm it is.
     assert "K_wrist" not in handed[0]
 
 
@@ -203,7 +203,7 @@ def test_summarize_accepts_two_arms_and_checks_both(dataset: Path, tmp_path: Pat
     clean = yamsim("summarize", copy, "--json").json["problems"]
     change_frame(copy / "ep_000000", 3, rehash=True, joints=joints, ee_pose=hands)
     found = yamsim("summarize", copy, "--json").json["problems"]
-    # The images are no pictures, and there is neither ledger nor manifest.
+    # The images are fake, and there is neither ledger nor manifest.
     errors = {problem["code"] for problem in clean if problem["severity"] == "error"}
     assert errors <= {"ledger.missing", "image.frozen"}
     new = {problem["code"]: problem for problem in found if problem not in clean}

@@ -1,4 +1,4 @@
-"""Variation attempts: what they change, what they must not, and that they can be made again."""
+"""Variations: what they change, what they must not change, and that they can be reproduced."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def test_looks_change_neither_success_nor_joints(visual: Simulator, config: Reco
 
 @pytest.mark.slow
 def test_distractors_that_can_be_touched_are_not(visual: Simulator) -> None:
-    """With them in place and colliding, the same actions lead to the same states."""
+    """Colliding distractors in place, the same actions lead to the same states."""
     placed = 0
     for number in range(N):
         done = planned(visual, 0, number)
@@ -72,7 +72,7 @@ def test_distractors_that_can_be_touched_are_not(visual: Simulator) -> None:
 def test_distractors_are_no_obstacles_whenever_the_expert_is_made(
     visual: Simulator, make_config: Callable[..., RecordConfig], locations: Locations
 ) -> None:
-    """Before the scene is varied for the first time, they stand in it where they were compiled."""
+    """Before the first variation, distractors are at their compiled places."""
     with Simulator(Session(make_config(VISUAL | MANY | SMALL), locations)) as early:
         early.prepare()
         one, other = planned(early, 0), planned(visual, 0)
@@ -131,7 +131,7 @@ def test_masses_and_friction_change_physics(make_config: Callable[..., RecordCon
 
 
 def test_what_is_sampled_is_never_changed(visual: Simulator) -> None:
-    """Distractors come with another value, whose attempt is otherwise the same."""
+    """A distractor changes with another sampled value, and the rest of the attempt stays."""
     attempt = sample_attempt(visual, AttemptJob(0, 0))
     before = deepcopy(asdict(attempt))
     done = demonstrate(visual, attempt)
@@ -144,7 +144,7 @@ def test_what_is_sampled_is_never_changed(visual: Simulator) -> None:
 
 
 def test_who_acts_in_an_attempt_finds_room_among_its_distractors(visual: Simulator) -> None:
-    """As a recording of the same numbers has them; and nothing is planned where there are none."""
+    """Distractors leave room for the attempt, as in its recording; without distractors nothing is planned."""
     attempt = sample_attempt(visual, AttemptJob(0, 1))
     furnished = with_reserved_distractors(visual, attempt)
     assert furnished.variation == planned(visual, 0, 1).attempt.variation
@@ -176,7 +176,7 @@ def test_arms_that_act_late_and_are_read_wrongly_do_the_same_again_whatever_was_
     with Simulator(Session(config, locations)) as simulator:
         one, other = planned(simulator, 0, 0), planned(simulator, 0, 1)
         seen = frame_records(simulator, one.attempt, one.states)
-        # Of the second attempt, which the scene was varied as last, and of the first from its record.
+        # The scene is varied for the second attempt; the first one is reproduced from its record.
         again = run_actions(simulator, one.attempt, all_actions(one.states), EXPERT_RULES)
         told = frame_records(simulator, one.attempt, again.states)
     with Simulator(Session(config, locations)) as fresh:
@@ -189,7 +189,7 @@ def test_arms_that_act_late_and_are_read_wrongly_do_the_same_again_whatever_was_
         np.testing.assert_array_equal(frame["joints"], same_frame["joints"])
         np.testing.assert_array_equal(frame["sim_qpos"], same_frame["sim_qpos"])
     off = np.array([frame["joints"][:6] - frame["sim_qpos"][:6] for frame in seen])
-    # Old by milliseconds, with noise and in steps.
+    # Delayed by milliseconds, with noise and quantization.
     assert 1e-4 < np.abs(off).max() < 0.05
     assert np.abs(off[0]).max() < 0.003
 
@@ -198,7 +198,7 @@ def test_an_arms_draw_is_added_to_its_own_delays(
     make_config: Callable[..., RecordConfig], locations: Locations
 ) -> None:
     def told(own: float, drawn: float, most: float) -> Array:
-        """Where joint 1 goes by and by after a command."""
+        """Return the positions of joint 1 after a command."""
         config = make_config(
             {("randomization", "arm_dynamics"): {"command_delay_ms": [0, most], "sensor_delay_ms": [0, most]}} | SMALL
         )
@@ -260,7 +260,7 @@ def test_lowdim_tells_the_camera_that_was(make_config: Callable[..., RecordConfi
 
 @pytest.mark.render
 def test_pictures_of_the_same_states_differ(make_config: Callable[..., RecordConfig], locations: Locations) -> None:
-    """One renderer shows each attempt as it is, in whatever order it is asked for them."""
+    """One renderer shows each attempt correctly, in any order."""
 
     def seen(simulator: Simulator, attempt: Attempt) -> np.ndarray:
         assert start is not None

@@ -1,4 +1,4 @@
-"""One encoder writes the JSON of all commands, and it knows NumPy's values."""
+"""One encoder writes the JSON of all commands, with NumPy's values."""
 
 from __future__ import annotations
 

@@ -61,7 +61,7 @@ def test_lines_that_make_no_sense_are_passed_over() -> None:
 
 
 class FakeLinks:
-    """Links on a disk, and a memory of what was asked."""
+    """Links on a disk that record the requests."""
 
     def __init__(self, links: dict[str, str]) -> None:
         self.links = links
@@ -136,7 +136,7 @@ def test_this_machine_has_a_root() -> None:
 
 
 def test_a_mount_that_hangs_is_recognised_without_hanging(tmp_path: Path) -> None:
-    """A FUSE server that is stopped: whoever touches its mount waits for ever."""
+    """A stopped FUSE server: any access to its mount would wait forever."""
     if shutil.which("bindfs") is None:
         pytest.skip("bindfs is not installed")
     source, point = tmp_path / "source", tmp_path / "point"

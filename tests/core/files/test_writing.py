@@ -29,7 +29,7 @@ class InjectedError(OSError):
 
 @pytest.fixture
 def failing(monkeypatch):
-    """Makes the n-th call that changes the disk fail; tells how many calls there were."""
+    """Make the n-th call that changes the disk fail, and count the calls."""
 
     def arm(n: int, error: BaseException) -> list[str]:
         calls: list[str] = []
@@ -263,7 +263,7 @@ with exclusive_lock(Path({str(lock)!r})):
 
 @pytest.fixture
 def full(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
-    """A folder in which there is room for one file only."""
+    """A folder with room for one file only."""
     folder, write, written = tmp_path / "full", files._write_and_fsync, list[Path]()
     folder.mkdir()
 

@@ -1,4 +1,4 @@
-"""The faces on which a body stands steadily."""
+"""Faces on which a body stands stably."""
 
 from __future__ import annotations
 

@@ -26,6 +26,6 @@ def test_the_board_frame_has_its_origin_in_the_middle_and_y_up(board):
     assert np.allclose(corners.reshape(-1, 3).mean(axis=0), 0, atol=1e-12)
     assert np.allclose(corners[0, 0], (-board.width / 2, board.height / 2, 0))
     assert np.allclose(corners[-1, 2], (board.width / 2, -board.height / 2, 0))
-    # Clockwise as one looks at the paper, so against +z.
+    # Clockwise as seen on the paper, so against +z.
     edges = np.diff(corners[:, :3], axis=1)
     assert (np.cross(edges[:, 0], edges[:, 1])[:, 2] < 0).all()

@@ -25,7 +25,7 @@ points_in_front = st.lists(
 
 @pytest.mark.parametrize(("width", "height"), [(640, 480), (5, 3), (16, 16)])
 def test_the_edges_of_the_image_lie_on_the_field_of_view(width, height):
-    """A pixel's centre is a whole number, so the image's upper edge is at -0.5 and its lower one at height - 0.5."""
+    """A pixel's centre is an integer, so the image's edges are at -0.5 and height - 0.5."""
     fovy = math.radians(52)
     camera = Intrinsics.from_fovy(width, height, fovy)
     edge = math.tan(fovy / 2)

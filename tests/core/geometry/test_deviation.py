@@ -39,7 +39,7 @@ def test_sorting_points_into_cells_changes_nothing():
     together = distances_to_surface(points, surface, 3.0)
     alone = np.concatenate([distances_to_surface(point[None], surface, 3.0) for point in points[:200]])
     np.testing.assert_array_equal(together[:200], alone)
-    # Far from the cube outside, and inside it, the distance is known.
+    # Far outside the cube, and inside it, the distance is known.
     outside = np.linalg.norm(np.maximum(np.maximum(-points, points - 1), 0), axis=1)
     within = np.minimum(points, 1 - points).min(axis=1)
     np.testing.assert_allclose(together, np.where(within > 0, within, outside), atol=1e-12)
@@ -50,7 +50,7 @@ def test_deviation_looks_from_both_sides():
     faces = without_a_side[1]
     kept = ~(without_a_side[0][faces][..., 2] == 1).all(axis=1)
     holed = without_a_side[0], faces[kept]
-    # All of what is left lies on the whole; the middle of the missing side is half an edge from what is left.
+    # The rest lies on the whole; the middle of the missing side is half an edge from the rest.
     assert hausdorff_distance(whole, whole, 1.0, 500) == pytest.approx(0, abs=1e-12)
     for pair in ((whole, holed), (holed, whole)):
         assert hausdorff_distance(*pair, 1.0, 3000) == pytest.approx(0.5, abs=0.03)

@@ -1,4 +1,4 @@
-"""Folded sheets: which points lie on each other, and how much they cover."""
+"""Folded sheets: overlapping points, and covered area."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Levenberg's and Marquardt's way down: one problem, many at once, and problems that cannot be told."""
+"""Levenberg-Marquardt: one problem, many at once, and points without a value."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from yamsim_cli.core.geometry.se3 import Array
 
 @dataclass(frozen=True)
 class Linear:
-    """Residuals (..., 2) of Rosenbrock's valley and their derivatives (..., 2, 2)."""
+    """Linear residuals (..., 2) and their derivatives (..., 2, 2)."""
 
     residual: Array
     slope: Array
@@ -36,7 +36,7 @@ class Linear:
 
 
 class Valley(LeastSquares[Array, Linear]):
-    """Rosenbrock's curved valley, whose bottom is at (1, 1); nothing can be told left of `wall`."""
+    """Rosenbrock's valley, with its minimum at (1, 1); no value left of `wall`."""
 
     def __init__(self, wall: float = -np.inf) -> None:
         self.wall = wall

@@ -22,7 +22,9 @@ def volume(vertices, faces):
 
 
 def heights_at(vertices, faces, x, y):
-    """Where the upright line through (x, y) meets the surface: (z, whether the face there looks up), from below."""
+    """Intersections of the vertical line through (x, y) with the surface, from below: (z, whether the face there points
+    up).
+    """
     hits = []
     for a, b, c in vertices[faces]:
         weights = np.array([np.cross(q - p, np.array([x, y, 0]) - p)[2] for p, q in ((b, c), (c, a), (a, b))])

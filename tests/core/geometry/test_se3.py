@@ -43,7 +43,7 @@ def angle_between(one: np.ndarray, other: np.ndarray) -> float:
 
 
 def test_poses_compose_as_their_names_say():
-    """A point on a hand: the hand 1 m above a base that stands at x = 2 m and looks along +y."""
+    """A point on a hand: the hand 1 m above a base that stands at x = 2 m and points along +y."""
     T_base_in_world = pose((2, 0, 0), rotation_z(math.pi / 2))
     T_hand_in_base = pose((0.3, 0, 1.0))
     T_hand_in_world = T_base_in_world @ T_hand_in_base

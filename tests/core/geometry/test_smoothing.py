@@ -1,4 +1,4 @@
-"""How far from flat a sheet is, and which of its points may be pulled where."""
+"""Distance of a sheet from flat, and pulls that flatten it."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ def _rest() -> Array:
 
 
 def _placed(points: Array) -> Array:
-    """Turned, and somewhere on a table."""
+    """Rotate and move a sheet on a table."""
     placed: Array = (points @ rotation_z(0.4).T + [0.4, 0.05, _THICK / 2]).reshape(9, 9, 3)
     return placed
 
 
 def _folded(over: Array) -> Array:
-    """A sheet whose corner beyond a diagonal crease lies on the rest."""
+    """A sheet whose corner is folded over a diagonal crease."""
     points = over.copy()
     beyond = points[:, 0] + points[:, 1] - 0.1
     moved = beyond > 1e-9
@@ -42,7 +42,7 @@ def test_a_flat_sheet_is_even_whichever_side_is_up() -> None:
 
 def test_a_folded_corner_is_brought_to_where_it_belongs() -> None:
     flat, points = _placed(_rest()), _placed(_folded(_rest()))
-    # The corner lies as far from where it belongs as it is from the crease, twice.
+    # The corner's displacement is twice its distance from the crease.
     assert max_displacement(points, _rest(), _THICK) == pytest.approx(0.1 * np.sqrt(2), abs=2e-3)
     assert unevenness(points, _rest(), _THICK) > 0.02
     unfolding = [
@@ -56,7 +56,7 @@ def test_a_folded_corner_is_brought_to_where_it_belongs() -> None:
 
 def test_what_lies_under_another_layer_or_stands_up_is_not_taken() -> None:
     under = _folded(_rest())
-    # The same from below: the corner is under the rest, which it lifts.
+    # The same from below: the corner lifts the rest.
     under[:, 2] = np.where(under[:, 2] > 0, 0.0, _THICK)
     taken = {point for pull in candidate_pulls(_placed(under), _rest(), _THICK, _SPACING) for point in pull.points}
     assert taken and (8, 8) not in taken
@@ -68,7 +68,7 @@ def test_what_lies_under_another_layer_or_stands_up_is_not_taken() -> None:
 
 def test_bold_pulls_go_farther() -> None:
     ridge = _rest()
-    # A ridge stands up along the middle.
+    # A ridge along the middle.
     ridge[ridge[:, 0] == 0.0, 2] = 0.012
     points = _placed(ridge)
     ways = [

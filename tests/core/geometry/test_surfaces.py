@@ -1,4 +1,4 @@
-"""Surfaces made from loops, what they hold, their hull, and the water on them."""
+"""Lathe surfaces: their volume, hull and water level."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Photos as cameras, phones and people make them; and files that are none."""
+"""Photos of cameras, phones and users, and files that are no photos."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def bgr() -> np.ndarray:
 
 
 def turned_jpeg(orientation: int) -> bytes:
-    """A JPEG that says by its EXIF how it is to be turned."""
+    """A JPEG with an EXIF orientation."""
     data = cv2.imencode(".jpg", bgr(), [cv2.IMWRITE_JPEG_QUALITY, 95])[1].tobytes()
     # TIFF header, and a directory of one entry: Orientation (0x0112), a short.
     tiff = b"II*\0" + struct.pack("<I", 8) + struct.pack("<HHHIHHI", 1, 0x0112, 3, 1, orientation, 0, 0)
@@ -117,7 +117,7 @@ def test_a_png_with_a_flipped_bit_is_refused_without_a_word_of_the_decoders(
 
 
 def test_a_phones_photo_with_a_preview_inside_is_refused_when_cut_off(tmp_path: Path) -> None:
-    """The preview has an end marker of its own, near the file's beginning."""
+    """The preview has its own end marker, near the file's beginning."""
     big = cv2.resize(bgr(), (640, 480))
     data = cv2.imencode(".jpg", np.random.default_rng(0).integers(0, 255, big.shape, np.uint8) // 2 + big // 2)[1]
     preview = cv2.imencode(".jpg", bgr())[1].tobytes()
@@ -161,7 +161,7 @@ def test_masks(tmp_path: Path) -> None:
     inside[10:30, 20:50] = True
     assert np.array_equal(read_mask(saved(tmp_path / "labels.png", inside.astype(np.uint8))), inside)
     assert np.array_equal(read_mask(saved(tmp_path / "white.png", inside * np.uint8(255))), inside)
-    # A JPEG's surroundings of an edge are not quite black.
+    # JPEG compression brightens pixels beside an edge.
     smeared = saved(tmp_path / "white.jpg", inside * np.uint8(255))
     assert (cv2.imread(str(smeared), 0)[~inside] > 0).any()
     assert np.array_equal(read_mask(smeared), inside)

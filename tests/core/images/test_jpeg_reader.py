@@ -1,4 +1,4 @@
-"""Looking at JPEGs: their header before they are decoded, what is in them, and what the decoder says."""
+"""JPEG headers before decoding, contents, and the decoder's complaints."""
 
 from __future__ import annotations
 

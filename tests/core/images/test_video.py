@@ -1,4 +1,4 @@
-"""MP4 files as a player sees them, and what is left on the disk when something goes wrong."""
+"""MP4 files in a player, and files after a failure."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ av = pytest.importorskip("av", reason="yamsim[video] is not installed")
 
 
 def picture(k: int, width: int = 64, height: int = 48) -> Image:
-    """A bright column that moves a pixel a frame, over a gradient."""
+    """A bright column that moves a pixel per frame, over a gradient."""
     image = np.empty((height, width, 3), np.uint8)
     image[...] = np.linspace(20, 200, width, dtype=np.uint8)[None, :, None]
     image[:, k % width] = (250, 60, 30)
@@ -28,7 +28,7 @@ def picture(k: int, width: int = 64, height: int = 48) -> Image:
 
 
 def smooth(k: int) -> Image:
-    """Two gradients, and a level that jumps from frame to frame."""
+    """Two gradients, and a level that changes abruptly between frames."""
     x, y = np.meshgrid(np.linspace(0, 1, 24), np.linspace(0, 1, 16))
     return np.stack([110 + 30 * x, 60 + 30 * y, np.full_like(x, 20 + 37 * k % 200)], axis=-1).astype(np.uint8)
 
@@ -58,7 +58,7 @@ def test_every_frame_is_there_at_its_exact_time(
 
 
 def as_tagged(frame: Any) -> np.ndarray:
-    """A decoded frame in RGB, by its tag: before version 17 PyAV looks at that only where the matrix is to change."""
+    """A decoded frame in RGB, by its tag: before version 17 PyAV uses the tag only if the matrix is to change."""
     other = BT601.tag if frame.colorspace == BT709.tag else BT709.tag
     found: np.ndarray = frame.reformat(
         format="rgb24", src_colorspace=frame.colorspace, dst_colorspace=other
@@ -81,7 +81,7 @@ def test_colours_come_back_and_say_how_they_are_meant(tmp_path: Path, matrix: Co
     assert frame.colorspace == matrix.tag
     assert np.abs(as_tagged(frame)[32, 16::32].astype(int) - colours).max() <= 4
     if matrix is BT601:
-        # Whether the tag is looked at or not.
+        # With and without the tag.
         assert np.abs(frame.to_ndarray(format="rgb24")[32, 16::32].astype(int) - colours).max() <= 4
 
 
@@ -101,7 +101,7 @@ def test_the_index_comes_before_the_pictures(tmp_path: Path) -> None:
 
 
 def test_the_same_images_give_the_same_bytes(tmp_path: Path) -> None:
-    """Whatever lies in the memory that the encoder takes: small frames show it if that matters."""
+    """Uninitialised memory of the encoder has no effect, which small frames would show."""
     images = [smooth(k) for k in range(57)]
     random, digests = np.random.default_rng(0), set()
     for number in range(30):
@@ -171,14 +171,14 @@ def test_images_that_do_not_fit_are_refused(tmp_path: Path) -> None:
 
 
 def test_a_file_that_cannot_be_made_is_told_at_once(tmp_path: Path) -> None:
-    """A name that leaves no room for the hidden one; it cannot be made by root either, who may write anywhere."""
+    """No hidden temporary file fits beside such a long name, even for root."""
     path = tmp_path / f"{'a' * 240}.mp4"
     with pytest.raises(ResourceError, match="cannot be written: File name too long"), VideoWriter(path, 0.1):
         pytest.fail("the block was entered")
 
 
 def test_a_full_disk_is_told_in_one_line_and_leaves_nothing(tmp_path: Path) -> None:
-    """A file size limit stands in for a full disk; at each size another call is the first to fail."""
+    """A file size limit stands for a full disk; at each size another call fails first."""
     film(tmp_path / "whole.mp4", 30)
     whole = (tmp_path / "whole.mp4").stat().st_size
     (tmp_path / "whole.mp4").unlink()

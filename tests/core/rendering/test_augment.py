@@ -23,7 +23,7 @@ def test_without_any_range_a_picture_stays_as_it_is() -> None:
 
 
 def test_a_picture_follows_from_its_numbers_alone() -> None:
-    """Whatever was changed before it."""
+    """Earlier changes have no effect."""
     ranges = PictureRanges(brightness=(-0.1, 0.1), contrast=(0.8, 1.2), noise=(4, 4), salt_pepper=(0.01, 0.01))
     worker = PictureAugmenter(ranges, Variation(noise=4.0, salt_pepper=0.01), AttemptJob(0, 0), SIZE)
     for frame in (5, 3, 4):
@@ -66,7 +66,7 @@ def test_brightness_and_contrast_are_about_the_middle() -> None:
 
 
 def test_parts_of_a_picture_draw_apart() -> None:
-    """Without noise, salt and pepper fall on the same pixels."""
+    """Without noise, salt and pepper affect the same pixels."""
     ranges = PictureRanges(brightness=(-0.05, 0.05))
     with_noise, without = (augmented(ranges, noise=noise, salt_pepper=0.02) for noise in (3.0, 0.0))
     np.testing.assert_array_equal((with_noise == 255).all(axis=2), (without == 255).all(axis=2))

@@ -27,7 +27,7 @@ SIDES = ("top_left", "top_right", "bottom_right", "bottom_left")
 
 @dataclass
 class NapkinScene:
-    """A napkin on a table; `start` is MuJoCo's positions with it flat there, arms away."""
+    """A napkin on a table; `start` is MuJoCo's positions with the napkin flat, arms away."""
 
     simulator: Simulator
     start: Array
@@ -39,7 +39,7 @@ class NapkinScene:
         return measure_frame(simulator.state_replay.data, camera, simulator.renderer, simulator.labels, T)
 
     def corners(self, truth: FrameTruth) -> dict[str, int]:
-        """Corner -> index among the keypoints."""
+        """Return corner -> index among the keypoints."""
         names = [point.name for point in self.simulator.labels.names.keypoints]
         return {side: names.index(f"napkin_{side}") for side in SIDES}
 
@@ -47,7 +47,7 @@ class NapkinScene:
         return [Visibility(truth.arrays["visibility"][k]) for k in self.corners(truth).values()]
 
     def moved(self, points: Array) -> Array:
-        """MuJoCo's positions with the napkin's points (9, 9, 3) there in `world`."""
+        """Return MuJoCo's positions with the napkin's points (9, 9, 3) in `world`."""
         cloth, qpos = self.simulator.scene.cloths["napkin"], self.start.copy()
         qpos[cloth.qpos] = points.reshape(-1, 3) - cloth.flat_points
         return qpos
@@ -59,7 +59,7 @@ class NapkinScene:
 
 @pytest.fixture(scope="module", params=["640x480", "160x120"])
 def stage(tmp_path_factory: pytest.TempPathFactory, request: pytest.FixtureRequest) -> Iterator[NapkinScene]:
-    """A pixel is 2.4 mm wide where the napkin lies, or 10 mm, more than a layer is thick."""
+    """A pixel is 2.4 mm wide at the napkin, or 10 mm, more than a layer's thickness."""
     session = session_of(tmp_path_factory.mktemp("cloth"), FOLD, truth=True, size=request.param)
     with Simulators(session) as simulators:
         simulator, attempt = first_attempt(simulators)
@@ -76,11 +76,11 @@ def test_of_a_flat_napkin_every_point_and_corner_is_seen_from_above(stage: Napki
     number = next(label.id for label in names.labels if label.name == "napkin")
     seen = np.argwhere(truth.labels == number)[:, ::-1]
     places = np.array([truth.arrays["keypoints"][k] for k in stage.corners(truth).values()])
-    # The mask's outermost pixels are those beside the corners.
+    # The mask's outermost pixels are beside the corners.
     assert np.abs(places - seen[:, None]).max(axis=2).min(axis=0).max() <= 1.5
     assert np.abs(places.min(axis=0) - seen.min(axis=0)).max() <= 1.5
     assert np.abs(places.max(axis=0) - seen.max(axis=0)).max() <= 1.5
-    # Left of it is left of it, and what is along its y axis is up, for eyes that have turned it so.
+    # Left and right, and up along the y axis, as seen by an observer turned that way.
     x, y = places[1] - places[0], places[0] - places[3]
     assert x[0] * y[1] - x[1] * y[0] < 0
 
@@ -105,7 +105,7 @@ def test_files_hold_what_their_labels_say(stage: NapkinScene) -> None:
 
 def test_of_a_napkin_in_half_the_lower_layer_is_hidden(stage: NapkinScene) -> None:
     points, radius = stage.points, stage.simulator.scene.cloths["napkin"].radius
-    # The upper layer reaches over the edges of the lower one, which would else be seen from the side.
+    # The upper layer reaches over the edges of the lower one, which would otherwise be seen from the side.
     fold = points[4, 4]
     points[:, 5:] = fold + 1.15 * (points[:, 3::-1] - fold) + (0, 0, 2 * radius)
     points[:, 4] += (0, 0, radius)
@@ -136,7 +136,7 @@ def test_under_the_table_all_of_it_is_hidden(stage: NapkinScene) -> None:
 
 
 def test_the_drawn_sides_are_those_that_the_renderer_draws(stage: NapkinScene) -> None:
-    """A sheet bent at random, against the triangles that MuJoCo hands to OpenGL."""
+    """A randomly bent sheet, against the triangles that MuJoCo passes to OpenGL."""
     cloth, qpos = stage.simulator.scene.cloths["napkin"], stage.start.copy()
     qpos[cloth.qpos] += np.random.default_rng(0).normal(size=cloth.qpos.shape) * 0.01
     stage.simulator.state_replay.set_state(qpos)

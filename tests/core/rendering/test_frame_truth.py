@@ -1,4 +1,4 @@
-"""Ground truth against what is known otherwise: geometry, rays, and the picture itself."""
+"""Ground truth against geometry, rays, and the picture."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ pytestmark = pytest.mark.render
 
 CAMERA, WRIST = "scene_camera", "right_wrist_camera"
 SIZE = (640, 480)
-# Turned about, so that each link is seen from many sides.
+# Turned, so that each link is seen from many sides.
 POSES = ([0, 1.92, 2.22, -1.55, 0, 0], [0.9, 1.2, 1.5, -0.5, 0.4, 1.0], [-1.2, 1.6, 1.2, 0.8, -0.6, -1.5])
 
 
 @dataclass
 class TruthScene:
-    """A scene to be measured: `truth` is of what it shows now. `start` is MuJoCo's positions at the start."""
+    """A scene to measure: `truth` is of its present state; `start` is MuJoCo's positions at the start."""
 
     replica: StateReplay
     renderer: SceneRenderer
@@ -57,14 +57,14 @@ class TruthScene:
         return pose(view.xpos, opencv_from_mujoco(view.xmat))
 
     def points_in_world(self, truth: FrameTruth, pixels: np.ndarray) -> Array:
-        """Where the depth image says that pixels (n, 2) of (column, row) lie in `world`."""
+        """Points in `world` of pixels (n, 2), (column, row), by the depth image."""
         K = self.renderer.intrinsics(CAMERA).K
         z = truth.depth_mm[pixels[:, 1], pixels[:, 0]] / 1000.0
         rays = np.column_stack([pixels, np.ones(len(pixels))]) @ np.linalg.inv(K).T
         return np.asarray((rays * z[:, None]) @ self.T_cam_in_world()[:3, :3].T + self.T_cam_in_world()[:3, 3])
 
     def ray(self, u: int, v: int) -> float:
-        """Distance z of what a ray through a pixel's middle meets, m: another way to depth than drawing."""
+        """Distance z of the first hit of a ray through a pixel's middle, m: depth without rendering."""
         K, T = self.renderer.intrinsics(CAMERA).K, self.T_cam_in_world()
         direction = T[:3, :3] @ np.linalg.inv(K) @ (u, v, 1.0)
         model, groups = self.replica.scene.model, np.array([1, 1, 1, 0, 0, 0], np.uint8)
@@ -129,7 +129,7 @@ def test_depth_of_the_table_lies_on_its_plane(stage: TruthScene) -> None:
     rows, columns = np.nonzero(inside)
     points = stage.points_in_world(truth, np.column_stack([columns, rows]))
     top = stage.config.table.top
-    # Its front edge is seen as well.
+    # The table's front edge is seen as well.
     upper = points[points[:, 0] < stage.config.table.position[0] + stage.config.table.half_size[0] - 0.003]
     assert len(upper) > 50_000
     assert np.abs(upper[:, 2] - top).max() < 0.001
@@ -172,7 +172,7 @@ def test_a_visible_point_of_a_surface_lies_on_its_body_and_agrees_with_depth(
         reach = 1 if kind == "corner" else 0
         part = np.s_[v - reach : v + reach + 1, u - reach : u + reach + 1]
         assert number in truth.labels[part]
-        # Half a pixel of a slanted surface adds to the 2 mm that depth may differ by from the surface's own there.
+        # Half a pixel on a slanted surface adds to the 2 mm tolerance of depth.
         apart = np.abs(truth.depth_mm[part][truth.labels[part] == number] / 1000 - truth.arrays["keypoint_depth"][k])
         assert apart.min() < 0.004
         if kind == "axis":
@@ -183,7 +183,7 @@ def test_a_visible_point_of_a_surface_lies_on_its_body_and_agrees_with_depth(
 
 @pytest.mark.parametrize("joints", POSES)
 def test_a_point_of_a_surface_is_visible_just_where_a_ray_reaches_it(stage: TruthScene, joints: list[float]) -> None:
-    """A ray from the camera through the whole scene is another way to find what hides a point."""
+    """A ray from the camera through the whole scene finds occluders independently."""
     stage.pose(joints)
     truth = stage.truth()
     model, data = stage.replica.scene.model, stage.replica.data
@@ -199,7 +199,7 @@ def test_a_point_of_a_surface_is_visible_just_where_a_ray_reaches_it(stage: Trut
         distance = mujoco.mj_ray(
             model, data, start, target - start, np.array([1, 1, 1, 0, 0, 0], np.uint8), True, -1, geom
         )
-        # In parts of the way to the point: 1 where nothing is in front of it.
+        # As a share of the way to the point: 1 without an occluder.
         gap = (1 - distance) * z
         normal = data.xmat[point.body].reshape(3, 3) @ point.normal
         if (normal @ (start - target)) / np.linalg.norm(start - target) < 0.2:
@@ -221,14 +221,14 @@ def test_a_visible_joint_lies_on_a_link_it_joins(stage: TruthScene, joints: list
         u, v = np.rint(truth.arrays["keypoints"][k]).astype(int)
         name = stage.labels.names.labels[truth.labels[v, u]].name
         assert name in (record.body, model.body(int(model.body_parentid[link])).name)
-        # What is seen there is in front of the centre, by no more than the link is thick.
+        # The visible surface is in front of the centre, by at most the link's thickness.
         assert 0 < truth.arrays["keypoint_depth"][k] - truth.depth_mm[v, u] / 1000 < 0.0705
         count += 1
     assert count >= 2
 
 
 def test_what_something_hides_is_hidden(stage: TruthScene) -> None:
-    """The plate, set up before the board, hides it."""
+    """The plate, placed before the board, hides it."""
     stage.pose(POSES[0])
     corners = [k for k, record in enumerate(stage.labels.names.keypoints) if record.kind == "corner"]
     assert (stage.truth().arrays["visibility"][corners] == Visibility.VISIBLE).all()
@@ -239,7 +239,7 @@ def test_what_something_hides_is_hidden(stage: TruthScene) -> None:
     qpos[at : at + 3] = board + 0.2 * (stage.T_cam_in_world()[:3, 3] - board)
     stage.replica.set_state(qpos)
     assert (stage.truth().arrays["visibility"][corners] == Visibility.HIDDEN).all()
-    # The wrist camera looks elsewhere.
+    # The wrist camera points elsewhere.
     assert (stage.truth(WRIST).arrays["visibility"][corners] == Visibility.OUTSIDE).all()
 
 
@@ -278,7 +278,7 @@ def test_what_is_not_seen_has_an_empty_box() -> None:
 
 
 def test_truth_lies_on_the_picture(stage: TruthScene) -> None:
-    """The banana is the only yellow thing: its mask in the picture is that of the segmentation, but for its edge."""
+    """Only the banana is yellow: its mask in the picture equals the segmentation, except for its edge."""
     stage.pose(POSES[0])
     image = stage.renderer.render(stage.replica.data, CAMERA).astype(int)
     yellow = (image[..., 0] > image[..., 2] + 60) & (image[..., 1] > image[..., 2] + 35)
@@ -301,7 +301,7 @@ def test_label_images_come_back(stage: TruthScene) -> None:
     [(0, 0.0, True), (1, 0.0, True), (5, 0.0, False), (-5, 0.0, False), (0, 1.0, True), (5, 1.0, False)],
 )
 def test_the_same_body_in_front_of_a_point_hides_it(nearer_mm: int, slant: float, seen: bool) -> None:
-    """A plane of one body fills the picture; the point lies on it, or behind what is drawn of it."""
+    """One body's plane fills the picture; the point lies on it, or behind it."""
     K = np.array([[100.0, 0, 15.5], [0, 100.0, 11.5], [0, 0, 1]])
     p, normal = np.array([0.004, 0.003, 1.0]), np.array([slant, 0.0, -1.0]) / np.hypot(slant, 1.0)
     v, u = np.mgrid[:24, :32]

@@ -32,7 +32,7 @@ SIZE = (640, 480)
 
 @pytest.fixture(scope="module")
 def simulator(make_config: Callable[..., RecordConfig], locations: Locations) -> Simulator:
-    # Round enough for the middle of what is drawn to be that of a ball.
+    # Round enough that the centroid of the picture is that of a ball.
     return Simulator(Session(make_config({("wrist",): True, ("render", "slices"): 32}), locations))
 
 
@@ -53,7 +53,7 @@ def replica(simulator: Simulator) -> StateReplay:
 
 
 def replica_of(simulator: Simulator) -> StateReplay:
-    """The scene with objects where a seed puts them, ready to be drawn."""
+    """The scene with a seed's objects, ready to render."""
     simulator.state_replay.set_state(start_of(simulator))
     return simulator.state_replay
 
@@ -73,7 +73,7 @@ def test_drawing_again_gives_the_same_bytes(renderer: SceneRenderer, replica: St
 
 
 def test_cameras_are_where_the_record_says(renderer: SceneRenderer, replica: StateReplay, scene: CompiledScene) -> None:
-    """A ball put at a known point shows up where intrinsics and extrinsics put it, to a tenth of a pixel."""
+    """A ball at a known point appears where intrinsics and extrinsics put it, within a tenth of a pixel."""
     model = scene.model
     K = renderer.intrinsics("scene_camera").K
     T_cam_in_base = replica.T_cam_in_base("scene_camera")
@@ -86,7 +86,7 @@ def test_cameras_are_where_the_record_says(renderer: SceneRenderer, replica: Sta
 def _ball_centroid(
     model: mujoco.MjModel, data: mujoco.MjData, renderer: SceneRenderer, point: np.ndarray
 ) -> np.ndarray:
-    """Centroid in pixels of a ball of 1 cm drawn at a point, from the difference of two pictures."""
+    """Centroid in pixels of a ball of 1 cm at a point, from the difference of two pictures."""
     scene = renderer._scene
     images = []
     for with_ball in (False, True):
@@ -141,7 +141,7 @@ def test_closing_twice_is_harmless(scene: CompiledScene) -> None:
 def test_a_fine_picture_shows_the_same_at_the_same_place(
     make_config: Callable[..., RecordConfig], locations: Locations, size: tuple[int, int]
 ) -> None:
-    """Averaged from one half again as large, which for odd sizes has to be rounded."""
+    """Averaged from 1.5 times the size, which is rounded for odd sizes."""
     changes = {("image", "size_px"): list(size), ("render", "supersampling"): 1.5}
     config = make_config(changes)
     replica = replica_of(Simulator(Session(config, locations)))
@@ -157,9 +157,9 @@ def test_a_fine_picture_shows_the_same_at_the_same_place(
     window = cv2.createHanningWindow(size, cv2.CV_64F)
     (shift, _) = cv2.phaseCorrelate(plain.mean(axis=2), averaged.mean(axis=2), window)
     assert np.hypot(*shift) < 0.1
-    # Steps from pixel to pixel are smaller: that is what it is for.
+    # Steps between pixels are smaller, as intended.
     assert np.abs(np.diff(averaged, axis=1)).mean() < np.abs(np.diff(plain, axis=1)).mean()
-    # What is no colour is not averaged.
+    # Labels are not averaged.
     assert (ids[0] == ids[1]).all()
     assert (depths[0] == depths[1]).all()
 
@@ -171,7 +171,7 @@ def test_an_image_is_written_where_it_is_wanted(renderer: SceneRenderer, replica
 
 
 def test_depth_is_that_of_the_table(renderer: SceneRenderer, replica: StateReplay, config: RecordConfig) -> None:
-    """Where the table is seen, each pixel's ray reaches its top's plane at the depth that is read."""
+    """On the table, each pixel's ray reaches the top's plane at the measured depth."""
     seen = renderer.segment(replica.data, "scene_camera") == replica.scene.model.geom("table").id
     rows, columns = np.nonzero(seen)
     depth = renderer.depth(replica.data, "scene_camera")[rows, columns]
@@ -179,7 +179,7 @@ def test_depth_is_that_of_the_table(renderer: SceneRenderer, replica: StateRepla
     rays = np.column_stack([columns, rows, np.ones(len(rows))]) @ np.linalg.inv(K).T
     points = replica.T_cam_in_base("scene_camera")[:3] @ np.column_stack([rays * depth[:, None], np.ones(len(rows))]).T
     heights = points[2] + replica.scene.T_base_in_world[2, 3]
-    # But for the few pixels of its edge.
+    # Except for the few pixels of its edge.
     assert np.quantile(np.abs(heights - config.table.top), 0.9) < 2e-4
 
 
@@ -199,9 +199,9 @@ def shadows_on(
     meshes: Mapping[str, Path | None] | None = None,
     all_cast: bool = False,
 ) -> np.ndarray:
-    """Areas in pixels of the patches of some geoms that are darker than they are without shadows.
+    """Areas in pixels of the patches of some geoms that shadows darken.
 
-    Patches that lie wholly along an edge are left out: a shadow behind a rim shows there as a row of single pixels.
+    Patches along an edge are omitted: a shadow behind a rim shows there as a row of single pixels.
     """
     pictures = []
     for shadow_map in (config.render.shadow_map_px, 0):
@@ -227,7 +227,7 @@ def shadows_on(
 def test_every_preset_has_shadows_without_acne(
     preset: str, make_config: Callable[..., RecordConfig], locations: Locations
 ) -> None:
-    """On table and floor, shadows are a few patches, and no dots."""
+    """On table and floor, shadows are a few patches, without dots."""
     areas = shadows_on(FLAT, make_config({("render",): preset}), locations)
     assert areas.sum() > 500
     assert areas.max() > 200
@@ -235,7 +235,7 @@ def test_every_preset_has_shadows_without_acne(
 
 
 def test_acne_would_be_seen(make_config: Callable[..., RecordConfig], locations: Locations) -> None:
-    """Were table and floor to cast shadows onto themselves, they would be full of dots."""
+    """With shadows of table and floor onto themselves, both would be full of dots."""
     areas = shadows_on(FLAT, make_config({("render",): "fast"}), locations, all_cast=True)
     assert (areas <= 3).sum() > 50
 
@@ -253,7 +253,7 @@ def scans(locations: Locations) -> dict[str, Path | None]:
 def test_the_plate_does_not_speckle_itself(
     preset: str, make_config: Callable[..., RecordConfig], locations: Locations, scans: dict[str, Path | None]
 ) -> None:
-    """Where its scan casts a shadow, light that grazes it leaves dots on it."""
+    """If its scan cast a shadow, grazing light would leave dots on it."""
     config = make_config({("render",): preset})
     (plate,) = config.task.things["target"].of
     mesh = plate.mesh.model_copy(update={"castshadow": True})
@@ -285,7 +285,7 @@ def test_one_that_nobody_closed_ends_without_a_word() -> None:
     assert (run.returncode, run.stderr) == (0, "")
 
 
-# An interpreter that has drawn nothing yet; `child` tells what a function does in a process forked from here.
+# An interpreter that has not rendered yet; `child` returns the result of a function in a forked process.
 SCRIPT = """
 import multiprocessing
 from concurrent.futures import ProcessPoolExecutor
@@ -319,7 +319,7 @@ def child(function, *arguments):
 
 
 def printed_by(script: str) -> list[str]:
-    """The lines that a script prints after `SCRIPT`."""
+    """Lines that a script prints after `SCRIPT`."""
     run = subprocess.run(
         [sys.executable, "-c", SCRIPT + script], capture_output=True, text=True, timeout=100, check=False
     )
@@ -338,7 +338,7 @@ def test_a_process_forked_from_one_that_drew_is_refused_with_what_to_do() -> Non
         "print(child(draw))\n"
         "print(draw())\n"
     )
-    # The parent itself goes on drawing.
+    # The parent goes on rendering.
     assert (lines[0], lines[-1]) == ("drew True", "drew True")
     assert len(lines) == 6
     for line in lines[1:-1]:

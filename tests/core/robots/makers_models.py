@@ -1,4 +1,4 @@
-"""The maker's own models of the YAM family, out of its SDK's wheel, each arm and gripper put together as the SDK does.
+"""The manufacturer's models of the YAM family, from its SDK's wheel, each arm and gripper combined as the SDK does.
 
     python -m tests.core.robots.makers_models WHEEL > tests/data/family_reference.json
 
@@ -25,7 +25,7 @@ from yamsim_cli.core.geometry.se3 import Array, pose, pose_from_quat, quat_from_
 
 Element = ElementTree.Element
 
-# Our model -> the maker's arm and its version.
+# yamsim's model -> the manufacturer's arm and its version.
 ARMS: Mapping[str, tuple[str, int]] = {
     "yam_v1": ("yam", 1),
     "yam_pro_v1": ("yam_pro", 1),
@@ -37,11 +37,11 @@ ARMS: Mapping[str, tuple[str, int]] = {
 
 @dataclass(frozen=True)
 class Fingers:
-    """How the maker's fingers are ours.
+    """Mapping of the manufacturer's fingers to yamsim's.
 
     Attributes:
-        bodies, joints: the maker's, of our left and right finger.
-        closed: what the maker's joints are where ours are 0, m.
+        bodies, joints: the manufacturer's, of yamsim's left and right finger.
+        closed: the manufacturer's joint positions at yamsim's 0, m.
     """
 
     bodies: tuple[str, str]
@@ -54,25 +54,25 @@ GRIPPERS: Mapping[str, Fingers | None] = {
     "crank_4310": Fingers(_TIPS.bodies, _TIPS.joints, 0.00205),
     "linear_4310": _TIPS,
     "linear_3507": _TIPS,
-    # The one that opens to the left is the maker's second.
+    # The manufacturer's second finger opens to the left.
     "flexible_4310": Fingers(("linear_module_2", "linear_module"), ("joint8", "joint7")),
     "no_gripper": None,
 }
 
-# The maker's flange is ours, turned by half about its z.
+# Half a turn about z from the manufacturer's flange to yamsim's.
 T_FLANGE = pose_from_quat((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
 
-# Poses in the file. The test that has the wheel takes 200.
+# Poses in the file; the test with the wheel takes 200.
 _STORED = 6
 
 
 @dataclass(frozen=True)
 class ReferencePose:
-    """One pose, in our terms: joints, then fingers (n,), rad and m; and what the maker's model makes of it.
+    """One pose with yamsim's joints, then fingers (n,), rad and m, and its values in the manufacturer's model.
 
     Attributes:
-        bodies: pose (4, 4) of each of our bodies in the base frame.
-        mass_matrix: (n, n), no armature in it.
+        bodies: pose (4, 4) of each of yamsim's bodies in the base frame.
+        mass_matrix: (n, n), without armature.
     """
 
     q: Array
@@ -81,7 +81,7 @@ class ReferencePose:
 
 
 class MakersModel:
-    """The maker's model of an arm with a gripper."""
+    """The manufacturer's model of an arm with a gripper."""
 
     def __init__(self, wheel: Path, arm: str, gripper: str) -> None:
         with zipfile.ZipFile(wheel) as archive:
@@ -95,11 +95,11 @@ class MakersModel:
         self._range = np.array([joint.range for joint in joints])
 
     def random(self, rng: np.random.Generator) -> Array:
-        """Joints and fingers (n,) anywhere between their stops."""
+        """Random joints and fingers (n,) within their limits."""
         return np.round(rng.uniform(*self._range.T) - self._closed, 6)
 
     def sample(self, q: Array) -> ReferencePose:
-        """What the model makes of joints and fingers (n,)."""
+        """Return the model's values for joints and fingers (n,)."""
         model, data = self._model, mujoco.MjData(self._model)
         data.qpos[self._qpos] = q + self._closed
         mujoco.mj_forward(model, data)
@@ -118,7 +118,7 @@ def _pose(data: mujoco.MjData, name: str) -> Array:
 
 
 def _merged(archive: zipfile.ZipFile, arm: str, version: int, gripper: str) -> str:
-    """The arm's MJCF with the gripper's body in its last one, without anything that is only seen."""
+    """The arm's MJCF with the gripper's body in its last one, without visual parts."""
     models = "i2rt/robot_models"
     root = _without_looks(archive.read(f"{models}/arm/{arm}/v{version}/{arm}.xml"))
     hand = _without_looks(archive.read(f"{models}/gripper/{gripper}/{gripper}.xml"))
@@ -171,7 +171,7 @@ def _text(values: Array) -> str:
 
 
 def reference(wheel: Path) -> dict[str, Any]:
-    """What the maker's models make of a few random poses, of every arm with every gripper."""
+    """Values of the manufacturer's models for a few random poses, of every arm with every gripper."""
     rng, found = np.random.default_rng(20261122), []
     for arm in ARMS:
         for gripper in GRIPPERS:
@@ -191,7 +191,7 @@ def _plain(sample: ReferencePose) -> dict[str, Any]:
 
 
 def stored(plain: Mapping[str, Any]) -> ReferencePose:
-    """A sample as it was before it was written down."""
+    """Rebuild a sample from plain data."""
     q = np.array(plain["q"])
     matrix = np.zeros((len(q), len(q)))
     matrix[np.triu_indices(len(q))] = plain["mass_matrix"]

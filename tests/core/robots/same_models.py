@@ -1,4 +1,4 @@
-"""What compiled scenes are, as hashes of their arrays: recordings repeat only in the same models."""
+"""Compiled scenes as hashes of their arrays: recordings repeat only in the same models."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import re
 import mujoco
 import numpy as np
 
-# All that physics, drawing and recording make use of; sizes follow from these.
+# All arrays of physics, rendering and recording; sizes follow from these.
 ARRAYS = (
     *("body_parentid", "body_pos", "body_quat", "body_mass", "body_inertia", "body_ipos", "body_iquat"),
     *("body_gravcomp", "jnt_type", "jnt_bodyid", "jnt_axis", "jnt_range", "dof_armature", "dof_frictionloss"),
@@ -20,14 +20,14 @@ ARRAYS = (
 )
 
 
-# The cores of the table and the posts, and those in the banana; its first two looks are its brown ends.
+# Shadow casters of the table, the posts and the banana; the banana's first two looks are its brown ends.
 SHADOW_CASTER = re.compile(r".*_core|banana_look_[2-9]")
 
 
 def figures(model: mujoco.MjModel) -> dict[str, str]:
-    """Array -> hash of what it holds, to ten decimals; and one of all names.
+    """Array -> hash of its content, to ten decimals; and one hash of all names.
 
-    Geoms that only cast a shadow are left out: they touch nothing, are hidden, and came after the kept figures.
+    Shadow-casting geoms are omitted: they touch nothing, are hidden, and are newer than the kept figures.
     """
     casts = [SHADOW_CASTER.fullmatch(model.geom(k).name) is not None for k in range(model.ngeom)]
     assert not np.any(model.geom_contype[casts] | model.geom_conaffinity[casts])

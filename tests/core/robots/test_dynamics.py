@@ -1,4 +1,4 @@
-"""An arm that moves otherwise than its model: a file, put over a rig's arms."""
+"""A revision of an arm's dynamics: a file for a rig's arms."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def test_a_mass_at_the_tip_hangs_where_fingers_meet_and_nothing_bears_it(tmp_pat
 
     assert (tip.mass[0], model.body_gravcomp[tip.id]) == (0.1, 0)
     assert np.allclose(tip.pos, model.site("pinch_site").pos)
-    # Kinematics stay the arm's own.
+    # Kinematics stay those of the arm.
     assert kinematic_model(_rig([_file(tmp_path)]).arms[0]).nq == 6
 
 

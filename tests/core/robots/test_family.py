@@ -1,4 +1,4 @@
-"""Every arm with every gripper of the maker's, against the maker's own models."""
+"""Every arm with every gripper, against the manufacturer's models."""
 
 from __future__ import annotations
 
@@ -24,8 +24,7 @@ REFERENCE = Path(__file__).parents[2] / "data" / "family_reference.json"
 PAIRS = list(itertools.product(ARMS, GRIPPERS))
 
 _CLOSE = 1e-6
-# MuJoCo Menagerie, which our linear_4310 is from, has its housing's inertia turned by half about z, against the SDK;
-# kg m2.
+# kg m2; MuJoCo Menagerie, the source of linear_4310, has its housing's inertia rotated by half a turn about z
 _OTHER_AXES = 1.2e-5
 
 
@@ -36,7 +35,7 @@ def _robot(arm: str, gripper: str, locations: Locations) -> Robot:
 
 
 def _compiled(robot: Robot) -> mujoco.MjModel:
-    """Without meshes, and without what hangs on the wrist: the maker's grippers have no camera."""
+    """Without meshes and camera: the manufacturer's grippers have no camera."""
     spec = mujoco.MjSpec.from_string(robot.xml)
     for body in spec.bodies:
         for geom in list(body.geoms):
@@ -51,7 +50,7 @@ def _compiled(robot: Robot) -> mujoco.MjModel:
 
 
 def _farthest(robot: Robot, model: mujoco.MjModel, sample: ReferencePose) -> tuple[float, float]:
-    """The largest difference of a pose's entry, and of the mass matrix's, armature not counted."""
+    """Largest difference of pose entries, and of the mass matrix without armature."""
     names = [*robot.joint_names, *(robot.fingers.joints if robot.fingers else ())]
     joints = [model.joint(name) for name in names]
     data = mujoco.MjData(model)
@@ -83,7 +82,7 @@ def test_kinematics_and_inertia_are_the_makers(arm: str, gripper: str, locations
 
 
 def _most(gripper: str) -> float:
-    """How much an entry of the mass matrix may differ."""
+    """Tolerance of an entry of the mass matrix."""
     return _OTHER_AXES if gripper == "linear_4310" else _CLOSE
 
 
@@ -101,7 +100,7 @@ def test_kinematics_and_inertia_are_the_makers_at_200_poses(tmp_path: Path, loca
 
 
 def _wheel(folder: Path) -> Path:
-    """The SDK's wheel: the one that YAMSIM_I2RT_WHEEL names, or a fresh download."""
+    """The SDK's wheel: YAMSIM_I2RT_WHEEL, or a download."""
     if given := os.environ.get("YAMSIM_I2RT_WHEEL"):
         return Path(given)
     command = [sys.executable, "-m", "pip", "download", "-q", "--no-deps", "-d", str(folder)]

@@ -1,4 +1,4 @@
-"""Fin-ray fingers: stiffness against another theory, the chain against both, the grip, and the meshes."""
+"""Fin-ray fingers: stiffness against beam theory, grip, and meshes."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from yamsim_cli.core.geometry.stl import read_stl
 from yamsim_cli.core.robots.finray.finger import couplings, hinge_stiffness, slip_jacobian, slip_stiffness
 from yamsim_cli.core.robots.finray.finger_meshes import finger_mesh_files
 
-# Where things are held: from the middle to the last rib, m.
+# m, heights of contact: from the middle to the last rib
 HELD = (0.04, 0.05, 0.06, 0.065, 0.07)
 
 
@@ -53,7 +53,9 @@ def test_couplings_are_the_slips_springs() -> None:
 
 
 def pushed(height: float, force: float) -> tuple[float, float]:
-    """How far a force pushes the left finger's front wall in at a height, in physics, and the tip's turn; m and rad."""
+    """Return how far a force pushes the left finger's front wall at a height, in physics, m, and the tip's rotation,
+    rad.
+    """
     spec, soft = hand("finray"), finger()
     for joint in ("left_finger", "right_finger"):
         spec.delete(spec.joint(joint))
@@ -83,21 +85,21 @@ def test_physics_is_the_theory_where_forces_are_small_and_near_it_where_they_are
     far, turned = pushed(height, 0.1)
     assert far == pytest.approx(0.1 * compliance(finger(), height), rel=0.002)
     assert turned == pytest.approx(bent(finger(), height, 0.1).sum(), rel=0.002)
-    # Bent far it gets stiffer: the levers shorten.
+    # It stiffens with deflection: the levers shorten.
     assert 0.8 < pushed(height, 15.0)[0] / (15.0 * compliance(finger(), height)) < 1.0
 
 
 def cylinder(body: mujoco.MjsBody) -> None:
-    """60 mm across, its axis square to the closing axis and to the fingers."""
+    """60 mm across, its axis perpendicular to the closing axis and to the fingers."""
     body.add_geom(type=mujoco.mjtGeom.mjGEOM_CYLINDER, size=(0.03, 0.05, 0), quat=(1, 1, 0, 0), mass=0.05)
 
 
 def strawberry(body: mujoco.MjsBody) -> None:
-    """As wide as YCB's is where it is held."""
+    """As wide as YCB's strawberry at the grasp."""
     body.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=(0.0215, 0, 0), mass=0.018)
 
 
-# What makes each of a linear_4310's pads press a thing of 60 mm with 15 N: half of 2000 N/m over 15 mm.
+# Closes each pad of a linear_4310 onto 60 mm with 15 N: half of 2000 N/m over 15 mm.
 CLOSE = 0.030 - 0.015
 
 
@@ -106,7 +108,7 @@ def test_it_touches_more_of_a_cylinder_than_rigid_pads_do() -> None:
     soft = grip("finray", cylinder, CLOSE, start=0.04)
     assert soft.area > 2 * rigid.area
     assert soft.forces[-1] < 0.75 * rigid.forces[-1]
-    # Told to close so much farther that it presses as hard, in its middle, it wraps around more.
+    # With the same force, the middle of the finger wraps around more.
     wrapped = grip("finray", cylinder, 0.0, start=0.04, height=0.117)
     assert wrapped.forces[-1] == pytest.approx(rigid.forces[-1], rel=0.15)
     assert wrapped.area > 3.5 * rigid.area
@@ -127,10 +129,10 @@ def test_told_to_close_it_presses_softer_on_a_strawberry_at_its_worst_too(
 
 
 def test_at_15_newtons_it_stands_still() -> None:
-    """On a thing of 50 mm, the drive told so much less that both fingers press with 15 N at least."""
+    """On an object of 50 mm, with a command for at least 15 N per finger."""
     held = grip("finray", strawberry, -0.012, start=0.0375)
     assert held.forces[-1] > 15
-    # The second half of the time.
+    # In the second half of the time.
     assert np.ptp(held.forces[250:]) < 0.2
     assert np.abs(held.data.qvel).max() < 0.01
 

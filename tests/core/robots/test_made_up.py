@@ -1,4 +1,4 @@
-"""A robot is files alone: an arm of five joints and a gripper from a user's own folder do what the shipped ones do."""
+"""A robot from files alone: an arm of five joints and a gripper from a user's folder behave as shipped ones."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from yamsim_cli.core.scene.arm_model import arm_spec
 
 @pytest.fixture
 def locations(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Locations:
-    """With the robot in a folder of data that the environment names."""
+    """With the robot in a data folder that the environment names."""
     write_robot(tmp_path / "data")
     monkeypatch.setenv("YAMSIM_DATA_DIR", str(tmp_path / "data"))
     return Locations.find(os.environ)
@@ -61,7 +61,7 @@ def test_robots_list_tells_of_both(locations: Locations) -> None:
 
 
 def broken(locations: Locations, file: str, old: str, new: str) -> Path:
-    """A file of the made-up robot with a fault in it."""
+    """A file of the made-up robot with a fault."""
     path = locations.data[0] / "robot_models" / file
     text = path.read_text()
     assert old in text

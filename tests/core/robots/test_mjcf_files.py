@@ -1,4 +1,4 @@
-"""Files that the MJCF of an arm or a gripper includes or names."""
+"""Files that the MJCF of an arm or gripper includes or names."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def taken_out(folder: Path, start: str, end: str, file: str) -> None:
-    """Move a part of the arm's MJCF into a file of its own, and include that instead."""
+    """Move a part of the arm's MJCF into a separate file, and include it."""
     path = folder / "arm.xml"
     text = path.read_text()
     first, last = text.index(start), text.index(end) + len(end)
@@ -40,7 +40,7 @@ def checked(said: str, path: Path) -> None:
     assert done.code == 3, done.err
     assert str(path) in done.err and said in done.err
     assert len(done.err.splitlines()) == 1
-    # Lines of the expanded text are not lines of a file; a file that is no XML is named with its own.
+    # Lines of the expanded text are not lines of a file; invalid XML is reported with its own file.
     assert " line " not in done.err or "not valid XML" in said
 
 
@@ -50,7 +50,7 @@ def test_an_arm_with_includes_is_the_arm_in_one_file(folder: Path) -> None:
     taken_out(folder, "<actuator>", "</actuator>", "parts/drives.xml")
     taken_out(folder, '<body name="wrist_roll"', "</body>", "parts/wrist.xml")
     main, wrist = folder / "arm.xml", folder / "parts" / "wrist.xml"
-    # Some of the drives stay in the main file, and the last body comes by way of another file.
+    # Some drives stay in the main file, and the last body comes from another file.
     main.write_text(main.read_text().replace("</mujoco>", "<actuator/></mujoco>"))
     wrist.rename(folder / "parts" / "roll.xml")
     wrist.write_text('<mujoco><include file="roll.xml"/></mujoco>')

@@ -1,4 +1,4 @@
-"""The arms and grippers that yamsim comes with: they fit, and are what recordings were made with."""
+"""Shipped arms and grippers: they fit, and equal the models of recordings."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def shipped(model: str, gripper: str) -> Robot:
 
 
 def _pairs() -> list[tuple[str, str]]:
-    """Every arm with every gripper that fits it, by whichever file says so."""
+    """Every arm with every gripper that fits it, by either file."""
     arms = [load_config(ArmModel, "robots", name, WHERE) for name in WHERE.config_names("robots")]
     grippers = [load_config(Gripper, "grippers", name, WHERE) for name in WHERE.config_names("grippers")]
     return [
@@ -44,7 +44,7 @@ def _pairs() -> list[tuple[str, str]]:
 def test_scenes_are_the_models_that_recordings_were_made_with(
     make_config: Callable[..., RecordConfig], locations: Locations, rig: str
 ) -> None:
-    """The kept figures come from before arms and grippers were files of their own."""
+    """The kept figures are older than separate files of arms and grippers."""
     changes = {("rig",): rig, ("boards",): rig in ("single", "russet"), ("wrist",): True}
     found = figures(build_scene(Session(make_config(changes), locations)).model)
     assert [name for name in KEPT[rig] if found[name] != KEPT[rig][name]] == []

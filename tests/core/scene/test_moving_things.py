@@ -1,4 +1,4 @@
-"""Things with parts that move: drawers, lids, screw caps, ridges that hold them, and bases that stay."""
+"""Objects with moving parts: drawers, lids, screw caps, ridges that hold them, and fixed bases."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def world(item: ObjectConfig, *, floor: bool = False) -> tuple[mujoco.MjSpec, mu
 
 
 def pushed(model: mujoco.MjModel, data: mujoco.MjData, force: float, seconds: float) -> float:
-    """Where the part's joint is after a force, or torque, along it."""
+    """Return the part's joint position after a force or torque along it."""
     joint = model.joint("thing_part")
     for _ in range(round(seconds / model.opt.timestep)):
         data.qfrc_applied[joint.dofadr[0]] = force

@@ -59,7 +59,7 @@ def test_mass_matrix_agrees_but_for_the_mass_of_the_finger_geoms(
         ours = _mass_matrix(arm, sample["q"])
         np.testing.assert_allclose(ours, sample["mass_matrix_without_geom_mass"], atol=1e-9)
         extra = np.array(sample["mass_matrix"]) - ours
-        # Along its own slide a finger is heavier by just that mass; nowhere lighter.
+        # Along its slide a finger is heavier by exactly that mass; nowhere lighter.
         np.testing.assert_allclose(np.diag(extra)[6:], reference["geom_mass_per_finger"], atol=1e-6)
         assert np.linalg.eigvalsh(extra).min() > -1e-9
 

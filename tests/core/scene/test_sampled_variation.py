@@ -18,7 +18,7 @@ from yamsim_cli.core.scene.random_streams import Stream, random_generator
 from yamsim_cli.core.scene.randomization_sampling import sample_variation
 
 JOB = AttemptJob(3, 5)
-# Part -> what of the draw is its own; distractors' places are drawn elsewhere.
+# Part -> sampled values that it alone uses; distractors' places are sampled elsewhere.
 OWN = {
     "lights": {"lights"},
     "headlight": {"headlight"},

@@ -1,4 +1,4 @@
-"""The primitives that stand for a scan in contacts: as large as it, where it is, and lying as still."""
+"""The primitives of a scan in contacts: its size, place and stability."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ from yamsim_cli.objects.importing.ycb_import import MASS_G
 from yamsim_cli.objects.primitive_fit import Scan
 from yamsim_cli.objects.primitives import signed_distance
 
-# By how much (m) 99 % of a scan's outside may stick out of its primitives, and they out of its box.
+# m, by which 99 % of a scan's surface may exceed its primitives, and the primitives its box
 FITS = {
     "005_tomato_soup_can": 0.002,
     "007_tuna_fish_can": 0.002,
     "008_pudding_box": 0.004,
     "009_gelatin_box": 0.002,
-    # Its rounded edges.
+    # Rounded edges.
     "010_potted_meat_can": 0.005,
     "012_strawberry": 0.005,
-    # Its shoulders.
+    # Shoulders.
     "013_apple": 0.006,
     "014_lemon": 0.003,
     "015_peach": 0.004,
@@ -48,9 +48,9 @@ FITS = {
     "070-b_colored_wood_blocks": 0.001,
     "077_rubiks_cube": 0.003,
 }
-# Within this radius (m) a scan is noise, which fills the mug's hollow by up to 40 mm. Its primitives leave that out.
+# m, radius within which a scan is noise, which fills the mug's hollow by up to 40 mm; its primitives omit that
 NOISE = {"025_mug": 0.036}
-# Fitted by hand to their outlines from above, and tested by how things lie in and on them.
+# Fitted by hand to their outlines from above, and tested by how objects lie in and on them.
 OTHERS = {"011_banana", "029_plate"}
 
 
@@ -94,7 +94,7 @@ def test_masses_are_the_published_ones(name: str, locations: Locations) -> None:
 
 @pytest.mark.parametrize("name", sorted(FITS.keys() | OTHERS))
 def test_an_object_lies_still_where_it_is_put(name: str, locations: Locations) -> None:
-    """Balls too: rolling friction keeps them."""
+    """Also balls: rolling friction stops them."""
     item = load(name, locations)
     spec = mujoco.MjSpec()
     spec.option.timestep = 0.002
@@ -123,6 +123,6 @@ def test_what_is_round_does_not_roll_away_when_pushed(name: str, locations: Loca
     data.qpos[2] = item.rest_height
     data.qvel[:2] = 0.05, 0.05
     mujoco.mj_step(model, data, 1000)
-    # Without rolling friction it would have come 100 mm far; what is left is how softly friction holds.
+    # Without rolling friction it would have moved by 100 mm; the rest is the softness of friction.
     assert np.linalg.norm(data.qvel[:3]) < 0.015
     assert np.linalg.norm(data.qpos[:2]) < 0.05

@@ -1,4 +1,4 @@
-"""Light and colours in pictures: the table carries all shadows, no arm is overexposed, and things differ in colour."""
+"""Light and colours: the table carries all shadows, no arm is overexposed, and objects differ in colour."""
 
 from __future__ import annotations
 
@@ -23,19 +23,19 @@ from yamsim_cli.session_opener import SessionOpener
 SIZE = (160, 120)
 QUALITIES = ("fast", "balanced", "high")
 RIGS = ("single", "russet", "yam_station_linear_4310_d405")
-# Beside the cameras of a recording: one below the tabletop that looks at where the light would land.
+# A further camera below the tabletop, towards the place where the light would land.
 BELOW = "below"
 FLOOR = ("safety_plane", "floor_tiles")
-# Half the edges of what hangs above the table, how high, and where it is out of sight, m.
+# m, half edges of the box above the table, its height, and a place out of sight
 HALF = (0.06, 0.06, 0.02)
 HEIGHT = 0.15
 AWAY = np.array([0.0, 0.0, -5.0])
-# Levels of 255 that count as a change: more than rounding of colours, far less than a shadow (about 30).
+# Of 255, smallest change: above rounding of colours, far below a shadow (about 30).
 CHANGED = 4
 
 
 def scene(rig: str, quality: str) -> tuple[mujoco.MjModel, RecordConfig, Array]:
-    """The scene of a recording with a box that can be moved, and where the box hangs above the table."""
+    """The scene of a recording with a movable box, and the box's place above the table."""
     opener = SessionOpener({**os.environ, "YAMSIM_ASSETS": os.devnull}, lambda line: None, str)
     where = opener.locations()
     config = opener.config("default", where, rig=rig, quality=quality, size=f"{SIZE[0]}x{SIZE[1]}", wrist=True)
@@ -51,7 +51,7 @@ def scene(rig: str, quality: str) -> tuple[mujoco.MjModel, RecordConfig, Array]:
 
 
 def pictures(model: mujoco.MjModel, config: RecordConfig, at: Array) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    """Camera -> colours (h, w, 3) and geoms (h, w) with the box at a place."""
+    """Return camera -> colours (h, w, 3) and geoms (h, w) with the box at a place."""
     data = mujoco.MjData(model)
     data.mocap_pos[model.body("box").mocapid[0]] = at
     mujoco.mj_forward(model, data)
@@ -61,7 +61,7 @@ def pictures(model: mujoco.MjModel, config: RecordConfig, at: Array) -> dict[str
 
 
 def inside(geoms: np.ndarray, wanted: list[int]) -> np.ndarray:
-    """Pixels (h, w) of some geoms without those at an edge, where supersampling mixes colours."""
+    """Pixels (h, w) of some geoms except edges, where supersampling mixes colours."""
     return cv2.erode(np.isin(geoms, wanted).astype(np.uint8), np.ones((5, 5), np.uint8), borderValue=0) > 0
 
 
@@ -86,7 +86,7 @@ def test_the_table_carries_the_shadow_and_the_floor_below_has_none(rig: str, qua
 
 @pytest.mark.parametrize("quality", QUALITIES)
 def test_nothing_but_the_box_darkens_the_tabletop(quality: str) -> None:
-    """The table does not speckle itself: without its own shadow its lit top is the same, pixel for pixel."""
+    """The table does not speckle itself: without its own shadow its lit top has the same pixels."""
     model, config, _ = scene("single", quality)
     ours = pictures(model, config, AWAY)["scene_camera"]
     for k in range(model.ngeom):
@@ -98,12 +98,12 @@ def test_nothing_but_the_box_darkens_the_tabletop(quality: str) -> None:
     assert np.abs(ours[0] - bare[0]).max(axis=-1)[top].max() <= CHANGED
 
 
-# From this level of 255 on, a channel counts as overexposed.
+# Of 255, from which a channel counts as overexposed.
 OVEREXPOSED = 250
 
 
 def of_arms(model: mujoco.MjModel) -> list[int]:
-    """Geoms of links: of bodies that some joint moves, without the loose box and what lies free."""
+    """Geoms of links: of bodies that a joint moves, without the box and free objects."""
     roots = {model.body_rootid[model.jnt_bodyid[k]] for k in range(model.njnt) if model.jnt_type[k] != 0}
     return [k for k in range(model.ngeom) if model.body_rootid[model.geom_bodyid[k]] in roots]
 

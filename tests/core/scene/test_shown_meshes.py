@@ -1,4 +1,4 @@
-"""What a scene says of the meshes that it shows."""
+"""The recorded names of a scene's meshes."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def test_content_decides_and_not_where_it_lies(
 def test_files_that_are_not_used_do_not_count(
     config: RecordConfig, drawn: Callable[..., dict[str, str]], locations: Locations, tmp_path: Path
 ) -> None:
-    """So that an imported object, or a new scan in a set, is nothing to a dataset that does not show it."""
+    """An imported object, or a new scan in a set, does not affect a dataset that does not show it."""
     meshes = stand_ins(tmp_path, locations, ARM, YCB)
     before = drawn(config, meshes)
     assert meshes[YCB]

@@ -1,4 +1,4 @@
-"""A thing's picture, from its file to the scene, to the web page and to composed scenes."""
+"""An object's texture, from its file to the scene, the web page and composed scenes."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from yamsim_cli.viewers.show.scene_files import classic_xml, scene_files
 
 pytestmark = pytest.mark.skipif(not has_import_extra(), reason="needs the extra: pip install 'yamsim[import]'")
 
-# Places on its side (share of the way round from -x, share of its height).
+# Places on the side (share of the circumference from -x, share of the height).
 PLACES = [(0.25, 0.15), (0.75, 0.9), (0.6, 0.5), (0.1, 0.8)]
 
 
@@ -45,7 +45,7 @@ def spec_of(printed: tuple[ImportedObjectFile, Locations]) -> mujoco.MjSpec:
 
 
 def shown_colours(uv: np.ndarray, corners: np.ndarray, image: np.ndarray) -> list[np.ndarray]:
-    """Colours at `PLACES`, of triangles (m, 3, 3) with coordinates (m, 3, 2) from the picture's lower edge."""
+    """Colours at `PLACES`, of triangles (m, 3, 3) with texture coordinates (m, 3, 2) from the lower edge."""
     found = []
     for u, v in PLACES:
         angle = (u - 0.5) * 2 * np.pi
@@ -56,7 +56,7 @@ def shown_colours(uv: np.ndarray, corners: np.ndarray, image: np.ndarray) -> lis
 
 
 def _hit(start: np.ndarray, way: np.ndarray, uv: np.ndarray, corners: np.ndarray, image: np.ndarray) -> np.ndarray:
-    """The colour of the first triangle on a ray."""
+    """Return the colour of the first triangle on a ray."""
     a, edges = corners[:, 0], np.stack([corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]], axis=-1)
     matrix = np.concatenate([edges, np.broadcast_to(-way[None, :, None], (len(a), 3, 1))], axis=2)
     regular = np.abs(np.linalg.det(matrix)) > 1e-15
@@ -128,7 +128,7 @@ def test_it_is_drawn_as_it_istextured_mesh(printed: tuple[ImportedObjectFile, Lo
     with mujoco.Renderer(model, 200, 200) as renderer:
         renderer.update_scene(data, "c")
         image = renderer.render().astype(float)
-    # Redder from left to right, greener from top to bottom, as the picture is seen from -y.
+    # As seen from -y, redder from left to right, greener from top to bottom.
     columns = image[100, 60:140]
     stripes = np.abs(np.diff(columns.sum(axis=1))) > 25
     assert stripes.sum() >= 2

@@ -47,7 +47,7 @@ def varied(only: RandomizedModel) -> RandomizedModel:
 
 
 def numbers(model: mujoco.MjModel) -> dict[str, np.ndarray]:
-    """Every array of a model but its textures' pixels, and its statistics."""
+    """All arrays of a model except its textures' pixels, and its statistics."""
     names = [name for name in dir(model) if isinstance(getattr(model, name), np.ndarray) and name != "tex_data"]
     arrays = {name: getattr(model, name).copy() for name in names}
     arrays |= {name: np.array(getattr(model.stat, name)) for name in STATISTICS}
@@ -113,11 +113,11 @@ def test_all_bodies_of_a_thing_get_heavier_alike(drawers: mujoco.MjModel, factor
     np.testing.assert_allclose(after["body_subtreemass"][own], before["body_subtreemass"][own] * factor)
     assert after["body_subtreemass"][0] == pytest.approx(after["body_mass"].sum())
     joint = drawers.joint("cabinet_drawer").dofadr[0]
-    # What the joint moves: the drawer's mass, and its own armature.
+    # The joint moves the drawer's mass and its own armature.
     armature = drawers.dof_armature[joint]
     moved = factor * (before["dof_M0"][joint] - armature) + armature
     np.testing.assert_allclose(after["dof_M0"][joint], moved)
-    # A fixed base is very heavy, but does give way.
+    # A fixed base is very heavy, but not rigid.
     np.testing.assert_allclose(1 / after["dof_invweight0"][joint], moved, rtol=1e-4)
     masses = {"body_mass", "body_inertia", "body_subtreemass", "body_invweight0", "dof_M0", "dof_invweight0"}
     assert changed(before, after) == masses | {"cam_poscom0", "light_poscom0"}

@@ -1,4 +1,4 @@
-"""Physics that breaks down is a cause of failure; MuJoCo's words on it reach no terminal and no file."""
+"""A breakdown of physics is a cause of failure, and MuJoCo's messages on it reach no terminal and no file."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from yamsim_cli.core.episode.simulator import Simulator
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.scene.compilation import physics_failure, silence_mujoco_warnings
 
-# Joints in degrees, past the check that refuses them: the arm starts many turns beyond its stops.
+# Joints in degrees, past the check that refuses them: the arm starts many turns beyond its limits.
 ABSURD = """
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.recording import RecordConfig

@@ -1,4 +1,4 @@
-"""Cloth: where it starts, how hands hold it and let it go, and what is recorded of it."""
+"""Cloth: its start, how hands hold and release it, and its record."""
 
 from __future__ import annotations
 
@@ -51,13 +51,13 @@ def test_crumpled_cloth_starts_at_rest_and_differs_by_seed_alone(tmp_path: Path)
     crumpled = changed({("starts", "napkin", "crumpled"): [0.3, 0.6]}, FOLD)
     with Simulators(session_of(tmp_path, crumpled)) as simulators:
         starts = []
-        # As they fell first, both went through themselves, or were flat.
+        # Regression: dropped this way, cloth went through itself, or was flat.
         for number in (0, 1, 0):
             simulator, attempt = first_attempt(simulators, number)
             assert attempt.start is not None
             starts.append(attempt.start)
             points = simulator.scene.cloths["napkin"].points(attempt.start)
-            # Flat, it is 200 mm wide along its sides, and no higher than a layer.
+            # Flat, it is 200 mm wide, and no higher than a layer.
             assert np.ptp(points[:, 2]) > 0.015
             assert points[:, 2].min() > simulator.config.table.top
             grid = simulator.scene.cloths["napkin"].grid
@@ -109,7 +109,7 @@ def test_what_a_pull_would_lead_to_changes_nothing(tmp_path: Path) -> None:
         inwards = points[4, 4] - points[0, 0]
         after = simulated_pull(data, scene.model, cloth, [np.array([0])], [0.5 * inwards], arch=0.4, seconds=0.8)
         assert np.array_equal(data.qpos, before) and data.time == 0.0
-        # The corner lies where it was brought, on the rest; the corner across stays.
+        # The corner lies on the rest where it was brought; the opposite corner stays.
         assert np.allclose(after[0, 0, :2], (points[0, 0] + 0.5 * inwards)[:2], atol=0.01)
         assert 0.003 < after[0, 0, 2] - points[0, 0, 2] < 0.02
         assert np.allclose(after[8, 8], points[8, 8], atol=0.005)
@@ -130,7 +130,7 @@ def test_a_point_that_is_led_takes_the_cloth_along(tmp_path: Path) -> None:
                 lengths = np.linalg.norm(np.diff(cloth.points(data.qpos)[ends], axis=1)[:, 0], axis=1)
                 most = max(most, float((lengths / rest).max()) - 1)
         points = cloth.points(data.qpos)
-        # It is 0.3 m up, higher than the napkin is long, which hangs from it and did not stretch.
+        # At 0.3 m, more than the napkin's length, the napkin hangs without stretching.
         assert np.allclose(points[corner], at) and points[:, 2].min() > 0.003
         assert most < 0.08
         assert np.array_equal(model.body_mass, masses) and np.array_equal(model.dof_M0, inertias)
@@ -195,7 +195,7 @@ def test_thirds_lie_on_each_other_and_what_is_folded_in_part_is_folded_on(tmp_pa
         assert done.outcome.success, done.outcome
         assert len(done.states) > 100
         cloth = simulator.scene.cloths["napkin"]
-        # The first third, two cells of 25 mm, was laid and nothing else: from there, the last one is laid alone.
+        # The first third, two cells of 25 mm, was folded alone; from there, the last third is folded.
         halfway = next(
             state.qpos
             for state in done.states[40:]

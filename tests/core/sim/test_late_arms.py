@@ -1,4 +1,4 @@
-"""Arms that act late, bear their weight wrongly and are read by encoders: what physics and frames make of it."""
+"""Arms with delay, wrong weight compensation and encoders: effects on physics and frames."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def _started(scene: CompiledScene) -> mujoco.MjData:
 
 
 def _answers(scene: CompiledScene, steps: int = 40) -> np.ndarray:
-    """Joint 1 (steps,) after it was told to turn by 0.1 rad."""
+    """Return joint 1 (steps,) after a command of 0.1 rad."""
     data = _started(scene)
     data.ctrl[scene.arm.arm_ctrl[0]] += 0.1
     places = []

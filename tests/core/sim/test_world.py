@@ -1,4 +1,4 @@
-"""What is asked of a scene's state: blocks of things with parts that move, and what lies in a container."""
+"""Queries of a scene's state: bounding boxes of objects with moving parts, and contents of containers."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from yamsim_cli.core.sim.sim_world import SimWorld, make_sim_world
 
 INERTIA = {"mass_g": 5, "diagonal": [1e-6, 1e-6, 1e-6], "quat": [1, 0, 0, 0]}
 
-#: A ball of 16 mm, which goes through the loop of a mug's handle.
+# A ball of 16 mm, which goes through the loop of a mug's handle.
 MARBLE: dict[str, Any] = {
     "name": "marble",
     "mesh": {"set": "made", "file": "marble.stl", "origin": [0, 0, 0], "rgba": [1, 1, 1, 1]},
@@ -33,7 +33,7 @@ MARBLE: dict[str, Any] = {
     "collision": [{"type": "sphere", "centre": [0, 0, 0], "radius": 0.008}],
 }
 
-#: A box of 20 cm by 20 by 10 with a lid that is hinged along its back, +x, and opens upwards.
+# A box of 20 x 20 x 10 cm with a lid hinged along its back, +x, which opens upwards.
 BOX: dict[str, Any] = {
     "name": "lidded_box",
     "mesh": {"set": "made", "file": "lidded_box.stl", "origin": [0, 0, 0], "rgba": [1, 1, 1, 1]},
@@ -70,7 +70,7 @@ THINGS: dict[str, Any] = {
 
 
 class PlacedScene:
-    """A scene in which things are put where a test wants them."""
+    """A scene in which a test places objects."""
 
     def __init__(self, simulator: Simulator, world: SimWorld) -> None:
         self.scene, self.world, self._simulator = simulator.scene, world, simulator
@@ -81,7 +81,7 @@ class PlacedScene:
         return self._simulator.expert_planner.planning_context(self.world, stands, np.random.default_rng(0))
 
     def put(self, name: str, at: tuple[float, float, float], R: Array | None = None) -> None:
-        """Put a thing's origin so in `world`."""
+        """Set the pose of an object in `world`."""
         data = self.world.data
         self.scene.set_object_pose(data.qpos, name, pose(at, np.eye(3) if R is None else R))
         mujoco.mj_kinematics(self.scene.model, data)
@@ -109,7 +109,7 @@ def placed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[PlacedScene]:
 @pytest.mark.parametrize(
     ("container", "at", "share"),
     [
-        # In the middle; in the handle's loop, between its wall and its bow; beside it; and under the whole of it.
+        # In the middle; in the handle's loop, between wall and bow; beside it; and under the whole mug.
         ("mug", (0, 0, 0.012), 1),
         ("mug", (0.054, 0, 0.048), 0),
         ("mug", (0.06, 0.012, 0.048), 0),
@@ -118,7 +118,7 @@ def placed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[PlacedScene]:
         ("mug", (0, 0, 0.15), 0),
         ("scan", (0, 0, 0.012), 1),
         ("scan", (0.054, -0.003, 0.008), 0),
-        # Beside a bowl's foot, under its wall; in it, near its rim; and by halves over its rim.
+        # Beside a bowl's foot, under its wall; in it, near its rim; and half over its rim.
         ("bowl", (0.072, 0, 0.008), 0),
         ("bowl", (0.055, 0, 0.06), 1),
         ("bin", (0.1, 0.07, 0.03), 1),
@@ -152,7 +152,7 @@ def test_a_drawer_holds_what_is_in_it_open_and_closed(placed: PlacedScene) -> No
         # Before the drawer, under its knob.
         placed.put("cube", (0.5 - 0.15 - opened, 0.0, 0.0))
         assert placed.world.volume_fraction_inside("cube", "cabinet") == 0, opened
-    # Where the open drawer was, the cabinet has no front.
+    # Behind the open drawer, the cabinet has no front.
     placed.put("cube", (0.5, 0.0, 0.05))
     assert placed.world.volume_fraction_inside("cube", "cabinet") == 0
 
@@ -172,7 +172,7 @@ def test_a_lid_is_part_of_the_block_wherever_it_is(placed: PlacedScene) -> None:
 
 
 def test_things_are_put_within_the_walls_of_a_round_container(placed: PlacedScene) -> None:
-    """The corners of the block around a bowl lie outside of it, where the table is lower than its floor."""
+    """The corners of the box around a bowl are outside, where the table is lower than the bowl's floor."""
     placed.put("bowl", (0.4, 0.0, 0.0))
     bench = placed.bench()
     goals = Insert(thing="ball", into="bowl").goals(
@@ -183,7 +183,7 @@ def test_things_are_put_within_the_walls_of_a_round_container(placed: PlacedScen
 
 
 def test_a_thing_goes_beside_another_one_in_a_container(placed: PlacedScene) -> None:
-    """It stands on the floor. A thing that leans in the hand may also keep its lean."""
+    """It stands on the floor. An object that is tilted in the hand may stay tilted."""
     placed.put("bin", (0.4, 0.0, 0.0))
     placed.put("cube", (0.4, 0.0, 0.03))
     bench = placed.bench()
@@ -227,5 +227,5 @@ def test_the_surface_of_a_mesh_is_the_meshs_own() -> None:
     )
     points, faces = body_surface(model, [0])
     assert (len(points), len(faces)) == (4, 4)
-    # MuJoCo turns a mesh into its principal axes, and its geom back.
+    # MuJoCo rotates a mesh into its principal axes, and its geom back.
     assert np.ptp(points, axis=0) == pytest.approx([0.1, 0.2, 0.3], abs=1e-6)

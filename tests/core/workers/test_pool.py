@@ -1,4 +1,4 @@
-"""The rules of the pool, on workers that do what the test says, with a clock that it turns."""
+"""Rules of the worker pool, on scripted workers with a controlled clock."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class FakeWorker:
 
 
 class FakeBackend:
-    """A backend: `script` holds what is heard at each listening, as (worker's number, event), and how long it takes."""
+    """A scripted backend: `script` holds (worker's number, event) for each poll, and its duration."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.puppets: list[FakeWorker] = []
@@ -123,7 +123,7 @@ def test_deaths_before_a_worker_is_ready_are_no_jobs_fault(theatre: FakeBackend)
 
 
 def test_a_worker_that_does_not_start_is_given_up_and_the_rest_go_on(theatre: FakeBackend) -> None:
-    """Such as one whose node is gone for good; what it was given goes to the others."""
+    """For example because its node is gone; the others get its jobs."""
     with BaseWorkerPool[str, str](theatre, 2) as pool:
         theatre.hear((0, WorkerReady()))
         pool.submit("a")

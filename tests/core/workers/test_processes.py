@@ -127,7 +127,7 @@ def test_a_large_answer_arrives_whole() -> None:
 
 
 def test_a_fork_of_a_worker_answers_for_nobody() -> None:
-    """Forked off in the first job, it would answer a second time, which would count for the second job."""
+    """A fork made in the first job would answer a second time, which would count for the second job."""
     with _pool() as pool:
         for job, result in (("fork", "forked"), (3, 9), ("fork", "forked"), (4, 16)):
             pool.submit(job)

@@ -1,4 +1,4 @@
-"""Runners that have nothing to do with robots, in a module of their own for spawned processes to find."""
+"""Runners without robots, in a module that spawned processes can import."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ from yamsim_cli.core.workers.worker_pool import JobFinished
 
 
 class ToyRunner:
-    """Answers a job, a small number or a word, in the way the word says.
+    """Answers a job, a small number or a word, as the word demands.
 
     Args:
-        start: "refuse" raises in making the runner, "die" ends the process there.
+        start: "refuse" raises when the runner is made, "die" ends the process there.
     """
 
     def __init__(self, start: str = "") -> None:
@@ -40,7 +40,7 @@ class ToyRunner:
 
     def run(self, job: int | str) -> object:
         if isinstance(job, int):
-            # The first are the slowest, so that answers come out of order.
+            # The first jobs are the slowest, so that answers come out of order.
             time.sleep(0.05 if job < 2 else 0.0)
             return job * job
         word, _, argument = job.partition(":")
@@ -60,11 +60,11 @@ class ToyRunner:
             case "large":
                 return bytes(int(argument))
             case "fork":
-                # Both go on from here.
+                # Both processes go on from here.
                 os.fork()
                 return "forked"
             case "forge":
-                # As another process would answer, as this one would for another job, and then truly.
+                # As another process, for another job, and then correctly.
                 for pid, number in ((os.getpid() + 1, int(argument)), (os.getpid(), int(argument) + 1)):
                     _pipe().send_bytes(HEADER.pack(pid, number) + pickle.dumps(JobFinished("forged")))
                 return "true"
@@ -101,6 +101,6 @@ def _die(how: str) -> None:
         case "freeze":
             os.kill(os.getpid(), signal.SIGSTOP)
         case "half":
-            # Begins an answer of a thousand bytes and never ends it.
+            # Starts an answer of a thousand bytes and never completes it.
             os.write(_pipe().fileno(), struct.pack("!i", 1000) + b"x")
             time.sleep(60)

@@ -28,5 +28,5 @@ def survey_of(locations: Locations) -> Callable[[Path], CheckResults]:
 
 @pytest.fixture
 def found(survey_of: Any) -> Callable[[Path], list[tuple[str, str, str]]]:
-    """Code, episode and file of every problem."""
+    """Return code, episode and file of every problem."""
     return lambda path: [(p.code, p.episode, p.file) for p in survey_of(path).problems]

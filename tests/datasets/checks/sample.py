@@ -1,4 +1,4 @@
-"""A small dataset as `yamsim record` would write it, to be changed before it is written, or damaged after."""
+"""A small dataset as `yamsim record` writes it, which tests change before it is written, or damage afterwards."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def black(noise: float = 0.0, level: float = 0.0) -> bytes:
 
 @dataclass
 class Episode:
-    """An episode not written yet. `over` changes its record; `others` are files beside its frames."""
+    """An episode before it is written. `over` changes its record; `others` are files beside its frames."""
 
     number: int
     attempt: int
@@ -115,7 +115,7 @@ class Episode:
 
 
 def episode(number: int, frames: int = FRAMES) -> Episode:
-    """A whole episode, unlike those of other numbers: the banana goes to the plate while the arm moves."""
+    """A valid episode, different for each number: the banana goes to the plate while the arm moves."""
     start = np.array([0.32 + 0.03 * number, -0.1, 0.02])
     plate = np.array([0.45, 0.1 - 0.02 * number, 0.0])
     data = []
@@ -148,7 +148,7 @@ def episode(number: int, frames: int = FRAMES) -> Episode:
 
 @dataclass
 class SampleDataset:
-    """A dataset not written yet: its episodes, and attempts that failed."""
+    """A dataset before it is written: its episodes, and failed attempts."""
 
     config: dict[str, Any]
     episodes: list[Episode]
@@ -161,7 +161,7 @@ class SampleDataset:
         self.failures.append(AttemptRecord(attempt=number, seed=7, episode=None, outcome=outcome, layout=layout or {}))
 
     def write(self, path: Path) -> Path:
-        """Write it all, as the recorder does."""
+        """Write everything as the recorder does."""
         path.mkdir()
         (path / "config.yaml").write_text(dump_yaml(self.config))
         entries, attempts = [], list(self.failures)
@@ -204,7 +204,7 @@ class SampleDataset:
         return path
 
     def write_plain(self, path: Path, change: Callable[[dict[str, Any]], dict[str, Any]] = dict) -> Path:
-        """Write rgb/ and lowdim/ alone, as a lab's own recorder would: in directories `0`, `1` ..."""
+        """Write rgb/ and lowdim/ alone, as a lab's own recorder does: in directories `0`, `1` ..."""
         for made in self.episodes:
             for name, data in made.files.items():
                 file = path / str(made.number) / name
@@ -216,7 +216,7 @@ class SampleDataset:
 
 
 def look(path: Path, locations: Locations) -> CheckResults:
-    """What `yamsim summarize` finds, in this process."""
+    """Return the findings of `yamsim summarize`, in this process."""
     directories, recorded = find_episodes(path)
     problems = ProblemCollector()
     context = read_context(path, recorded, locations, problems)

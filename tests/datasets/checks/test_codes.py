@@ -1,4 +1,4 @@
-"""Every code has its damage: one thing is spoiled in a whole dataset, and exactly that is reported."""
+"""Each code has its damage: one fault in a whole dataset gives exactly this code."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ EP = "ep_000001"
 
 
 def value(key: str, change: Callable[[Any], Any], k: int = 2) -> Callable[[SampleDataset], None]:
-    """Change what a frame of episode 1 holds under `key`, everything else fitting it."""
+    """Change a frame's value `key` in episode 1 consistently."""
 
     def apply(sample: SampleDataset) -> None:
         frame = sample.episodes[1].frames[k]
@@ -53,7 +53,7 @@ def one(sample: SampleDataset) -> Episode:
 
 
 def joints(amount: float, joint: int, k: int = 2) -> Callable[[SampleDataset], None]:
-    """Move a joint of episode 1 in one frame, or set it where `amount` is beyond any stop."""
+    """Move a joint of episode 1 in one frame, or set it where `amount` is beyond any limit."""
 
     def change(q: np.ndarray) -> np.ndarray:
         q = q.copy()
@@ -114,7 +114,7 @@ def manifest(change: Callable[[dict[str, Any]], object]) -> Callable[[Path], Non
 
 
 def rehash(name: str, data: bytes) -> Callable[[Path], None]:
-    """Put a file into episode 1 and make every hash fit, as one who means harm would."""
+    """Replace a file of episode 1 and make every hash fit."""
 
     def apply(path: Path) -> None:
         (path / EP / name).write_bytes(data)
@@ -165,7 +165,7 @@ def fewer(stream: str) -> Callable[[Path], None]:
 
 
 def some_meshes(sample: SampleDataset) -> None:
-    """All episodes say what they show, and one shows something else."""
+    """All episodes state their meshes, and one states others."""
     for made in sample.episodes:
         made.over["meshes"] = {"i2rt_yam_crank": "full " + "0" * 64, "ycb": "reduced " + "0123456789" * 6 + "0123"}
     one(sample).over["meshes"]["ycb"] = "primitives"
@@ -333,7 +333,7 @@ DAMAGED_FILES: list[tuple[str, Callable[[Path], object], str, str]] = [
     ("lowdim.damaged", rehash(FRAME, pickle.dumps([1])), IN_FRAME, "must be a dictionary, not list"),
     ("lowdim.forbidden", rehash(FRAME, pickle.dumps({"joints": Damage()})), IN_FRAME, "io.open, which no frame may"),
 ]
-# Codes with a test of their own: they need several steps, or leave other traces too.
+# Codes with their own test: they need several steps, or leave further traces.
 TESTED_BELOW = {"episode.number", "file.unhashed", "frames.none", "dataset.empty"}
 # Codes that are tested in test_truth.py, test_plain.py and test_surveying.py.
 TESTED_ELSEWHERE = {"dataset.plain", "episode.gap", "episode.unchecked"} | {

@@ -1,4 +1,4 @@
-"""Datasets made to hurt whoever looks at them: huge, endless, special and misleading files."""
+"""Malicious datasets: huge, endless, special and misleading files."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Recordings that are not yamsim's: rgb/ and lowdim/ alone are checked as far as that goes."""
+"""Recordings of other programs: rgb/ and lowdim/ alone are checked as far as possible."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ FRAME = "lowdim/000002.pkl"
 
 
 def station(frame: dict[str, Any]) -> dict[str, Any]:
-    """A frame of the two-armed station: joints of both arms, matrices, actions and text; no time, no object."""
+    """A frame of the two-arm station: joints of both arms, matrices, actions and text; no time, no object."""
     q = frame["joints"]
     actions = np.tile(np.concatenate([[0.3, 0, 0.2], np.eye(3).ravel(), [0.5]]), 2).astype(np.float32)
     return {
@@ -126,7 +126,7 @@ def test_faults_are_found_without_a_record(
     problems = found(sample.write_plain(path))
     assert problems[0] == PLAIN
     assert (code, "1", file) in problems
-    # Degrees for radians leave more traces than one.
+    # Degrees for radians leave further traces.
     assert {c for c, _, _ in problems[1:]} == {code} or code == "joints.limit"
 
 
@@ -134,7 +134,7 @@ def test_faults_are_found_without_a_record(
 def test_a_damaged_image_is_found_by_what_the_decoder_says(
     sample: SampleDataset, path: Path, survey_of: Any, k: int
 ) -> None:
-    """It decodes, and there is no hash: only libjpeg's own complaint tells."""
+    """It decodes, and there is no hash: only libjpeg's warning reveals it."""
     sample.write_plain(path)
     file = path / f"1/rgb/{CAMERA}/000002.jpg"
     data = file.read_bytes()

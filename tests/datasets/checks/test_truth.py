@@ -1,4 +1,4 @@
-"""Ground truth in a dataset: one thing is spoiled in a whole one, and exactly that is reported."""
+"""Ground truth in a dataset: each fault gives exactly its code."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ DEPTH, SEGMENTATION = depth_name(CAMERA, 2), segmentation_name(CAMERA, 2)
 
 
 def truth_files() -> dict[str, bytes]:
-    """The truth of one episode, in its right shapes; every frame is a little different."""
+    """Ground truth files of one episode, in the right shapes; every frame differs a little."""
     files = {TRUTH_LABELS: to_json(LABELS)}
     for k in range(FRAMES):
         image = np.zeros((HEIGHT, WIDTH), np.uint8)
@@ -49,7 +49,7 @@ def truth_files() -> dict[str, bytes]:
 
 @pytest.fixture
 def truthful(sample: SampleDataset) -> SampleDataset:
-    """The sample with truth in all its episodes."""
+    """The sample with ground truth in all its episodes."""
     for episode in sample.episodes:
         episode.others = truth_files()
         episode.over["truth"] = True

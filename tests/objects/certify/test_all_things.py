@@ -1,4 +1,4 @@
-"""Every object that yamsim ships passes its certificate; cloth has none."""
+"""Every shipped object passes its certification; cloth has none."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from yamsim_cli.session_opener import SessionOpener
 pytestmark = pytest.mark.slow
 
 WHERE = Locations.find(os.environ)
-# Lying on a table, they are lower than the pads reach below the pinch point: the skill `pick` drops them.
+# On a table, lower than the pads reach below the pinch point: `pick` drops them.
 TOO_LOW = ("kitchen_dry_pasta", "kitchen_penne")
 CLOTH = ("soft_cloth", "soft_dish_towel", "soft_napkin")
 
@@ -29,7 +29,7 @@ def test_it_passes(name: str) -> None:
     certified = certify(item, meshes, WHERE)
     assert certified.failed == (("grasp.slips",) if name in TOO_LOW else ()), certified.to_json_data()
     if item.shape is not None or (meshes and all(meshes.values())):
-        # What can be made of every thing that has meshes was made.
+        # All checks of objects with meshes were made.
         made = {code for code, outcome in certified.outcomes.items() if outcome.ok}
         assert made >= {"mesh.open", "mesh.inverted", "mass.density", "collision.differs", "rest.moves", "drop.breaks"}
 

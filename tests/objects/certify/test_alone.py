@@ -1,4 +1,4 @@
-"""A thing alone before an arm: what `pick` makes of it, and which of its places a hand can take."""
+"""An object alone before an arm: the result of `pick`, and graspable places."""
 
 from __future__ import annotations
 
@@ -45,8 +45,8 @@ def test_what_is_thinner_than_the_pads_reach_down_is_dropped(locations: Location
 def test_places_that_no_hand_can_take_are_left_out(locations: Locations) -> None:
     item = load("cube_red", locations)
     first, *_ = places(item)
-    # Fingers around a point 2 mm over the table would reach into the table, whichever way the hand leans; fingers that
-    # are 5 mm open would reach into the cube.
+    # Fingers around a point 2 mm over the table would reach into the table at any tilt; fingers open by 5 mm would
+    # reach into the cube.
     in_table = first.model_copy(update={"position": (0.0, 0.0, 0.002)})
     in_cube = first.model_copy(update={"opening": 0.002})
     assert reachable_grasp_points(item.with_grasp_points((in_table, first, in_cube)), locations) == (first,)

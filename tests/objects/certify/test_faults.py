@@ -1,4 +1,4 @@
-"""Every code has its fault: one thing about a thing is spoiled, and exactly that is found."""
+"""Each code has its fault: one changed property of an object gives exactly this code."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def a_hundredth_of_its_inertia(thing: SampleObject) -> None:
 
 
 def hardly_any_about_one_axis(thing: SampleObject) -> None:
-    # As a rod has: the triangle inequality holds, and a cube has it not.
+    # As a rod: the triangle inequality holds, but not for a cube.
     _, middle, largest = sorted(thing.data["inertia"]["diagonal"])
     thing.data["inertia"]["diagonal"] = [largest / 50, middle, largest]
 
@@ -74,7 +74,7 @@ def hardly_held(thing: SampleObject) -> None:
 
 
 def held_too_low(thing: SampleObject) -> None:
-    # The pads reach 8 mm below this point, so into the table that the pasta lies on.
+    # The pads reach 8 mm below this point, into the table under the pasta.
     point = {"position": [0.0, 0.0, 0.005], "axis_deg": 0.0, "opening": 0.005}
     thing.data["grasp"] = {**point, "friction": {"force": 15.0, "points": [point]}}
 

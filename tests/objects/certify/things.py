@@ -1,4 +1,4 @@
-"""Things that pass, and ways to spoil one thing about them."""
+"""Valid objects, and ways to damage one property."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ SET = "own-thing-000000000000"
 
 @dataclass
 class SampleObject:
-    """A kitchen thing whose body's mesh lies in a folder, as an imported one's does: all of it can be spoiled.
+    """A kitchen object with its mesh in a folder, as an imported one: everything can be changed.
 
     Attributes:
         data: its config, as plain data.
@@ -34,7 +34,7 @@ class SampleObject:
 
     @classmethod
     def of(cls, name: str, locations: Locations) -> SampleObject:
-        """A thing of the kitchen of one material."""
+        """A kitchen object of one material."""
         data = load_yaml(locations.config_file("objects", name)).data
         shape = ObjectConfig.read(locations.config_file("objects", name)).data
         config = parse_config(ObjectConfig, dump_yaml(shape), "test", locations)
@@ -48,13 +48,13 @@ class SampleObject:
         return cls(made, vertices, faces)
 
     def written(self, folder: Path, locations: Locations) -> tuple[ObjectConfig, Mapping[str, Path | None]]:
-        """Its config, and where its mesh is."""
+        """Return its config and its mesh's folder."""
         (folder / "body.stl").write_bytes(stl_bytes(self.vertices, self.faces))
         return parse_config(ObjectConfig, dump_yaml(self.data), "test", locations), {SET: folder}
 
 
 def flap(jams: bool) -> dict[str, Any]:
-    """A link: a lid that turns up from a block's top; with a finger behind its hinge it meets a `pin`."""
+    """A link: a lid that turns up from a block's top; with a finger behind its hinge it hits a `pin`."""
     return {
         "name": "flap",
         "position": [-0.035, 0.0, 0.083],
@@ -62,14 +62,14 @@ def flap(jams: bool) -> dict[str, Any]:
         "inertia": {"mass_g": 40, "centre": [0.035, 0, 0.002], "diagonal": [2e-5, 2e-5, 4e-5], "quat": [1, 0, 0, 0]},
         "collision": [
             {"type": "box", "centre": [0.035, 0.0, 0.002], "half_size": [0.033, 0.033, 0.002]},
-            # A finger that reaches out behind the hinge.
+            # A finger that sticks out behind the hinge.
             *([{"type": "box", "centre": [-0.03, 0.0, 0.002], "half_size": [0.02, 0.005, 0.002]}] if jams else []),
         ],
     }
 
 
 def pin() -> dict[str, Any]:
-    """A link behind the block that moves by 4 mm: what the finger of a flap meets on its way down."""
+    """A link behind the block that moves by 4 mm: the finger of a flap hits it."""
     return {
         "name": "pin",
         "position": [-0.075, 0.0, 0.06],

@@ -1,4 +1,4 @@
-"""Files from elsewhere that are not what they should be: refused with a code and a sentence, and nothing worse."""
+"""Malformed object files are refused with a code and a sentence, and nothing worse."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from yamsim_cli.objects.readers.reader_process import read_file
 
 pytestmark = pytest.mark.skipif(not has_import_extra(), reason="needs the extra: pip install 'yamsim[import]'")
 
-# The most that any of them may take, s.
+# s, longest time for any of them
 LIMIT = 20
 
 

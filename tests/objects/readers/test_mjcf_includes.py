@@ -1,4 +1,4 @@
-"""Nested includes of an MJCF: what they are relative to is what it is in MuJoCo."""
+"""Nested includes of an MJCF are relative to the same folders as in MuJoCo."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is read of files from elsewhere: lengths, axes, looks, weight, joints."""
+"""Readers of object files: lengths, axes, looks, weight, joints."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def mugs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 
 
 def read_here(path: Path, told: UnitOptions | None = None) -> ObjectDescription:
-    """As `read_object` does, in this process."""
+    """As `read_object`, in this process."""
     return convert_to_metres(read_file(path, path.parent), told or UnitOptions())
 
 
@@ -58,7 +58,7 @@ def test_its_print_is_where_it_was(mugs: dict[str, Path], kind: str) -> None:
 
 
 def colour_at(surface: Surface, at: np.ndarray) -> np.ndarray:
-    """The mean colour that a surface has at the triangles around a place."""
+    """Mean colour of a surface at the triangles around a place."""
     image = decode_png(surface.material.texture or b"")
     assert image is not None and surface.uv is not None
     corners = surface.vertices[surface.faces]
@@ -66,7 +66,7 @@ def colour_at(surface: Surface, at: np.ndarray) -> np.ndarray:
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     outwards = (normals[:, :2] * middles[:, :2]).sum(axis=1) > 0
     on_side = outwards & (np.linalg.norm(middles[:, :2], axis=1) > 0.95 * RADIUS)
-    # Barycentric coordinates of the place in the side's triangles: the one that holds it.
+    # Barycentric coordinates of the place in the side's triangles: find the triangle that contains it.
     for corner, uv in zip(corners[on_side], surface.uv[on_side], strict=True):
         edges = np.stack([corner[1] - corner[0], corner[2] - corner[0]], axis=1)
         share, *_ = np.linalg.lstsq(edges, at - corner[0], rcond=None)
@@ -160,7 +160,7 @@ def test_links_joined_rigidly_become_one(tmp_path: Path) -> None:
 
 def test_another_axis_can_be_up(mugs: dict[str, Path]) -> None:
     (part,) = read_here(mugs["obj"], UnitOptions("m", "y")).parts
-    # What was z of the file lies along -y.
+    # The file's z is along -y.
     assert part.looks[0].vertices[:, 1].min() == pytest.approx(-HEIGHT, abs=1e-5)
 
 

@@ -58,7 +58,7 @@ def test_a_column_moves_its_own_markers_and_the_size_moves_all_edges() -> None:
 
 @pytest.mark.parametrize("seed", [24, 68, 79, 113])
 def test_the_uncertainty_of_a_print_whose_markers_are_rounded_holds_its_pose(seed: int) -> None:
-    """Without placement, these poses were outside; without the markers' size, they were 1 mm too far away."""
+    """Regression: without placement, these poses were outside; without the markers' size, they were 1 mm too far."""
     found = trial(seed, enlarged_print)
     assert found.off < CHI_997
     assert found.mm < 0.5

@@ -1,4 +1,4 @@
-"""The focal length of an unknown camera: an interval that holds the truth, or the reason why there is none."""
+"""The focal length of an unknown camera: an interval that contains the truth, or the reason why there is none."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ ADVICE = "photograph the board from a slant, or give --camera"
 
 
 def outline(camera: CameraModel, board: Board, T: Array, sigma: float, rng: np.random.Generator) -> BoardOutline:
-    """What a photo of a board with some noise (px) would give: the flat map nearest to how a lens shows all of it."""
+    """Outline of a board in a photo with noise (px): the homography nearest to the lens's projection."""
     line = np.linspace(-0.5, 0.5, 15) * board.width
     grid = np.stack(np.meshgrid(line, line), axis=-1).reshape(-1, 2)
     seen = project_points(camera, np.column_stack([grid, np.zeros(len(grid))]) @ T[:3, :3].T + T[:3, 3])
@@ -58,14 +58,14 @@ def test_two_boards_from_a_slant() -> None:
     assert found.reason == ""
     assert found.low < 740 < found.high < 1.1 * found.low
     assert found.low < found.camera.focal < found.high
-    # The interval is that of the sigma, as far as a lopsided one can be.
+    # The interval follows from the sigma, as far as an asymmetric one can.
     assert math.log(found.high / found.low) == pytest.approx(2 * 1.96 * found.camera.focal_sigma, rel=0.25)
 
 
 @pytest.mark.parametrize(("size", "focal"), [(SIZE, 600.0), (SIZE, 3425.0), ((1280, 960), 3425.0)])
 @pytest.mark.parametrize("tilt", [0.0, 0.02])
 def test_nearly_from_the_front_it_stays_open(size: tuple[int, int], focal: float, tilt: float) -> None:
-    """Any lens explains such a photo; a long one used to be taken for a usual one, twenty per cent of doubt or not."""
+    """Any lens explains such a photo; a long lens was once taken for a usual one."""
     camera, distance = CameraModel.pinhole(*size, focal), 0.45 * focal / size[0]
     photo = photograph(camera, [(ONE, facing(0.0, 0.0, distance, tilt, 0.01))])
     found = estimate_focal(find_outlines(photo, [ONE]), size)
@@ -132,7 +132,7 @@ def test_a_calibrated_cameras_interval_is_its_files() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("photos", [1, 3])
 def test_intervals_hold_the_truth(locations: Locations, photos: int) -> None:
-    """In small what `make bench-fiducials` shows, of outlines alone: any size, lens, distance and tilt."""
+    """As `make bench-fiducials` for few outlines alone: any size, lens, distance and tilt."""
     rig = load_config(RigConfig, "rigs", "russet", locations)
     good, held, worst, refused_held = 0, 0, 0.0, []
     calls = 30 if photos == 1 else 10
@@ -151,7 +151,7 @@ def test_intervals_hold_the_truth(locations: Locations, photos: int) -> None:
         held += holds(found, camera.focal)
         worst = max(worst, abs(math.log(found.camera.focal / camera.focal)) / found.camera.focal_sigma)
     assert good > 0.7 * calls
-    # Of what holds 95 % in truth, fewer are held once in some hundred times.
+    # With a coverage of 95 %, fewer hold about once in a hundred runs.
     assert held >= 0.87 * good
     assert worst < 4.0
     assert np.mean(refused_held or [True]) > 0.6

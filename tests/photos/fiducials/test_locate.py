@@ -1,4 +1,4 @@
-"""Boards in photos whose truth is known: which are found, which are refused and why, and what the uncertainty holds."""
+"""Boards in photos with known truth: which are found, which are refused and why, and coverage of the uncertainty."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def seen(photo: np.ndarray, board: Board = ONE, camera: CameraModel = CAMERA) ->
 
 
 def errors(sighting: BoardDetection, truth: Array) -> tuple[float, float]:
-    """Of the centre, m, and of the orientation, rad."""
+    """Errors of the centre, m, and of the orientation, rad."""
     assert sighting.T_board_in_cam is not None, sighting.reason
     return pose_error(sighting.T_board_in_cam, truth)
 
@@ -59,7 +59,7 @@ def test_a_board_is_where_it_is(camera: CameraModel, where: tuple[float, ...]) -
 @pytest.mark.parametrize("distance", [0.3, 0.6])
 @pytest.mark.parametrize("blur", [0.8, 1.5])
 def test_blur_is_told_in_the_photos_pixels(distance: float, blur: float) -> None:
-    """Near boards are looked at in larger pixels, which must not show."""
+    """Near boards are analysed in larger pixels, which must not show."""
     sighting = seen(photograph(CAMERA, [(ONE, facing(0, 0, distance))], blur=blur))
     assert sighting.blur.blur == pytest.approx(blur, abs=0.3)
     assert_exact(sighting, facing(0, 0, distance))
@@ -114,7 +114,7 @@ def test_a_dictionary_that_opencv_has_not_is_a_config_error() -> None:
 
 @pytest.mark.parametrize("hidden", [3, 6, 8])
 def test_what_is_hidden_makes_it_less_certain(hidden: int) -> None:
-    """A hand, a cable: grey laid over the markers last in line."""
+    """A hand or a cable: grey over the last markers."""
     photo = photograph(CAMERA, [(ONE, facing(0, 0, 0.4))])
     whole = seen(photo)
     corners = ONE.corners()[9 - hidden :].reshape(-1, 3)
@@ -126,7 +126,7 @@ def test_what_is_hidden_makes_it_less_certain(hidden: int) -> None:
         cv2.fillConvexPoly(photo, np.round(grown).astype(np.int32), (120,))
     part = seen(photo)
     if part.status is not BoardStatus.OK:
-        # One marker alone may be refused, never guessed.
+        # A single marker may be refused, never guessed.
         assert hidden == 8
         return
     assert part.markers == ONE.ids[: 9 - hidden]
@@ -154,7 +154,7 @@ def test_what_cannot_be_told_is_refused_with_its_reason(photo: np.ndarray, part:
 
 
 def test_reprojection_shows_a_print_or_a_lens_that_is_not_as_said() -> None:
-    """Not so a wrong focal length: the board is then believed to be farther away, and looks the same."""
+    """Except a wrong focal length: the board then looks the same, farther away."""
     where = facing(0.12, 0.08, 0.4)
     photo = photograph(WEBCAM, [(ONE, where)])
     fits, misses = seen(photo, camera=WEBCAM), seen(photo, camera=replace(WEBCAM, distortion=()))
@@ -165,7 +165,9 @@ def test_reprojection_shows_a_print_or_a_lens_that_is_not_as_said() -> None:
 
 
 def test_a_longer_lens_moves_the_pose_as_the_uncertainty_says() -> None:
-    """What 1 % of focal length does is 1 % / focal_sigma of the first column of `shared`; so with the print's size."""
+    """1 % of focal length shifts the pose by 1 % / focal_sigma of the first column of `shared`; likewise for the
+    print's size.
+    """
     truth = facing(0.2, 0.1, 0.6)
     photo = photograph(CAMERA, [(ONE, truth)])
     right = seen(photo, camera=replace(CAMERA, focal_sigma=0.01))
@@ -187,7 +189,7 @@ def test_a_longer_lens_moves_the_pose_as_the_uncertainty_says() -> None:
 
 @pytest.mark.slow
 def test_the_uncertainty_is_that_of_many_photos() -> None:
-    """Poses of 24 prints, rounded otherwise, with other noise, lie as the covariance says, less what is shared."""
+    """Poses of 24 prints with different rounding and noise scatter as the covariance without its shared part."""
     truth, rng = facing(0.05, 0.02, 0.7), np.random.default_rng(0)
     clean = picture(CAMERA, [(ONE, truth)])
     prints = [enlarged_print(rng, clean, CAMERA, ONE, truth, across=int(rng.integers(800, 1000))) for _ in range(24)]
@@ -197,7 +199,7 @@ def test_the_uncertainty_is_that_of_many_photos() -> None:
     first = found[0]
     own = (first.covariance - first.shared_errors @ first.shared_errors.T)[3:, 3:]
     spread = np.sqrt(np.diag(np.cov(shifts.T)))
-    # It is inflated, for what noise and rounding alone do not explain.
+    # It is inflated for effects beyond noise and rounding.
     assert (spread < np.sqrt(np.diag(own))).all()
     assert (spread > 0.2 * np.sqrt(np.diag(own))).all()
 
@@ -213,13 +215,13 @@ def test_boards_that_lie_so_together_pin_each_other() -> None:
     assert inverse(T_one) @ T_two == pytest.approx(apart, abs=1e-12)
     assert joint[0].rotation_sigma is not None
     assert alone[0].rotation_sigma is not None
-    # What the print's size leaves open of the distance, the known distance between the boards settles.
+    # The known distance between the boards reduces the uncertainty of distance from the print's size.
     assert joint[0].position_sigma < 0.9 * alone[0].position_sigma
 
 
 @pytest.mark.parametrize("larger", [0.9975, 1.004])
 def test_together_the_prints_size_is_found_rather_than_believed(larger: float) -> None:
-    """Fixed, so small an error would tilt both boards by tenths of a degree: the known distance would pull at them."""
+    """With a fixed size, a small error would tilt both boards by tenths of a degree to meet the known distance."""
     apart = pose((0.25, 0.0, 0.0))
     truth = facing(-0.12, 0.0, 0.8)
     printed = [replace(board, marker_length=ONE.marker_length * larger, gap=ONE.gap * larger) for board in (ONE, TWO)]
@@ -231,7 +233,7 @@ def test_together_the_prints_size_is_found_rather_than_believed(larger: float) -
 
 
 def test_together_only_what_lies_together() -> None:
-    """Boards that are 2 % farther apart than they are said to be are not forced onto each other."""
+    """Boards that are 2 % farther apart than stated are not forced onto each other."""
     truth = facing(-0.12, 0.0, 0.8)
     photo = photograph(CAMERA, [(ONE, truth), (TWO, truth @ pose((0.255, 0.0, 0.0)))])
     alone, _ = locate_boards(photo, CAMERA, [ONE, TWO])
@@ -259,7 +261,7 @@ def test_a_turned_board_keeps_its_corners_in_order() -> None:
 
 @pytest.mark.parametrize("seed", range(8))
 def test_a_flat_print_whose_markers_are_rounded_to_pixels_is_located(seed: int) -> None:
-    """Seeds 0 to 7 hold three that were refused for markers that lie 0.03 px off a flat print's."""
+    """Regression: three of the seeds 0 to 7 were refused, because markers are 0.03 px off a flat print's."""
     photo, truth = photo_of(seed, enlarged_print)
     found = seen(photo)
     assert found.status is BoardStatus.OK, found.reason
@@ -270,7 +272,7 @@ def test_a_flat_print_whose_markers_are_rounded_to_pixels_is_located(seed: int) 
 
 @pytest.mark.parametrize("seed", [0, 3])
 def test_a_creased_print_is_uncertain_and_its_interval_holds_the_pose(seed: int) -> None:
-    """Folded by 4 degrees, it is off by 2, and a tenth of one is what its noise explains."""
+    """Folded by 4 degrees, it is off by 2, of which noise explains a tenth of a degree."""
     truth = facing(0.0, 0.0, 0.8, 0.4, 0.2)
     photo = with_noise(creased(np.random.default_rng(seed), picture(CAMERA, [(ONE, truth)]), CAMERA, ONE, truth))
     found = seen(photo)
@@ -293,7 +295,9 @@ def test_a_pose_beyond_the_limits_is_uncertain_but_given() -> None:
 
 
 def test_what_lies_beside_a_blurred_print_does_not_pull_it() -> None:
-    """White paper and a grey table are smeared into its outer markers, where black was drawn: it was 6 mm off."""
+    """Regression: white paper and a grey table blur into its outer markers, where black was drawn: the pose was 6 mm
+    off.
+    """
     truth = facing(0.0, 0.0, 0.8, 0.9, 0.3)
     whole = PrintPiece(ONE, np.eye(4), tuple(range(9)))
     fit = align_pose(picture(CAMERA, [(ONE, truth)], 4.0), CAMERA, [whole], truth, BlurKernel(3.5))
@@ -329,7 +333,7 @@ def test_photos_show_the_same_markers_at_a_size_the_detector_needs(
     assert sizes == [(3072, 4096), (5400, 7200)]
     assert set(found) >= set(whole) >= set(TWO.ids)
     assert set(found) & set(ONE.ids)
-    # Only where the search starts from; a pixel there is 1.8 px here.
+    # Only the start of the search; a pixel there is 1.8 px here.
     assert max(np.abs(found[number] - whole[number]).max() for number in whole) < 4.0
 
 

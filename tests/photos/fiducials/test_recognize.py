@@ -1,4 +1,4 @@
-"""Boards that cannot be read: what is taken for one, how sure that is, and where it is looked for."""
+"""Unreadable boards: candidates, their reliability, and where boards are searched."""
 
 from __future__ import annotations
 
@@ -42,14 +42,14 @@ def test_the_bits_of_a_far_board_are_no_chance() -> None:
     truth = facing(0.1, 0.05, 1.4)
     photo = photograph(CAMERA, [(ONE, truth)])
     assert chance(photo, ONE, truth) < -80
-    # Another board, another way up, and a place beside it are chance.
+    # Another board, a rotated one, and a place beside it agree by chance only.
     turned = truth @ pose((0, 0, 0), [[0, -1, 0], [1, 0, 0], [0, 0, 1]])
     for board, T in ((TWO, truth), (ONE, turned), (ONE, truth @ pose((0.03215, 0, 0)))):
         assert chance(photo, board, T) > -12
 
 
 def test_chance_is_bounded_as_it_says() -> None:
-    """Of random bits, no more than the bound's share agrees so well, whichever markers are chosen."""
+    """At most the bound's share of random bits agrees so well, whichever markers are chosen."""
     rng = np.random.default_rng(0)
     bits = marker_bits(ONE)
     found = []
@@ -77,7 +77,7 @@ def test_on_a_dark_table_the_grid_of_markers_is_one() -> None:
     truth = facing(0.05, 0.05, 0.9)
     photo = photograph(CAMERA, [(ONE, truth)], noise=0.0)
     dark = np.where(photo == 150, 40, photo).astype(np.uint8)
-    # A hand lies over two of the markers.
+    # A hand covers two of the markers.
     corners = corners_of(ONE, truth)
     cv2.circle(dark, tuple(np.round(corners[0]).astype(int).tolist()), 16, 90, -1)
     grids = board_quads(dark_quads(dark, whole=False), ONE)
@@ -94,7 +94,7 @@ def test_on_ground_that_is_darker_than_its_print_a_board_is_a_patch_full_of_edge
     inside = np.zeros(clean.shape, np.uint8)
     cv2.fillConvexPoly(inside, np.round(corners * 16).astype(np.int32), 1, cv2.LINE_8, 4)
     clean = np.where(inside > 0, clean, 0.55 * clean[inside > 0].mean()).astype(np.float32)
-    # Other things give the photo its range.
+    # Other objects give the photo its range of brightness.
     clean[:, :60], clean[:60] = 20, 230
     photo = with_noise(clean)
     assert not candidates(photo, ONE, dark_quads(photo, whole=True))
@@ -106,7 +106,7 @@ def test_on_ground_that_is_darker_than_its_print_a_board_is_a_patch_full_of_edge
 
 
 def test_another_board_tells_two_poses_apart() -> None:
-    """The photo hardly does; and a rig that says neither of the two does not either."""
+    """The photo alone hardly does; nor does a rig with neither of the two poses."""
     truth, apart = facing(-0.15, 0.0, 1.3, 0.2, 0.0), pose((0.3, 0.0, 0.0))
     photo = photograph(CAMERA, [(ONE, truth), (TWO, truth @ apart)], blur=2.0, noise=3.0)
     alone, _ = locate_boards(photo, CAMERA, [ONE, TWO])
@@ -119,7 +119,7 @@ def test_another_board_tells_two_poses_apart() -> None:
 
 
 def test_beside_a_board_that_is_seen_the_other_is_looked_for() -> None:
-    """Its patch runs into a dark thing beside it, and its markers are too small: the rig says where to look."""
+    """It merges with a dark object beside it, and its markers are too small: the rig says where to search."""
     apart = pose((0.3, 0.0, 0.0))
     truth = facing(-0.15, 0.0, 1.0, 0.9)
     photo = photograph(CAMERA, [(ONE, truth), (TWO, truth @ apart)], blur=2.0)
@@ -129,7 +129,7 @@ def test_beside_a_board_that_is_seen_the_other_is_looked_for() -> None:
     photo[int(corners[:, 1].max()) - 4 :, right - 90 :] = 35
     alone, _ = locate_boards(photo, CAMERA, [ONE, TWO])
     assert alone[0].status is BoardStatus.OK and alone[1].status is BoardStatus.NOT_FOUND
-    # About so; and in a photo just before, nearly there.
+    # Approximately so; and nearly there in the photo before.
     near = pose((0.004, -0.003, 0.002))
     beside, _ = locate_boards(photo, CAMERA, [ONE, TWO], [np.eye(4), apart @ near])
     before, _ = locate_boards(photo, CAMERA, [ONE, TWO], before=[None, truth @ apart @ near])

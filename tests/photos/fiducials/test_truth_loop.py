@@ -1,4 +1,4 @@
-"""The truth loop of `make bench-fiducials`, in small: photos drawn from known poses, located by the very same code."""
+"""The truth loop of `make bench-fiducials`, in small: photos from known poses, located by the same code."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def russet(locations: Locations) -> Iterator[Photographer]:
 
 
 def errors(seen: BoardDetection, truth: Array) -> tuple[float, float]:
-    """Of the centre, mm, and of the orientation, degrees."""
+    """Errors of the centre, mm, and of the orientation, degrees."""
     assert seen.T_board_in_cam is not None, seen.reason
     shift, turn = pose_error(seen.T_board_in_cam, truth)
     return shift * 1000, math.degrees(turn)
@@ -81,7 +81,7 @@ def test_useless_photos_are_refused(russet: Photographer, spoil: dict) -> None:
     ("distance", "spoil"), [(1.3, {}), (0.8, {"blur": 3.0}), (0.8, {"motion": 10.0})], ids=["far", "blur", "motion"]
 )
 def test_what_cannot_be_read_is_recognized(russet: Photographer, distance: float, spoil: dict) -> None:
-    """Found, and as sure as it says; a photo may be refused, but not most of them."""
+    """Found with the stated uncertainty; single photos may be refused, but not most of them."""
     rng = np.random.default_rng(8)
     found = 0
     for k in range(3):

@@ -10,7 +10,7 @@ from yamsim_cli.core.files.resources import Locations
 
 @pytest.fixture(scope="session")
 def russet_shot(locations: Locations) -> RigPhoto:
-    """Both arms and both boards of russet; take it only in tests marked `render`."""
+    """Both arms and both boards of russet; use it only in tests marked `render`."""
     with RigPhotographer("russet", locations, CAMERA) as studio:
         return studio.shoot(looking((0.95, -0.12, 0.7), (0.08, 0.0, 0.1)), JOINTS)
 

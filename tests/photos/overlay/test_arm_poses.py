@@ -1,4 +1,4 @@
-"""From boards to base poses: one by one, together, from one to the other; and the margin they tell."""
+"""From boards to base poses: one by one, together, from one to the other; and their margin."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from yamsim_cli.photos.overlay.photo_arm_poses import RigInPhoto, find_arms
 from yamsim_cli.photos.overlay.photo_cameras import PhotoCamera, unknown_lens
 from yamsim_cli.photos.overlay.photos import Photo
 
-# Both boards lie between the arms: the middle of the rig, a little turned.
+# Both boards lie between the arms: the middle of the rig, slightly rotated.
 T_WORLD_IN_CAM = facing(0.0, 0.0, 0.75, 0.6, 0.15)
 PHOTO = Photo(Path("p.png"))
 
@@ -65,7 +65,7 @@ def test_the_margin_is_measured_with_its_uncertainty(russet: RigConfig, clean: n
     result = found(russet, with_noise(clean))
     assert result.margin == pytest.approx(0.591, abs=0.0005)
     assert result.T_arm2_in_arm1[:3, 3] == pytest.approx((0, 0.591, 0), abs=0.002)
-    # A quarter of a percent of the 24 cm between the boards, for the print's size; the noise is far less.
+    # A quarter of a percent of the 24 cm between the boards, for the print's size; noise is far smaller.
     assert result.margin_sigma == pytest.approx(0.0006, abs=0.0002)
 
 
@@ -81,7 +81,7 @@ def test_a_wrong_margin_in_the_rig_is_told(russet: RigConfig, clean: np.ndarray,
             note = next(note for note in result.notes if "mend" in note)
             assert f"the arms are {result.margin:.4f} m apart here (+- 0." in note
             assert f"and {0.591 + off:.4f} m in rig 'russet'" in note
-        # So wrong a margin is not followed, whatever was asked for.
+        # A wrong margin is not followed, even if requested.
         assert max(shift_mm(result, russet, k) for k in (0, 1)) < (4.0 if off == 0.001 else 0.5)
         assert any("its margin is not trusted" in note for note in result.notes) == (told and trust)
 
@@ -91,10 +91,9 @@ def test_together_the_arms_stand_as_the_rig_says(russet: RigConfig, clean: np.nd
     alone, joint = found(russet, grey), found(russet, grey, trust=True)
     T_one, T_two = joint.arms[0].T_base_in_cam, joint.arms[1].T_base_in_cam
     assert inverse(T_one) @ T_two == pytest.approx(inverse(base(russet, 0)) @ base(russet, 1), abs=1e-9)
-    # What was measured beforehand stays told.
+    # The measured values stay.
     assert (joint.margin, joint.margin_sigma) == (alone.margin, alone.margin_sigma)
-    # Each marker may lie 0.03 mm beside its place on the print, so noise moves a pose half as far again as it would
-    # if prints were exact.
+    # Each marker may be 0.03 mm off its place on the print, so noise moves a pose 1.5 times as far as for exact prints.
     assert max(shift_mm(joint, russet, k) for k in (0, 1)) < 0.5
     assert max(shift_mm(joint, russet, k) for k in (0, 1)) < max(shift_mm(alone, russet, k) for k in (0, 1))
 
@@ -111,14 +110,14 @@ def test_an_arm_whose_board_is_hidden_is_inferred_only_when_the_margin_is_truste
     assert alone.margin is None
     result = found(russet, grey, trust=True)
     assert [result.arms[k].status for k in (visible, hidden)] == ["ok", "inferred"]
-    # The other arm stands 0.6 m away: a turn of a thousandth is felt there.
+    # The other arm stands 0.6 m away: a rotation of a thousandth matters there.
     assert shift_mm(result, russet, visible) < 1.0
     assert shift_mm(result, russet, hidden) < 3.0
     assert result.margin is None
 
 
 def test_a_board_is_looked_for_where_the_photo_before_had_it(russet: RigConfig) -> None:
-    """Blurred, and covered on two sides as dark as itself: what lies over its outer markers does not pull its pose."""
+    """Blurred, and covered on two sides as dark as itself: the cover of its outer markers does not pull its pose."""
     ((board, T_before),) = boards_of(russet, (0,))
     before = found(russet, photograph(CAMERA, [(board, T_before)]))
     T = pose((0.003, -0.004, 0.002)) @ T_before
@@ -154,12 +153,12 @@ def test_a_recorded_pose_stands_in_for_a_board_that_is_not_seen(russet: RigConfi
     apart = np.linalg.inv(russet.T_base_in_world(0)) @ russet.T_base_in_world(1)
     assert result.arms[1].T_base_in_cam == pytest.approx(apart), "where the rig has it beside the first one"
     assert result.bases[0] == pytest.approx(np.eye(4))
-    # A board that is seen knows better.
+    # A visible board is more accurate.
     assert found(russet, with_noise(clean), photo=recorded).arms[0].status == "ok"
 
 
 def test_a_print_that_is_not_as_the_rig_says_is_told(russet: RigConfig) -> None:
-    """One that is a little off has its pose where it is seen well, from nearby, and is noted; others give no pose."""
+    """A slightly wrong print has its pose if seen well from nearby, with a note; other prints give no pose."""
     (board, T), other = boards_of(russet)
     large = CAMERA.scaled(3.0)
     near = photograph(large, [(replace(board, gap=1.12 * board.gap), facing(0.0, 0.0, 0.25, 0.9))])
@@ -177,7 +176,7 @@ def test_a_print_that_is_not_as_the_rig_says_is_told(russet: RigConfig) -> None:
 
 
 def test_an_unknown_camera_of_several_photos(russet: RigConfig, clean: np.ndarray) -> None:
-    """One without a board among them does no harm; one photo after the other is asked for."""
+    """A photo without a board does no harm; photos are requested one after the other."""
     asked = []
 
     def images():
@@ -193,7 +192,7 @@ def test_an_unknown_camera_of_several_photos(russet: RigConfig, clean: np.ndarra
 
 @pytest.mark.parametrize("scale", [0.97, 1.02])
 def test_a_print_of_another_size_is_told_by_the_other_board(russet: RigConfig, scale: float) -> None:
-    """It looks too far away or too near, by 2 cm; which of both is right cannot be known."""
+    """It looks too far away or too near, by 2 cm; which of both is correct cannot be known."""
     (one, T_one), (two, T_two) = boards_of(russet)
     printed = replace(two, marker_length=two.marker_length * scale, gap=two.gap * scale)
     grey = with_noise(picture(CAMERA, [(one, T_one), (printed, T_two)]))

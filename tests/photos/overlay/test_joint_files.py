@@ -1,4 +1,4 @@
-"""Joints as people have them, and each thing that is wrong with a file in one line."""
+"""Users' joint files, and each fault of a file in one line."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ RIGHT = [*ARM, 0.03]
 
 
 def load_joints(path: Path, rig: RigConfig) -> np.ndarray:
-    """Every arm's joints and opening (rows, arms, 7)."""
+    """Joints and opening of every arm (rows, arms, 7)."""
     return np.array([as_rows(row) for row in load_postures(path, rig)])
 
 
@@ -99,9 +99,9 @@ def test_a_recorded_frame(tmp_path: Path, single: RigConfig, russet: RigConfig) 
     [
         ((0.0, 0.0), (0.0, 0.0)),
         ((0.0375, 0.01), (0.0375, 0.01)),
-        # What the drive is told when it is to open wide; and a touch of noise at the closed end.
+        # The command of a fully open gripper, and a little noise at the closed end.
         ((0.041, -0.001), (0.0375, 0.0)),
-        # Shares: one value above what metres could be makes all of the file so.
+        # Shares: one value beyond metres makes the whole file shares.
         ((1.0, 0.02), (0.0375, 0.00075)),
         ((0.5, 1.04), (0.01875, 0.0375)),
     ],
@@ -123,7 +123,7 @@ def test_a_joint_a_little_beyond_its_stop_is_believed(tmp_path: Path, single: Ri
     assert load_joints(npy(tmp_path, [0, -0.04, 0, 0, 0, 0]), single)[0, 0, 1] == -0.04
 
 
-# The header of an array that no memory holds.
+# Header of an array that no memory holds.
 HUGE = (
     b"\x93NUMPY\x01\x00v\x00"
     + b"{'descr': '<f8', 'fortran_order': False, 'shape': (9999999999999, 7), }".ljust(117)

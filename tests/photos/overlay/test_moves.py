@@ -1,4 +1,4 @@
-"""Whether a camera or a base was moved between photos, from poses whose truth is known."""
+"""Moves of a camera or base between photos, from poses with known truth."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ T_CAM_IN_WORLD = pose(
 
 @dataclass(frozen=True)
 class Series:
-    """A series of photos: what was moved before which one, and what the photos do not tell.
+    """A series of photos with moves.
 
     Attributes:
-        camera, bases: number of a photo -> by which motion (4, 4) the camera, or base `arm`, was moved before it.
+        camera, bases: number of a photo -> motion (4, 4) of the camera, or of base `arm`, before it.
         unseen: (photo, arm) whose board has no pose.
         wrong: (photo, arm) whose pose is off by 5 cm.
     """

@@ -1,4 +1,4 @@
-"""Poses improved by the photo's edges, where the boards leave room."""
+"""Poses improved by the photo's edges, within the boards' uncertainty."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def with_poses(shot: RigPhoto, poses: dict[int, Array]) -> RigInPhoto:
 
 
 def miss_px(shot: RigPhoto, k: int, T: Array) -> float:
-    """How far the arm's neighbourhood is drawn from where it is, rms."""
+    """Rms distance of the drawn arm's neighbourhood from its place."""
     points = np.array([[x, y, z, 1.0] for x in (0.0, 0.3) for y in (-0.1, 0.1) for z in (0.05, 0.35)])
     pixels = [project_points(shot.camera, (points @ pose.T)[:, :3]) for pose in (T, shot.T_base_in_cam(k))]
     return float(np.sqrt(((pixels[0] - pixels[1]) ** 2).sum(axis=1).mean()))
@@ -96,13 +96,13 @@ def test_the_score_says_how_many_pixels_it_is_off(russet_shot: RigPhoto, rendere
         scores.append(result.edge_residual)
         assert all(arm.edge_residual is not None for arm in result.arms)
     assert scores[0] < 0.4
-    # Four millimetres are 2.5 px here; an edge that runs along the shift does not show it.
+    # Four millimetres are 2.5 px here; an edge along the shift does not show it.
     assert 1.0 < scores[1] < 2.6
     assert scores[1] < scores[2] < 5.5
 
 
 def test_an_arm_in_front_of_the_other_is_not_blamed_for_it(russet_shot: RigPhoto, renderer: ArmRenderer) -> None:
-    """Labels say which arm is seen, and an outline stops where the other arm covers it."""
+    """Labels say which arm is visible, and an outline stops where the other arm covers it."""
     renderer.pose({k: russet_shot.T_base_in_cam(k) for k in (0, 1)}, russet_shot.stands)
     both = renderer.flat_labels()
     renderer.pose({0: russet_shot.T_base_in_cam(0)}, russet_shot.stands)

@@ -1,4 +1,4 @@
-"""Photos of a rig whose truth is known, through the whole of `yamsim overlay` but its command line."""
+"""Photos of a rig with known truth, through all of `yamsim overlay` except its command line."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ Runner = Callable[..., OverlayReport]
 
 @pytest.fixture
 def run(russet_shot: RigPhoto, locations: Locations, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Runner:
-    """Runs photos with the shot's own camera and joints, on primitives, into `out`, whatever else is asked for."""
+    """Run photos with the shot's camera and joints, with primitives, into `out`; further options may be given."""
     monkeypatch.chdir(tmp_path)
     scene = load_config(SceneConfig, "scenes", "studio", locations)
     quality = load_config(RenderConfig, "quality", "fast", locations)
@@ -69,7 +69,7 @@ def save(path: Path, image: np.ndarray) -> None:
 
 
 def off(T: Array, truth: Array) -> tuple[float, float]:
-    """How far a pose is off, mm and degrees."""
+    """Error of a pose, mm and degrees."""
     shift, turn = pose_error(T, truth)
     return shift * 1000, float(np.rad2deg(turn))
 
@@ -88,7 +88,7 @@ def test_one_photo(run: Runner, photo: Path, russet_shot: RigPhoto) -> None:
         mm, degrees = off(arm.T_base_in_cam, russet_shot.T_base_in_cam(k))
         assert mm < 1.0
         assert degrees < 0.3
-        # What is drawn ends where the photo has edges, and covers the very pixels that show the arms.
+        # The drawing ends at the photo's edges, and covers exactly the arms' pixels.
         assert arm.edge_residual < 0.5
     assert result.iou > 0.98
     assert (result.lens.source, result.joints_source) == ("file", "file")
@@ -173,7 +173,7 @@ def test_refining_keeps_a_good_pose_and_what_the_margin_promises(
         assert mm < 1.5
         assert degrees < 0.3
         sighting = report.results[0].arms[k].detection
-        # The board moved with its arm, and the figure is that of the pose as it now is.
+        # The board moved with its arm, and the figure is that of the new pose.
         T_board = russet_shot.rig.arms[k].T_board_in_base
         assert sighting.T_board_in_cam == pytest.approx(T[k] @ T_board, abs=1e-9)
         assert 0.0 < sighting.reprojection_rms < 0.5
@@ -182,7 +182,7 @@ def test_refining_keeps_a_good_pose_and_what_the_margin_promises(
 
 
 def test_a_folder_and_its_own_overlays(run: Runner, photo: Path) -> None:
-    """Into the photos' own folder: the second call takes no overlay or mask of the first for a photo."""
+    """In the photos' own folder, the second call takes no overlay or mask of the first for a photo."""
     before = photo.read_bytes()
     for _ in range(2):
         assert len(run(".", out=Path(), write_masks=True).results) == 1
@@ -268,7 +268,7 @@ def test_reprojection_above_the_limit(run: Runner, photo: Path, russet_shot: Rig
     message = r"^photo\.png: arm1's reprojection of 0\.\d\d px is above 0\.003: check the camera file \(and 1 more\)$"
     with pytest.raises(ResourceError, match=message):
         report.check()
-    # A board that is not seen does not pass either.
+    # An invisible board does not pass either.
     hidden = russet_shot.image.copy()
     hidden[240:300, 340:430] = 120
     save(Path("hidden.png"), hidden)
@@ -279,7 +279,7 @@ def test_reprojection_above_the_limit(run: Runner, photo: Path, russet_shot: Rig
 def test_an_unknown_camera_and_unknown_joints_are_said_to_be_so(
     run: Runner, photo: Path, russet_shot: RigPhoto
 ) -> None:
-    # A camera's exposure makes prints whiter than the studio's light does; too little contrast bounds no interval.
+    # A camera's exposure makes prints whiter than the studio's light; too little contrast bounds no interval.
     save(photo, cv2.convertScaleAbs(russet_shot.image, alpha=1.2))
     result = run("photo.png", camera=None, stands=None).results[0]
     assert (result.lens.source, result.joints_source) == ("estimated", "home")
@@ -329,7 +329,7 @@ def test_a_grey_photo_and_one_of_a_bare_rig(run: Runner, photo: Path, russet_sho
 
 
 def test_two_cameras_in_one_call(run: Runner, photo: Path, russet_shot: RigPhoto) -> None:
-    """An episode's photos know their camera; the drawer is made anew where it changes."""
+    """An episode's photos state their camera; the renderer is made anew where it changes."""
     half = cv2.resize(russet_shot.image, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
     small = russet_shot.camera.scaled(0.5)
     save(Path("half.png"), half)
@@ -341,6 +341,6 @@ def test_two_cameras_in_one_call(run: Runner, photo: Path, russet_shot: RigPhoto
     results = run(photos=photos, stands=None, camera=None).results
     assert [(result.lens.source, result.joints_source) for result in results] == [("episode", "episode")] * 2
     assert [result.lens.camera.width for result in results] == [640, 320]
-    # In the small photo the boards' own poses are known to a degree and a half.
+    # In the small photo, board poses are known to a degree and a half.
     assert results[0].edge_residual < 0.5
     assert results[1].edge_residual < 1.0

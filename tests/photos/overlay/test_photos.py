@@ -1,4 +1,4 @@
-"""Which photos, which masks, and what a recorded episode knows of its frames."""
+"""Selection of photos and masks, and data of a recorded episode's frames."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def test_what_in_a_folder_is_no_photo(tmp_path: Path) -> None:
     (tmp_path / "folder.png").mkdir()
     touch(tmp_path / "deeper" / "c.png")
     assert find_photos([tmp_path]) == [tmp_path / "a.png"]
-    # Named by hand, it is meant.
+    # An explicit name is used.
     assert find_photos([tmp_path / "a_mask.png"]) == [tmp_path / "a_mask.png"]
 
 

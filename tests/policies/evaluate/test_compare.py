@@ -1,4 +1,4 @@
-"""Two policies on the same starts: the exact test, reports from the disk, and the page of all."""
+"""Two policies on the same starts: the exact test, reports from files, and the leaderboard."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from yamsim_cli.policies.evaluate.compare import compare_reports, mcnemar, read_
 
 
 def report(name: str, good: str) -> dict[str, Any]:
-    """Of trials of which `1` stands for a success."""
+    """A report of trials, in which `1` stands for a success."""
     wins = good.count("1")
     figures = {"n": len(good), "n_success": wins, "success_rate": wins / len(good), "wilson95": [0.1, 0.9]}
     policy_s = {"median": 0.010, "p95": 0.020, "max": 0.030}
@@ -42,7 +42,7 @@ def report(name: str, good: str) -> dict[str, Any]:
 
 
 def test_the_p_value_is_that_of_all_coins() -> None:
-    """Of every way in which so many coins may fall, the share of those at least as uneven."""
+    """Of all outcomes of as many coins, the share of those at least as uneven."""
     for n in range(1, 11):
         uneven = np.array([abs(2 * sum(coins) - n) for coins in itertools.product((0, 1), repeat=n)])
         for k in range(n + 1):
@@ -77,7 +77,7 @@ def test_trials_that_start_elsewhere_are_no_pairs() -> None:
     other["trials"][1]["layout"]["banana"][0] += 1e-6
     with pytest.raises(UsageError, match="trial 1 starts elsewhere"):
         compare_reports(report("a", "101"), other)
-    # A trial whose worker was lost knows no start.
+    # A trial with a lost worker has no start.
     other["trials"][1]["layout"] = {}
     assert compare_reports(report("a", "101"), other)["both"] == 2
 

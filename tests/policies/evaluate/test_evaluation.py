@@ -1,4 +1,4 @@
-"""Trials of policies: the batch's starts, its judgement, and every way in which a policy may fail."""
+"""Trials of policies: the batch's starts, its verdicts, and every fault of a policy."""
 
 from __future__ import annotations
 
@@ -38,21 +38,21 @@ N = 12
 
 
 def _line_of(code: str) -> int:
-    """Where it stands in the samples."""
+    """Line number of code in the samples."""
     lines = (SAMPLES / "sample_policies.py").read_text().splitlines()
     return 1 + next(number for number, line in enumerate(lines) if line.strip() == code)
 
 
 @pytest.fixture(scope="module")
 def strict(make_config: Callable[..., RecordConfig]) -> RecordConfig:
-    """So strict that the plan fails now and then."""
+    """A threshold at which the plan sometimes fails."""
     changes = {("task", "goal", "on", "radius"): 0.003, ("episodes",): N, ("seed",): 2, ("workers",): 2}
     return make_config(changes | {("wrist",): True, ("image", "size_px"): [48, 36]})
 
 
 @pytest.fixture
 def trial(config: RecordConfig, locations: Locations) -> Iterator[Callable[..., TrialResult]]:
-    """One trial of a policy among the samples, or an included one."""
+    """One trial of a sample policy, or of a built-in one."""
 
     def run(name: str, attempt: int = 0, seed: int = 0, **limits: float) -> TrialResult:
         choice = PolicyChoice(name, SAMPLES, **limits)
@@ -63,12 +63,12 @@ def trial(config: RecordConfig, locations: Locations) -> Iterator[Callable[..., 
 
 
 def rest(config: RecordConfig) -> int:
-    """How many control ticks everything stands still after a policy is done, if the goal never holds."""
+    """Control ticks of standing still after a policy is done, if the goal never holds."""
     return config.task.timing.settle_ticks + config.task.hold_ticks
 
 
 def outcomes(report: dict[str, Any]) -> list[Any]:
-    """Trial by trial; of a failure its cause alone, since a policy waits until all is at rest once more."""
+    """Outcomes trial by trial; of a failure its cause alone, since a policy waits until everything is at rest again."""
     return [
         (trial["trial"], trial["seed"], outcome if outcome["success"] else outcome["cause"], [*trial["layout"].items()])
         for trial in report["trials"]
@@ -78,7 +78,7 @@ def outcomes(report: dict[str, Any]) -> list[Any]:
 
 @pytest.mark.slow
 def test_the_scripted_policy_does_exactly_what_the_batch_does(strict: RecordConfig, locations: Locations) -> None:
-    """Every number of every success, and why the others fail, whatever the workers."""
+    """All numbers of every success, and causes of failures, for any number of workers."""
     batch = run_batch(Session(strict, locations), (0.05,), lambda *_: None)
     found = evaluate(Session(strict, locations), PolicyChoice("scripted", SAMPLES, end=EndRule.ACTOR), lambda *_: None)
     report = json.loads(json.dumps(evaluation_report(found, strict, (0.05,))))
@@ -106,7 +106,7 @@ def test_a_datasets_actions_are_replayed_on_their_own_starts(
     own = trial(name, attempt=1)
     assert own.outcome.success
     assert own.outcome.dxy_m == trial("scripted", attempt=1).outcome.dxy_m
-    # On a start of which the dataset knows nothing they are blind.
+    # From a start that is not in the dataset, replay fails.
     assert not trial(name, attempt=7).outcome.success
     with pytest.raises(UsageError, match="there are no episodes"):
         trial(f"replay:{tmp_path / 'nothing'}")
@@ -126,7 +126,7 @@ def test_the_closed_loop_is_the_simulation_bit_for_bit(config: RecordConfig, loc
 
 
 def test_the_weld_does_not_reach_across_the_table(config: RecordConfig, trial: Callable[..., TrialResult]) -> None:
-    """A policy that asks for it all the time, far from the object, holds nothing."""
+    """A policy that always commands the weld, far from the object, holds nothing."""
     result = trial("sample_policies.py:Faulty", attempt=4)
     assert (result.ended, result.ticks) == (TrialEnd.DONE, 6 + rest(config))
     assert result.actions is not None
@@ -134,7 +134,7 @@ def test_the_weld_does_not_reach_across_the_table(config: RecordConfig, trial: C
 
 
 def test_what_is_still_held_at_the_end_stays_held(config: RecordConfig, locations: Locations, tmp_path: Path) -> None:
-    """Once the policy is done everything stands still, and what a hand holds over the plate is not put onto it."""
+    """Once the policy is done everything stands still, and an object held over the plate does not count as placed."""
     (tmp_path / "holder.py").write_text(
         "from yamsim_cli.policies.evaluate.policy_factory import ExpertPolicy\n\n\nclass Holder(ExpertPolicy):\n"
         "    def __call__(self, observation):\n        action = super().__call__(observation)\n"
@@ -168,14 +168,14 @@ def test_a_fault_costs_its_trial_alone(
     assert result.ended is ended
     assert told.format(line=_line_of('raise KeyError("no such thing")')) in result.error
     assert (result.outcome.success, result.outcome.cause, result.outcome.detail) == (False, ended.value, result.error)
-    # What it did until then is judged all the same.
+    # The motion until then is judged.
     assert result.outcome.dxy_m is not None
     assert result.ticks == 3
     assert capsys.readouterr().out == ""
 
 
 def test_what_a_policy_raised_is_told_whole(trial: Callable[..., TrialResult], tmp_path: Path) -> None:
-    """The line of the user's that called what raised; in the traceback all of them, and none of yamsim's."""
+    """The user's line that called the raising code; the traceback has all lines, and none of yamsim's."""
     (tmp_path / "mine.py").write_text(
         "import numpy as np\n\n\ndef inverted(matrix):\n    return np.linalg.inv(matrix)\n\n\n"
         "class Mine:\n    images = ()\n    def reset(self):\n        pass\n"
@@ -261,7 +261,7 @@ def test_a_policy_sees_what_it_asks_for(strict: RecordConfig, locations: Locatio
 
 
 def test_an_observation_says_where_everything_is(config: RecordConfig, locations: Locations, tmp_path: Path) -> None:
-    """The same numbers that a recorded frame of the same state has, in `world`."""
+    """The same numbers as a recorded frame of the same state, in `world`."""
     (tmp_path / "spy.py").write_text(
         "class Spy:\n    images = ()\n    seen = []\n    def reset(self):\n        pass\n"
         "    def __call__(self, observation):\n        type(self).seen.append(observation)\n"

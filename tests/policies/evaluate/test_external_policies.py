@@ -1,4 +1,4 @@
-"""Policies of other programs in trials: what they are told, whose arms move, and that no server ends a run."""
+"""Policies of other programs in trials: observations, arm order, and robustness against servers."""
 
 from __future__ import annotations
 
@@ -32,13 +32,13 @@ pytest.importorskip("websockets", reason="yamsim[remote] is not installed")
 
 HERE = Path(__file__).parent
 
-# What the served expert needs beyond what real servers are told: which trial it is, and how far it is.
+# Mapping with further values for the served expert: trial and time.
 EXPERT = "gripper: share\nstate: {key: state, dtype: float64}\nprompt: instruction\ntime: time\nseed: seed\n"
 ONE = EXPERT + "actions: {key: actions, hz: 31.25, weld: true}\n"
 
 
 class RecordingClient:
-    """A client that answers with what it is told to, and remembers what it was asked."""
+    """A client with given answers, which records its messages."""
 
     def __init__(self, **answer: Any) -> None:
         self.answer = answer
@@ -225,11 +225,8 @@ def test_every_picture_of_an_export_is_known(
         assert len(policy.images) == len(wanted)
 
 
-# Trials.
-
-
 def expert_plans(config: RecordConfig, locations: Locations) -> tuple[list[TrialResult], dict[int, np.ndarray]]:
-    """The scripted policy's trials, and its actions by the trial's seed, grippers as shares, the welds last."""
+    """Return the scripted policy's trials, and its actions by the trial's seed: grippers as shares, welds last."""
     where, results, plans = policy_station(config), [], {}
     with TrialRunner(Session(config, locations), PolicyChoice("scripted", HERE)) as runner:
         for attempt in range(config.episodes):
@@ -244,7 +241,7 @@ def expert_plans(config: RecordConfig, locations: Locations) -> tuple[list[Trial
 
 
 def serve_plans(plans: Mapping[int, np.ndarray], actions: int) -> Callable[[Mapping[str, Any]], dict[str, Any]]:
-    """The expert behind a protocol: the next actions of the trial's plan, and after its end the last one."""
+    """Serve the expert: the next actions of the trial's plan, and after its end the last one."""
 
     def infer(message: Mapping[str, Any]) -> dict[str, Any]:
         plan, now = plans[int(message["seed"])], round(float(message["time"]) / 0.032)
@@ -263,7 +260,7 @@ def experts(
 
 @pytest.fixture(params=["act", "ws"])
 def serve(request: pytest.FixtureRequest) -> Callable[[Callable[[Mapping[str, Any]], Any]], Any]:
-    """Serves a function behind a protocol."""
+    """Serve a function by a protocol."""
     if request.param == "act":
         return act_server
     return lambda infer: openpi_server(lambda data: pack_openpi(infer(unpack_openpi(data))))
@@ -289,7 +286,7 @@ def test_the_served_expert_does_what_the_local_one_does(
     chunking: ChunkSettings,
     locations: Locations,
 ) -> None:
-    """Its plan tells what is for when, so that neither chunks nor latency change a command after the first ones."""
+    """Its plan states times, so chunks and latency change no command after the first ones."""
     config, local, plans = experts
     with serve(serve_plans(plans, 16)) as url:
         choice = PolicyChoice(url, HERE, mapping=mapping, chunking=chunking)
@@ -310,7 +307,7 @@ def test_the_served_expert_does_what_the_local_one_does(
 
 
 def answers(attempt: int, calls: int) -> Any:
-    """What is wrong with a server's answers in a trial, from its third question on."""
+    """Return the faults of a server's answers in a trial, from its third request on."""
     good = {"actions": np.zeros((8, 8))}
     if calls < 3:
         return good
@@ -351,7 +348,7 @@ def test_a_server_that_lies_costs_a_trial_each_time_and_never_the_run(
         results = [runner.run(AttemptJob(0, attempt)) for attempt in range(8)]
     told = [result.ended for result in results]
     assert told[0] is told[7] is TrialEnd.TIME_LIMIT
-    # Too long an answer is refused before it is read.
+    # An answer that is too long is refused before it is read.
     assert set(told[1:4]) | {told[5], told[6]} <= {TrialEnd.INVALID, TrialEnd.RAISED}
     assert told[4] is TrialEnd.SLOW
     assert "is not finite" in results[1].error
@@ -383,7 +380,7 @@ def test_a_server_that_is_gone_costs_the_trials_that_it_misses(
 
 
 def test_a_server_that_trickles_is_too_slow(mapping: str, config: RecordConfig, locations: Locations) -> None:
-    """However often it says something: what is limited is the whole answer."""
+    """The limit applies to the whole answer, however often a part arrives."""
 
     def trickle(connection: socket.socket) -> None:
         read_request(connection)
@@ -408,8 +405,8 @@ def test_a_chunks_fate_is_reported(config: RecordConfig, locations: Locations) -
         results = tuple(runner.run(AttemptJob(0, attempt)) for attempt in range(2))
     names = tuple(describe_objects(session, result.attempt.job) for result in results)
     report = evaluation_report(Evaluation(choice, results, 2.0, names), config, ())
-    # Asked every eight ticks, in forty. Three ticks later one of the five actions, each of two ticks, has passed, and
-    # the chunk before ran out a tick ago; the first time, there was none before.
+    # Requested every eight ticks, in forty. Three ticks later one of the five actions, each of two ticks, has passed,
+    # and the previous chunk ended a tick before; at the first time, there was none.
     chunks = report["stats"]["chunks"]
     assert chunks.pop("waited_s") == pytest.approx(2 * (3 + 4) * 0.032)
     assert chunks == {"chunks": 10, "actions": 50, "stale": 10}

@@ -1,4 +1,4 @@
-"""What policies are told: pictures when they are read and not before, and the state for those that ask."""
+"""Observations of policies: pictures only when read, and the state on request."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ CAMERAS = {"scene_rgb": "scene_camera", "wrist_rgb": "right_wrist_camera"}
 
 
 class CountingRenderer:
-    """Renders the first of the positions, and remembers of which cameras."""
+    """Render the first position, and record the cameras."""
 
     def __init__(self) -> None:
         self.rendered: list[str] = []
@@ -143,7 +143,7 @@ def test_a_picture_that_cannot_be_drawn_is_not_the_policys_fault(
 def test_a_picture_shows_what_was_when_it_was_told(
     make_config: Callable[..., RecordConfig], locations: Locations
 ) -> None:
-    """Whenever it is read: as the policy was asked, not as things are by then."""
+    """The picture shows the time of the observation, whenever it is read."""
     config = make_config({("image", "size_px"): [48, 36]})
     with trial("Remembering", config, locations) as runner:
         result = runner.run(AttemptJob(0, 0))
@@ -175,7 +175,7 @@ def test_the_state_is_told_to_who_asks(
     joints, speeds = (np.array([one[key] for one in seen]) for key in ("joints", "joint_velocities"))
     assert speeds.shape == joints.shape
     np.testing.assert_array_equal(speeds[0], 0)
-    # What the joints did is what their speeds at both ends, on the average, say; the fingers' too.
+    # Motion of the joints equals the mean of the speeds at both ends; also of the fingers.
     moved, said = np.diff(joints, axis=0), (speeds[:-1] + speeds[1:]) / 2 * config.task.timing.tick
     for number in range(joints.shape[1] // 7):
         for joint in (7 * number, 7 * number + 6):

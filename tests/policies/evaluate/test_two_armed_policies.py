@@ -1,4 +1,4 @@
-"""Policies that drive two arms: what they see and answer, and that the plan's own actions do what the batch does."""
+"""Policies for two arms: observations and answers, and that the plan's actions equal the batch's."""
 
 from __future__ import annotations
 

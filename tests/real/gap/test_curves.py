@@ -1,4 +1,4 @@
-"""Phases, stops and delays of joints, whatever the rate of their samples."""
+"""Phases, stops and delays of joints, at any sample rate."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from yamsim_cli.real.gap.joint_curves import (
 
 
 def trapezoid(times: Array) -> Array:
-    """Still for 1 s, 1 s of speeding up to 1 rad/s, 2 s at it, 0.5 s of braking, then still."""
+    """At rest for 1 s, 1 s of acceleration to 1 rad/s, 2 s at that speed, 0.5 s of braking, then at rest."""
     speed = np.interp(times, [0, 1, 2, 4, 4.5, 6], [0, 0, 1, 1, 0, 0])
     return np.concatenate([[0.0], np.cumsum((speed[1:] + speed[:-1]) / 2 * np.diff(times))])[:, None]
 
@@ -34,7 +34,7 @@ def test_phases_are_those_of_the_motion(rate: int) -> None:
 
 def test_noise_of_an_encoder_is_no_motion() -> None:
     times = np.arange(0, 6, 0.01)
-    # The step of the maker's CAN messages, rad.
+    # rad, step of the manufacturer's CAN messages
     step = 25 / 65536
     names = motion_phases(smooth_curves(times, np.round(trapezoid(times) / step) * step), times)[:, 0]
     clean = motion_phases(smooth_curves(times, trapezoid(times)), times)[:, 0]

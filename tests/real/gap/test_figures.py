@@ -89,7 +89,7 @@ def test_uncompensated_weight_shows_as_sag_at_rest() -> None:
     assert lifting.measured_vs_simulated.sag == pytest.approx(lifting.measured.sag, abs=2e-3)
     assert lifting.simulated.sag == pytest.approx(0, abs=2e-3)
     assert set(found.phases) == {"still"}
-    # A still arm has no delays and no stops.
+    # An arm at rest has no delays and no stops.
     assert {joint.measured_vs_simulated.delay for joint in found.joints} == {None}
     assert {joint.measured_vs_simulated.overshoot for joint in found.joints} == {None}
 
@@ -171,7 +171,7 @@ def test_an_episode_has_no_gap_until_something_is_held(
     # Frames hold joints as float32.
     assert before.error.max < 1e-6
     assert len(before.joints) == 6 * len(config.rig.arms)
-    # The rig alone lacks the weight of the held thing.
+    # The rig alone lacks the held object's weight.
     assert after.error.max > 1e-3
     assert frames[before.worst.frame]["timestamp"] == pytest.approx(before.worst.time, abs=1e-6)
 
@@ -190,5 +190,5 @@ def test_an_arm_that_acts_late_begins_as_its_episode_did(
     held = next(frame["timestamp"] for frame in frames if np.any(frame["magnet"]))
     gap = measure_gap(build_rig_scene(rig, config.scene, locations), motion, 0.0, held)
 
-    # Of frames' float32.
+    # float32 of frames.
     assert gap.error.max < 1e-5

@@ -1,4 +1,4 @@
-"""Physics that follows recorded commands does again what physics did with them, whenever they came."""
+"""Physics with recorded commands reproduces the recorded motion, at any command times."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ TIMES = np.arange(0, 3.0, 0.01)
 
 
 def _off(one: RecordedMotion, other: RecordedMotion) -> float:
-    """The largest distance of any joint, rad."""
+    """Largest distance of any joint, rad."""
     return max(float(np.nanmax(np.abs(a.joints - b.joints))) for a, b in zip(one.arms, other.arms, strict=True))
 
 
@@ -44,7 +44,7 @@ def test_two_arms_follow_each_its_own_commands() -> None:
 
 
 def test_commands_act_at_their_exact_times() -> None:
-    """Half a step later, all comes half a step later."""
+    """Half a step later, everything is half a step later."""
     times = np.arange(0, 3.0, STEP * 5)
     made = plant(rig_scene(), times, [swings(times)])
     later = replace(made, times=np.concatenate([[0.0], times[1:] + STEP / 2]))
@@ -57,7 +57,7 @@ def test_jittered_times_that_are_steps_ends_are_followed_to_the_last_bit() -> No
     rng = np.random.default_rng(3)
     times = np.concatenate([[0.0], np.cumsum(rng.integers(2, 7, 300))]) * STEP
     made = plant(rig_scene(), times, [swings(times)])
-    # As a file has them.
+    # With the rounding of a file.
     written = replace(made, times=np.round(times, 6))
     assert _off(made, simulate_commands(rig_scene(), written)) < 1e-9
 
@@ -109,7 +109,7 @@ def test_a_recording_that_begins_in_motion_is_followed_in_motion(made: RecordedM
     off = np.abs(simulate_commands(rig_scene(), cut).arms[0].joints - cut.arms[0].joints)
     speed = np.abs(np.diff(cut.arms[0].joints[:2], axis=0)).max() / 0.01
     assert speed > 0.5
-    # From rest, it would be behind by its speed times a time constant of some 60 ms.
+    # From rest, it would lag by its speed times a time constant of some 60 ms.
     assert off.max() < 0.005
     assert off[100:].max() < 1e-4
 

@@ -1,4 +1,4 @@
-"""The motion that `yamsim excite` writes: within what the arm can do, clear of everything, and telling all."""
+"""The motion of `yamsim excite`: within limits, without collisions, and informative."""
 
 from __future__ import annotations
 
@@ -107,7 +107,7 @@ def test_an_arm_that_is_simulated_by_its_own_revision_has_no_gap(tmp_path: Path)
 
     own, plain = (measure_gap(build_rig_scene(each, SCENE, WHERE), motion).error.rms for each in (mine, rig))
 
-    # Of what the file's digits leave.
+    # Rounding of the file's digits.
     assert own < 1e-5
     assert plain > 5e-3
 

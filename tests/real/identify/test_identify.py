@@ -1,4 +1,4 @@
-"""What is identified of arms whose parameters are known."""
+"""Parameters identified from arms with known parameters."""
 
 from __future__ import annotations
 
@@ -107,7 +107,7 @@ def test_a_simulated_log_is_followed_by_its_own_values() -> None:
 
     again = LogSimulation(plant, replace(log, joints=read)).simulate(plant.values, plain=True)
 
-    # It starts where it was read, which is where it was told to be.
+    # It starts at the measured joints, which are the commanded ones.
     assert np.abs(again - read).max() < 1e-9
 
 
@@ -205,7 +205,7 @@ def test_intervals_are_wide_where_a_log_says_nothing() -> None:
 
     told = {(each.joint, each.name): each for each in estimate_parameters(plant, fitted)}
 
-    # The first joint turns about the vertical: nothing weighs on it.
+    # The first joint turns about the vertical, without gravity torque.
     assert not told["joint1", "gravity_factor"].is_determined
     assert told["joint1", "gravity_factor"].high - told["joint1", "gravity_factor"].low > 1
     assert told["joint2", "gravity_factor"].is_determined

@@ -1,4 +1,4 @@
-"""Recordings of real arms are imported as whole episodes that hold exactly what was recorded."""
+"""Recordings of real arms are imported as whole episodes with exactly the recorded data."""
 
 from __future__ import annotations
 
@@ -67,13 +67,13 @@ def test_pictures_and_words_come_along(station: RigConfig, locations: Locations,
     assert episode.record.cameras == {"top": (64, 48)}
     frame = episode.frames()[0]
     assert frame["language_prompt"] == PROMPT
-    # The camera's matrices and the things were not recorded.
+    # Camera matrices and objects were not recorded.
     assert set(frame) == {"joints", "timestamp", "ctrl", "language_prompt"}
     assert all(episode.image("top", k)[:2] == b"\xff\xd8" for k in range(episode.record.frames))
 
 
 def test_photos_with_a_known_place_are_overlaid_on(single: RigConfig, locations: Locations, tmp_path: Path) -> None:
-    """Each frame gives a photo with the camera's own lens and place, and says how the rig's arm stands."""
+    """Each frame gives a photo with its camera's lens and pose, and the arm's joints."""
     motion = swinging(single, 0.1)
     folder = write_lowdim(tmp_path / "one", motion, single)
     T = pose([0.4, 0.0, 0.9], np.diag([1.0, -1.0, -1.0]))

@@ -1,4 +1,4 @@
-"""Emulated motors: frames by their bytes, answers, faults of the bus, and wiring."""
+"""Emulated motors: frames by their bytes, answers, bus faults, and wiring."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def register(what: int, number: int, value: bytes = bytes(4), motor: int = 4) ->
 
 
 def mit(position: float, velocity: float, kp: float, kd: float, torque: float, scale: MotorRange) -> bytes:
-    """A frame as the maker's driver packs it."""
+    """A frame in the packing of the manufacturer's driver."""
     most = (*scale[:2], 250.0, 2.5, scale.torque)
     shifted = (position, velocity, kp - 250.0, kd - 2.5, torque)
     p, v, kp_bits, kd_bits, t = (
@@ -59,7 +59,7 @@ def test_a_mit_frame_by_hand() -> None:
 
 
 def test_feedback_by_hand() -> None:
-    """Identifier and status in the first byte, then position, velocity and torque, driver's and rotor's temperature."""
+    """Identifier and status in the first byte, then position, velocity and torque, temperatures of driver and rotor."""
     data = frames.feedback_bytes(0x17, 1, 12.5, -30.0, 0.0, (33.9, 300.0), MotorRange(12.5, 30.0, 10.0))
     assert data == bytes.fromhex("17ffff0007ff21ff")
 
@@ -165,7 +165,7 @@ def test_another_mode_than_mit_answers_no_command(motor: Motor) -> None:
 
 
 def test_random_frames_do_no_harm() -> None:
-    """What comes back is always a frame, and the law always finite."""
+    """Each answer is a frame, and each torque is finite."""
     draw = random.Random(3)
     motors = [Motor(k, KINDS["DM4340"]) for k in range(1, 8)]
     bus = MotorBus("can0", motors)
@@ -198,7 +198,7 @@ def test_a_hot_motor_fails() -> None:
 
 
 def test_as_many_frames_get_lost_as_the_fault_says() -> None:
-    """In each direction; and from the same seed the same ones."""
+    """In each direction; the same frames for the same seed."""
 
     def answered(seed: int) -> list[bool]:
         bus = MotorBus("can0", [Motor(1, KINDS["DM4340"])], [BusFault("drop", share=0.2)], seed)

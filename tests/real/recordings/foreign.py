@@ -54,7 +54,7 @@ def write_raiden_raw(folder: Path, motion: RecordedMotion, rig: RigConfig) -> Pa
 
 
 def write_lerobot_v2(folder: Path, motion: RecordedMotion, rig: RigConfig, names: Sequence[str] = NAMES) -> Path:
-    """Version 2.1: one episode, one camera of 64 x 48 whose grey shows the number of the frame."""
+    """Version 2.1: one episode, one camera of 64 x 48 whose grey level is the frame's number."""
     measured, commanded = shares(motion, rig)
     rows, commands = np.hstack(measured), np.hstack(commanded)
     n = len(rows)
@@ -101,7 +101,7 @@ def write_lerobot_v2(folder: Path, motion: RecordedMotion, rig: RigConfig, names
 
 
 def write_lowdim(folder: Path, motion: RecordedMotion, rig: RigConfig) -> Path:
-    """As the lab writes it: a pickle per frame, grippers in metres, pictures whose grey shows the frame's number."""
+    """As the lab writes it: a pickle per frame, grippers in metres, pictures whose grey level is the frame's number."""
     rows = np.hstack([np.column_stack([arm.joints, arm.openings]) for arm in motion.arms if arm.openings is not None])
     commanded = [
         np.column_stack([arm.commands, arm.commanded_openings]) for arm in motion.arms if arm.commands is not None
@@ -146,12 +146,12 @@ def write_lerobot_v3(folder: Path, motion: RecordedMotion, rig: RigConfig, names
 
 
 def grey_of(frame: int) -> int:
-    """Grey level of frame k of a film."""
+    """Grey level of frame k of a video."""
     return 20 + 2 * (frame % 100)
 
 
 def _messages() -> dict[str, Any]:
-    """Name -> class of a message: `RobotState`, `GripperState`, `Instruction` and a film's `CompressedVideo`."""
+    """Message name -> class: `RobotState`, `GripperState`, `Instruction` and `CompressedVideo`."""
     from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 
     kinds = descriptor_pb2.FieldDescriptorProto
@@ -175,7 +175,7 @@ def _messages() -> dict[str, Any]:
 
 
 def _film_packets(frames: int) -> list[bytes]:
-    """A film's packets, one a frame."""
+    """Packets of a video, one per frame."""
     encoder = av.CodecContext.create("libx264", "w")
     encoder.width, encoder.height, encoder.pix_fmt = 64, 48, "yuv420p"
     encoder.time_base = Fraction(1, 25)
@@ -193,7 +193,7 @@ def write_mcap(
     rig: RigConfig,
     leave_out: Callable[[str, float], bool] = lambda topic, time: False,
 ) -> Path:
-    """A motion of two arms, with a film of one camera.
+    """Write a motion of two arms, with a video of one camera.
 
     Args:
         leave_out: whether a topic has no message at a time (s) of the motion.

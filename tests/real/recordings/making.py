@@ -18,7 +18,7 @@ RATE = 100.0
 
 
 def swinging(rig: RigConfig, seconds: float = 4.0, lag: int = 3) -> RecordedMotion:
-    """Each joint swings about its start at its own pace, and follows its commands `lag` samples later."""
+    """Each joint swings about its start at its own rate, and follows its commands `lag` samples later."""
     times = np.arange(round(seconds * RATE)) / RATE
     arms = []
     for number, (side, k) in enumerate(zip(motion_sides(rig), rig.recording_order, strict=True)):

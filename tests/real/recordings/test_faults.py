@@ -35,7 +35,7 @@ from yamsim_cli.real.recordings.motion_reading import detect_format, format_read
 
 Writer = Callable[[Path, RecordedMotion, RigConfig], Path]
 
-# Format -> its writer, and the file that is cut off; empty for the recording itself.
+# Format -> its writer, and the truncated file; empty for the recording itself.
 WRITERS: Mapping[str, tuple[Writer, str]] = {
     "csv": (lambda path, motion, rig: write_csv(path.with_suffix(".csv"), motion, rig), ""),
     "lowdim": (write_lowdim, "lowdim/000070.pkl"),
@@ -117,7 +117,7 @@ def test_a_gripper_in_shares_is_reported(rig: RigConfig) -> None:
 def test_a_gripper_that_stalls_only_while_opening_is_mirrored(
     mirrored: bool, faults: list[MotionFault], rig: RigConfig
 ) -> None:
-    """Fingers close onto a thing of 30 mm. With both openings mirrored, they stall while opening."""
+    """Fingers close onto an object of 30 mm. With both openings mirrored, they stall while opening."""
     motion = swinging(rig, 4.0)
     full = full_opening(rig)
     commanded = full * (1 - np.clip((motion.times - 0.5) / 0.3, 0, 1))
@@ -129,7 +129,7 @@ def test_a_gripper_that_stalls_only_while_opening_is_mirrored(
     assert all("--mirror-gripper both" in problem.text for problem in found)
 
 
-# Fault -> its spoiler, a part of its line, and whether the recording is refused.
+# Fault -> function that causes it, a part of its message, and whether the recording is refused.
 FAULTS: Mapping[str, tuple[Callable[[RecordedMotion, float], RecordedMotion], str, bool]] = {
     "gap": (with_gap, "nothing was recorded for 0.71 s from 0.59 s on", False),
     "froze": (froze, "right_joint3 was measured at exactly", False),
@@ -145,7 +145,7 @@ def bring_in(path: Path, rig: RigConfig, locations: Locations) -> ImportReport:
 
 
 def refused(path: Path, rig: RigConfig, locations: Locations) -> str:
-    """The one-line error of an import."""
+    """Return the one-line error of an import."""
     with pytest.raises(DatasetError) as caught:
         bring_in(path, rig, locations)
     assert "\n" not in str(caught.value)

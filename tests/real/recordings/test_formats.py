@@ -219,7 +219,7 @@ def test_episodes_with_fewer_rows_than_they_say(
 
 
 def test_the_labs_own_layout(recorded: Path, config: RecordConfig, locations: Locations, tmp_path: Path) -> None:
-    """As a recording of ours is without its records."""
+    """As yamsim's recording without its records."""
     for folder in ("rgb", "lowdim"):
         (tmp_path / "lab" / "ep1").mkdir(parents=True, exist_ok=True)
         (tmp_path / "lab" / "ep1" / folder).symlink_to(recorded / "ep_000001" / folder)

@@ -1,4 +1,4 @@
-"""MCAP files as ABC-130k has them: protobuf, states and actions of arms and of grippers apart, films in packets."""
+"""MCAP files as ABC-130k has them: protobuf, states and actions of arms and grippers apart, videos in packets."""
 
 from __future__ import annotations
 

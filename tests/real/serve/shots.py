@@ -1,4 +1,4 @@
-"""Pictures that nobody draws, where servers look for those of a scene."""
+"""Fake pictures of a scene for servers."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ SIZE = (8, 6)
 
 
 class FakeRenderProcess:
-    """In place of a `RenderProcess`: each shot has pictures of one grey, its number."""
+    """Replaces a `RenderProcess`: each shot has pictures of one grey level, its number."""
 
     cameras = ("top", "left")
     size = SIZE

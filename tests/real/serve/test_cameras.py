@@ -1,4 +1,4 @@
-"""Pictures handed out on a socket, and the reader on its other side."""
+"""Pictures on a socket, and their reader."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ def test_a_reader_gets_each_camera_and_waits_for_the_next_picture(
         assert reader.read(after=3).number == 4
         with pytest.raises(TimeoutError):
             reader.read(after=4, timeout=0.02)
-        # What it waited for then is not taken for what it asks for now.
+        # The earlier answer is not taken for the new one.
         shots.take(5)
         assert reader.read(after=-1).number == 5
 

@@ -1,4 +1,4 @@
-"""Programs on a simulated bus: what they say gets there, and nothing that they say does harm."""
+"""Programs on a simulated bus: their frames arrive, and none does harm."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def join(bus: UnixBus) -> socket.socket:
 
 
 def heard(bus: UnixBus) -> list[CanFrame]:
-    """What the bus hears until nobody says more."""
+    """Return the bus's frames until no more arrive."""
     found = []
     while ready := select.select(bus.readers, [], [], 0.02)[0]:
         found += bus.receive(set(ready))
@@ -67,7 +67,7 @@ def test_programs_on_a_bus_hear_each_other(served: UnixBus) -> None:
 
 
 def test_random_bytes_do_no_harm_and_fill_no_memory(served: UnixBus) -> None:
-    """A program that sends 10,000 messages of noise and never reads; another one is answered all the same."""
+    """A program that sends 10,000 random messages and never reads; another one is answered all the same."""
     motors = MotorBus("can0", [Motor(1, KINDS["DM4340"])])
     noisy, other = join(served), join(served)
     draw = random.Random(5)
@@ -129,7 +129,7 @@ def test_frames_of_other_kinds_are_nobodys() -> None:
 
 
 class CanSocket:
-    """In place of a raw socket of the kernel's: datagrams of one frame, to whoever has the other end."""
+    """Replaces a raw socket of the kernel: datagrams of one frame, to the other end."""
 
     def __init__(self, *kind: int) -> None:
         self.kind = kind
@@ -172,7 +172,7 @@ def test_an_interface_of_the_kernels_carries_the_same_frames(kernel: list[CanSoc
     (can,) = kernel
     assert can.kind == (29, 3, 1) and can.bound == ("can0",)
     (reader,) = bus.readers
-    assert not list(bus.receive({reader}))  # Nothing has come, and it does not wait.
+    assert not list(bus.receive({reader}))  # nothing has come, and it does not wait
     can.other.send(ENABLE)
     can.other.send(struct.pack("=IB3x8s", 1 | 0x80000000, 8, bytes(8)))  # Of another kind, which no motor has.
     can.other.send(ENABLE)
@@ -180,7 +180,7 @@ def test_an_interface_of_the_kernels_carries_the_same_frames(kernel: list[CanSoc
     bus.send(CanFrame(0x11, b"12345678"))
     assert can.other.recv(64) == frames.to_wire(CanFrame(0x11, b"12345678"))
     can.other.close()
-    bus.send(CanFrame(0x11, b"12345678"))  # An interface that went down loses frames, and stops nothing.
+    bus.send(CanFrame(0x11, b"12345678"))  # an interface that went down loses frames, and stops nothing
     bus.close()
 
 

@@ -1,4 +1,4 @@
-"""chiral's messages: read and answered as its own client packs them, and nothing else is taken."""
+"""chiral's messages: read and answered as its own client packs them, and nothing else is accepted."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from yamsim_cli.real.serve.policy_robot import CameraView, RobotObservation
 
 
 class Robot:
-    """A robot that only remembers."""
+    """A robot that only records its calls."""
 
     metadata = {"action_shape": [20]}  # noqa: RUF012
     is_going_home = False
@@ -80,7 +80,7 @@ def turn(server: ChiralServer, times: int = 3, wait: float = 0.02) -> None:
 
 
 class Client:
-    """A WebSocket without waits: it sends frames, and reads what has come."""
+    """A non-blocking WebSocket: it sends frames, and reads arrived ones."""
 
     def __init__(self, server: ChiralServer, **headers: str) -> None:
         self.socket = socket.create_connection(("127.0.0.1", server.port), timeout=5)
@@ -241,7 +241,7 @@ def test_a_message_that_is_too_long_is_hung_up_on(server: ChiralServer) -> None:
     one.send(bytes(chiral.MAX_MESSAGE_BYTES + 1))
     turn(server)
     one.heard()
-    assert one.code in (1006, 1009)  # It may be gone before it can be told.
+    assert one.code in (1006, 1009)  # it may be gone before the message
     assert not server.clients
 
 
@@ -276,7 +276,7 @@ def test_one_that_reads_nothing_waits_and_fills_no_memory(server: ChiralServer, 
 
 def test_a_flood_is_hung_up_on(server: ChiralServer, robot: Robot) -> None:
     one = Client(server)
-    # No picture comes, so that the first of them is never answered.
+    # Without pictures, the first request is never answered.
     for _ in range(chiral._MAX_QUEUED + 50):
         one.send(packed({"type": "obs_request"}))
     turn(server, times=20)
@@ -286,7 +286,7 @@ def test_a_flood_is_hung_up_on(server: ChiralServer, robot: Robot) -> None:
 
 @pytest.mark.parametrize("count", [300, pytest.param(10_000, marks=pytest.mark.slow)])
 def test_random_messages_do_no_harm_and_fill_no_memory(server: ChiralServer, robot: Robot, count: int) -> None:
-    """Most are framed as they should be, so that all of the reading is reached."""
+    """Most are framed correctly, so that all parts of the reader are reached."""
     draw = random.Random(7)
     robot.shots.take(0)
     whole = action(np.ones(20))

@@ -31,7 +31,7 @@ def loop(
 
 
 def beside(loop: RealtimeLoop, seconds: float, work: Callable[[socket.socket], None], folder: Path) -> None:
-    """Let the loop run while a program works on its bus."""
+    """Run the loop while a program works on its bus."""
 
     def program() -> None:
         with socket.socket(socket.AF_UNIX) as one:
@@ -41,7 +41,7 @@ def beside(loop: RealtimeLoop, seconds: float, work: Callable[[socket.socket], N
 
     thread = threading.Thread(target=program)
     thread.start()
-    # Until all that it said has been heard, and it is gone.
+    # Until all its messages are read, and it is gone.
     loop.run(lambda: not thread.is_alive() and not loop._sockets[0].clients, seconds)
     thread.join()
 
@@ -58,7 +58,7 @@ def test_a_program_is_answered_at_the_buses_pace(loop: RealtimeLoop, tmp_path: P
     assert len(got) == 200 and {answer[0] for answer in got} == {0x11}
     pace = loop.pace
     assert pace.frames == 200 and pace.dropped == 0
-    # No sooner than that many gaps, less what a late program may catch up.
+    # At least that many gaps, less the lag that a late program may catch up.
     assert pace.seconds >= (200 - 8) * 571e-6
 
 

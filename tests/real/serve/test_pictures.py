@@ -1,4 +1,4 @@
-"""Pictures that a process of its own draws while physics goes on."""
+"""Pictures that a separate process renders while physics goes on."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def test_it_draws_what_is_there_now(source: RenderProcess, served: ServedArms, s
     before = first.pictures["left"].copy()
     for _ in range(100):
         served.motor_simulation.step()
-    # The next but one was asked for after that.
+    # The next but one was requested after that.
     later = next_shot(source, after=2)
     assert later.sim_time == pytest.approx(served.motor_simulation.now)
     assert (later.pictures["left"] != before).any()

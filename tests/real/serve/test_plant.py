@@ -1,4 +1,4 @@
-"""Arms on emulated motors: they hold, fall, press and jam as their frames and faults say."""
+"""Arms on emulated motors hold, fall, press and jam by their frames and faults."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def test_without_power_it_rests_on_its_stops_and_falls_from_elsewhere(serve: Ser
 
 
 def test_it_floats_on_the_torques_that_hold_it(serve: Serve) -> None:
-    """Neither gains nor damping: the friction of the joints is all there is besides."""
+    """With neither gains nor damping, only the joints' friction is left."""
     plant = serve(start="task").motor_simulation
     motors = plant.buses[0].motors
     before = positions(motors)
@@ -63,7 +63,7 @@ def test_it_floats_on_the_torques_that_hold_it(serve: Serve) -> None:
 
 
 def test_each_motor_follows_its_own_gains(serve: Serve) -> None:
-    """A joint that turns freely is off by what holds it, over its gain."""
+    """A free joint is off by its load over its gain."""
     plant = serve(start="task").motor_simulation
     motors = plant.buses[0].motors
     start = positions(motors)
@@ -75,7 +75,7 @@ def test_each_motor_follows_its_own_gains(serve: Serve) -> None:
     run(plant, 2, tell)
     held = np.array(plant.gravity_torques(0))[:6]
     sag = (positions(motors) - start)[:6]
-    # Friction may hold a part of it.
+    # Friction may carry a part of it.
     friction = np.array([0.3, 0.3, 0.3, 0.06, 0.06, 0.06])
     assert (np.abs(-80.0 * sag - held) <= friction + 0.02).all()
     assert motors[1].torque == pytest.approx(-80.0 * sag[1], abs=0.02)
@@ -88,7 +88,7 @@ def test_a_torque_finds_both_ends_of_the_gripper(serve: Serve) -> None:
     for torque in (0.5, -0.5):
         run(plant, 1.0, lambda torque=torque: motor.drive(MitCommand(0, 0, 0, 0, torque), plant.now))  # type: ignore[misc]
         ends.append(motor.position)
-    # 95 mm of the 96 that 6.57 rad are for; forwards closes.
+    # 95 mm of 96 mm, which are 6.57 rad; forwards closes.
     assert ends == pytest.approx([0.0, -6.5], abs=0.05)
 
 
@@ -110,7 +110,7 @@ def test_a_follower_goes_where_it_is_told_and_presses_no_harder_than_it_may(serv
     assert follower.joint_pos() == pytest.approx(target, abs=0.01)
     follower.command_joint_pos(np.append(target[:6], 0.0))
     run(served.motor_simulation, 3, follower.tick)
-    # Closed on nothing: at the stop, with the force of the maker's limit.
+    # Closed without an object: at the limit, with the manufacturer's force limit.
     assert follower.joint_pos()[-1] == pytest.approx(0.0, abs=0.01)
     assert abs(served.motor_simulation.buses[0].motors[-1].torque) < 1.05
 

@@ -1,4 +1,4 @@
-"""Arms as raiden's policies drive them: from action to action, home again, and stopped where one is too far."""
+"""Arms driven by raiden's policies: from action to action, home again, and stopped at an action that is too far."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def test_it_goes_home_along_joints_and_by_its_hands_poses(driven: Driven) -> Non
     driven.run(0.5)
     assert driven.robot.stopped == ""
     np.testing.assert_allclose(driven.row(), goal, atol=0.02)
-    # 3 cm up, with the same hands: ten numbers an arm.
+    # 3 cm up, with the same hands: ten numbers per arm.
     felt = driven.see()
     key = "robot__actual__poses__{}::yam__{}".format
     xyz, rows = (np.concatenate([felt[key(side, part)] for side in ("left", "right")]) for part in ("xyz", "rot_6d"))

@@ -1,4 +1,4 @@
-"""Calls of portal's: read and answered as portal packs them, and nothing else is taken."""
+"""portal's calls: read and answered as portal packs them, and nothing else is accepted."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ import pytest
 
 from yamsim_cli.real.serve.portal import HANDSHAKE, PortalError, PortalServer, pack_tree, unpack_tree
 
-# What `portal.packlib.pack({"joint_pos": np.arange(2.0), "n": 3})` of 3.8.3 gives, joined.
+# `portal.packlib.pack({"joint_pos": np.arange(2.0), "n": 3})` of 3.8.3, joined.
 PACKED = bytes.fromhex(
     "04000000000000000f000000000000001a000000000000001000000000000000080000000000000082a96a6f696e745f706f73c0a16ec0"
     "9293a561727261799102a33c663893a5617272617990a33c69380000000000000000000000000000f03f0300000000000000"
@@ -24,7 +24,7 @@ PACKED = bytes.fromhex(
 
 
 class Arm:
-    """A follower that only remembers."""
+    """A follower that only records its calls."""
 
     def __init__(self) -> None:
         self.told: list[Any] = []
@@ -167,7 +167,7 @@ def test_another_greeting_or_a_message_without_end_is_hung_up_on(server: PortalS
 
 
 def test_random_messages_do_no_harm_and_fill_no_memory(server: PortalServer, arm: Arm) -> None:
-    """10,000 of them, most framed as they should be, so that all of the reading is reached."""
+    """10,000 messages, most framed correctly, so that all parts of the reader are reached."""
     draw = random.Random(7)
     whole = request("command_joint_pos", np.ones(7))
     one = join(server)

@@ -1,4 +1,4 @@
-"""`yamsim replay` on a real episode: the video as a player sees it, the viewer's states, and what is refused."""
+"""`yamsim replay` on a real episode: the video in a player, the viewer's states, and refused input."""
 
 from __future__ import annotations
 
@@ -231,7 +231,7 @@ def test_a_page_does_not_undo_what_a_user_does_with_its_slider(player: EpisodePl
         player.seek(5)
         page.update()
         assert page.slider.value == 5
-        # Viser sets it before it tells the page.
+        # viser sets it before it notifies the page.
         page.slider.value = 30
         page.update()
         assert page.slider.value == 30

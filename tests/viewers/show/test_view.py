@@ -69,13 +69,13 @@ def open_page() -> Iterator[Callable[..., Any]]:
 
 
 def message(err: str) -> str:
-    """The one line on stderr, without the remark that a machine without meshes gets."""
+    """The line on stderr, without the note on missing meshes."""
     (line,) = [line for line in err.splitlines() if not line.startswith("The meshes of")]
     return line
 
 
 def run(live: LiveRig, seconds: float, began: float = 0.0) -> None:
-    """Advance by pictures, on a clock of the test's own."""
+    """Advance by pictures, on a clock of the test."""
     for k in range(round(seconds / PERIOD) + 1):
         live.advance(began + k * PERIOD)
 
@@ -238,7 +238,7 @@ def test_a_player_shows_cloth_as_each_frame_has_it(tmp_path: Path) -> None:
     player = EpisodePlayer("test", live.model, np.array([live.data.qpos, live.data.qpos + 0.1]), 0.064)
     assert np.abs(player.cloth_points() - lying).max() < 1e-9
     player.seek(1)
-    # All of it moves by as much, along the axes of the cloth, which starts turned.
+    # All of it moves equally, along the axes of the cloth, which starts rotated.
     moved = player.cloth_points() - lying
     assert np.ptp(moved, axis=0).max() < 1e-9
     assert np.linalg.norm(moved[0]) == pytest.approx(0.1 * 3**0.5)
@@ -294,7 +294,7 @@ def test_a_signal_ends_the_page_cleanly_and_its_port_is_free_again(number: signa
     pytest.importorskip("viser", reason="yamsim[view] is not installed")
     with shown("view", "--web", "--port", "0") as page:
         port = page.url.rpartition(":")[2]
-        # A peer that is still connected, and one that never says a word, are both in the way of a clean end.
+        # A connected peer, and one that never sends anything, both impede a clean end.
         with urllib.request.urlopen(page.url, timeout=10), socket.create_connection(("127.0.0.1", int(port))):
             asked = time.monotonic()
             ended = page.end(number)

@@ -1,4 +1,4 @@
-"""A stream that does what the task asks for, as a leader arm in good hands would send it."""
+"""A command stream that completes the task, as a leader arm would send it."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ TICK = 0.032
 
 
 def planned_lines(config: RecordConfig, locations: Locations, attempt: int, began: float = 0.0) -> list[dict[str, Any]]:
-    """One recorded attempt: the joints, grippers and magnets of the expert, tick by tick, at half its speed."""
+    """One recorded attempt: the joints, grippers and welds of the expert, tick by tick, at half its speed."""
     with Simulator(Session(config, locations)) as simulator:
         done = planned(simulator, config.seed, attempt)
         assert done.outcome.success
@@ -36,6 +36,6 @@ def planned_lines(config: RecordConfig, locations: Locations, attempt: int, bega
 
 
 def write_stream(file: Path, lines: list[dict[str, Any]]) -> Path:
-    """The lines as a file."""
+    """Write the lines as a file."""
     file.write_text("".join(json.dumps(line) + "\n" for line in lines))
     return file

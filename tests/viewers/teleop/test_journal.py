@@ -1,4 +1,4 @@
-"""A recording that is killed while it is driven, and taken up by the next session."""
+"""A teleoperated recording that is killed, and continued by the next session."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def test_what_was_driven_before_a_kill_is_handed_in_as_if_it_had_been_stopped(
 ) -> None:
     killed, _ = driven_in(tmp_path, config, locations)
     play(killed, lines[:-1], tmp_path)
-    # The same, stopped there, as a session that lives does it.
+    # The same, stopped there by a session that is not killed.
     (tmp_path / "other").mkdir()
     living, tray = driven_in(tmp_path / "other", config, locations)
     play(living, lines[:-1], tmp_path)
@@ -61,7 +61,7 @@ def test_what_was_driven_before_a_kill_is_handed_in_as_if_it_had_been_stopped(
     assert len(taken.actions.ctrl) == len(tray.actions.ctrl)
     assert np.array_equal(taken.actions.ctrl[:n], tray.actions.ctrl[:n])
     assert np.array_equal(taken.actions.magnet, tray.actions.magnet)
-    # Then the arm stands still, where the living one still slows down.
+    # Then the arm stands still, where that of the other session still slows down.
     assert np.allclose(taken.actions.joints[n:], tray.actions.joints[n:], atol=0.1)
 
 
@@ -92,7 +92,7 @@ def test_the_file_goes_with_its_recording(config: RecordConfig, locations: Locat
     run(driven, 0.1)
     driven.stop()
     driven.settle()
-    # Handed in, and not yet in the dataset.
+    # Submitted, and not yet in the dataset.
     journal = RecordingJournal(tmp_path)
     assert len(journal.unfinished()) == 1
     journal.delete(0)

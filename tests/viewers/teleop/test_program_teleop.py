@@ -1,4 +1,4 @@
-"""Tasks that are data, driven from outside: their casts, their goals, and what a stop does to what is held."""
+"""Teleoperated program tasks: casts, goals, and effects of a stop on held objects."""
 
 from __future__ import annotations
 

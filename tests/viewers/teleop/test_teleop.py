@@ -1,4 +1,4 @@
-"""The driven arm, its streams, and `yamsim teleop --input` as a user runs it; the page is in tests/e2e."""
+"""The teleoperated arm, its streams, and `yamsim teleop --input` as a user runs it; the page is in tests/e2e."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def driven(config: RecordConfig, locations: Locations, tray: CollectingReceiver)
 
 
 def pinch(driven: TeleopScene) -> Array:
-    """Where the hand is, as physics has it."""
+    """Position of the hand in physics."""
     site = driven.data.site("pinch_site")
     return pose(site.xpos, site.xmat.reshape(3, 3))
 
@@ -130,7 +130,7 @@ def test_a_target_in_the_table_is_lifted_out_of_it(driven: TeleopScene, config: 
 
 
 def test_the_arm_stops_before_the_table_and_says_so(driven: TeleopScene, config: RecordConfig) -> None:
-    # Forearm first: no target for the hand would do that.
+    # Forearm first, which no target for the hand would cause.
     driven.set_joint_target(np.array([0, 2.8, 0.8, 0.0, 0, 0]))
     run(driven, 3.0)
     assert driven.status.obstacle == "table"
@@ -215,7 +215,7 @@ THINGS = ["007_tuna_fish_can", "008_pudding_box", "025_mug"]
 def test_a_wider_gripper_opens_as_wide_as_it_goes(
     thing: str, make_config: Callable[..., RecordConfig], locations: Locations, tray: CollectingReceiver
 ) -> None:
-    """The crank's fingers end at 37.5 mm; what needs more is taken by linear_4310."""
+    """The crank's fingers end at 37.5 mm; larger objects need linear_4310."""
     config = make_config({("rig",): "single_linear", OBJECT: thing})
     grasp = config.task.things["object"].of[0].grasp
     assert grasp is not None
@@ -281,7 +281,7 @@ def test_distractors_are_out_of_the_way_and_stand_where_nothing_came(
 def test_what_is_recorded_repeats_bit_for_bit(
     name: str, request: pytest.FixtureRequest, locations: Locations, tray: CollectingReceiver, tmp_path: Path
 ) -> None:
-    """The recorded actions lead to the same states and to the same verdict, also with varied masses and friction."""
+    """The recorded actions lead to the same states and verdict, also with varied masses and friction."""
     config: RecordConfig = request.getfixturevalue(name)
     driven = TeleopScene(Session(config, locations), tray)
     seen: list[Array] = []
@@ -371,7 +371,7 @@ def test_both_arms_of_a_row_are_looked_at(
 
 
 def pace_of(slow: tuple[float, ...], monkeypatch: pytest.MonkeyPatch) -> tuple[Jitter, float]:
-    """The jitter of a loop whose turns take so long each, s, and when its last one began."""
+    """Return the jitter of a loop whose turns take given times, s, and the start of its last turn."""
     now = [0.0]
     monkeypatch.setattr("yamsim_cli.viewers.teleop.teleop_session.time.monotonic", lambda: now[0])
     monkeypatch.setattr(
@@ -390,7 +390,7 @@ def test_pace_tells_how_far_off_the_ticks_were(monkeypatch: pytest.MonkeyPatch) 
     jitter, began = pace_of((0.0, 0.0, 0.04, 0.0, 0.0), monkeypatch)
     assert jitter.ticks == 5
     assert jitter.rate_hz == pytest.approx(31.25)
-    # One tick 8 ms late, and the one after it that much sooner: the clock is kept.
+    # One tick is 8 ms late, and the next one earlier by the same: the clock is kept.
     assert began == pytest.approx(4 * TICK)
     assert jitter.max == pytest.approx(8.0)
     assert jitter.p50 == pytest.approx(4.0)
@@ -402,7 +402,7 @@ def test_pace_catches_up_unless_it_is_far_behind(monkeypatch: pytest.MonkeyPatch
     jitter, began = pace_of((0.1, 0.0, 0.0, 0.0, 0.0), monkeypatch)
     assert (jitter.late, jitter.lost) == (2, 0)
     assert began == pytest.approx(4 * TICK)
-    # Due at 32 ms, begun at 400 ms, and at the clock's pace from there.
+    # Due at 32 ms, begun at 400 ms, and on the clock from there.
     jitter, began = pace_of((0.4, 0.0, 0.0), monkeypatch)
     assert jitter.late == 1
     assert jitter.lost == pytest.approx(400 - 32)
@@ -410,7 +410,7 @@ def test_pace_catches_up_unless_it_is_far_behind(monkeypatch: pytest.MonkeyPatch
 
 
 class FullDiskDataset:
-    """A dataset on a disk that takes nothing any more."""
+    """A dataset on a full disk."""
 
     path = Path("full")
     episodes = 0
@@ -460,7 +460,7 @@ def test_what_the_disk_refuses_is_raised_and_nothing_after_it_is_written(config:
 def test_what_a_broken_line_said_is_lost_and_nothing_else(
     config: RecordConfig, locations: Locations, tmp_path: Path
 ) -> None:
-    """A demonstration cannot be made again; its line says so from then on."""
+    """A demonstration cannot be repeated; its line states so."""
     out = tmp_path / "out"
     with DatasetWriter(
         out, with_mesh_descriptions(Session(config, locations)).config.data_config(), OpenMode.NEW
@@ -486,7 +486,7 @@ def test_a_stream_makes_a_dataset_that_summarize_and_verify_accept(
     config: RecordConfig, locations: Locations, tmp_path: Path
 ) -> None:
     lines = [{"t": 0, "event": "start"}, {"t": 0.5, "event": "discard"}, *planned_lines(config, locations, 0, 1.0)]
-    # Another attempt in which nothing is done, and one that is still going on at the end.
+    # Another attempt without actions, and one that is unfinished at the end.
     after = lines[-1]["t"] + 0.5
     lines += [{"t": after, "event": "start"}, {"t": after + 0.5, "event": "stop"}]
     lines += [{"t": after + 1, "event": "start"}, {"t": after + 1.2}]
@@ -510,7 +510,7 @@ def test_a_stream_makes_a_dataset_that_summarize_and_verify_accept(
     assert verified.code == 0, verified.out
     assert json.loads(verified.out)["max_error"] == 0
 
-    # The same stream again is the same data; more of it is added, and never put in the way.
+    # The same stream again gives the same data; longer streams only add data.
     again = tmp_path / "again"
     assert yamsim("teleop", "--input", str(stream), "--out", str(again), *small).code == 0
     assert json.loads((again / "ep_000000" / "episode.json").read_text())["files"] == record["files"]
@@ -540,7 +540,7 @@ def test_a_signal_ends_the_page_with_what_there_is(tmp_path: Path, repository: P
             said += line
         with urllib.request.urlopen(f"http://127.0.0.1:{found[1]}", timeout=10) as answer:
             assert answer.status == 200
-        # Some ticks, whose jitter is told.
+        # Some ticks, whose jitter is reported.
         time.sleep(2)
         process.send_signal(signal.SIGINT)
         out, err = process.communicate(timeout=30)

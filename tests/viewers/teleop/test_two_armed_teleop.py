@@ -1,4 +1,4 @@
-"""Two arms that are driven: one at a time by hand, or both by a stream, as two leader arms send it."""
+"""Two teleoperated arms: one at a time by hand, or both by a stream, as two leader arms send it."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def driven(handover: RecordConfig, locations: Locations) -> TeleopScene:
 
 
 def hands(driven: TeleopScene) -> Array:
-    """Where the left and the right hand are (2, 3)."""
+    """Positions of the left and the right hand (2, 3)."""
     return np.array([driven.data.site(name).xpos for name in ("arm2_pinch_site", "pinch_site")])
 
 
@@ -44,7 +44,7 @@ def test_one_arm_is_driven_and_then_the_other(driven: TeleopScene) -> None:
         driven.set_target_pose(wanted)
         driven.set_weld(False)
         driven.switch_arm()
-        # What it was told, it goes on to do.
+        # It continues to its target.
         for _ in range(60):
             driven.tick()
         moved = hands(driven) - start
@@ -63,7 +63,7 @@ def test_a_gripper_is_that_of_the_driven_arm(driven: TeleopScene) -> None:
 
 
 def test_an_arm_stops_before_the_other_one(driven: TeleopScene) -> None:
-    """The left hand is sent to where the right one is."""
+    """The left hand's target is the right hand."""
     other = driven.target
     driven.switch_arm()
     driven.set_target_pose(other)

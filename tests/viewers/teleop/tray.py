@@ -1,4 +1,4 @@
-"""Where driven attempts are handed in, without a recorder."""
+"""Receives teleoperated attempts, without a recorder."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from yamsim_cli.core.episode.execution import SimulatedAttempt
 
 
 class CollectingReceiver:
-    """Takes what is handed in, and leaves it."""
+    """Keeps submitted attempts."""
 
     def __init__(self) -> None:
         self.attempts: list[SimulatedAttempt] = []
@@ -22,5 +22,5 @@ class CollectingReceiver:
 
     @property
     def actions(self) -> ActionSequence:
-        """What acted in the first attempt that was handed in."""
+        """Actions of the first submitted attempt."""
         return all_actions(self.attempts[0].states)

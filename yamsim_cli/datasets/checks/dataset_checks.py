@@ -1,4 +1,4 @@
-"""Check a dataset as a whole: ledger, manifest, missing, duplicate and dissimilar episodes, incomplete files."""
+"""Check a dataset as a whole: ledger, manifest, and missing, duplicate and dissimilar episodes."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from yamsim_cli.core.errors import DatasetError
 
 from .episode_facts import EpisodeFacts
 
-_LAYOUT_DIGITS = 6  # decimals to which layouts (m, rad) are compared; independent samples never agree so closely
+_LAYOUT_DIGITS = 6  # decimals of m and rad; independent samples never agree so closely
 _MAX_MANIFEST_BYTES = 2**30  # bytes, largest manifest that is read
-_PART = re.compile(r"\..+\.part")  # name of a temporary file that a crash left
+_PART = re.compile(r"\..+\.part")  # temporary file that a crash left
 
 
 def check_dataset(
@@ -29,9 +29,8 @@ def check_dataset(
     attempts: Sequence[AttemptRecord],
     problems: ProblemCollector,
 ) -> list[DatasetProblem]:
-    """Compare episodes with each other, the ledger and the manifest, and return faults of episodes.
-
-    Faults of the dataset as a whole are added to `problems`.
+    """Return faults of episodes that differ from each other, the ledger or the manifest. Add other faults to
+    `problems`.
     """
     found: list[DatasetProblem] = []
     if not episodes:
@@ -53,7 +52,7 @@ def check_dataset(
 
 
 def _missing(present: set[int], listed: set[int]) -> list[DatasetProblem]:
-    """Return a fault for each run of missing episodes: numbers start at 0 without gaps, and listed episodes existed."""
+    """Return a fault for each gap: numbers start at 0, and listed episodes existed."""
     known = sorted(present | listed)
     runs = [(low + 1, high - 1) for low, high in itertools.pairwise([-1, *known]) if high - low > 1]
     runs += [(number, number) for number in listed - present]
@@ -72,7 +71,7 @@ def _missing(present: set[int], listed: set[int]) -> list[DatasetProblem]:
 
 
 def _note_missing_numbers(names: Sequence[str], problems: ProblemCollector) -> None:
-    """Report gaps in numbering, if all directory names consist of the same word and a number."""
+    """Report gaps if all directory names consist of the same word and a number."""
     matches = [re.fullmatch(r"(.*?)([0-9]{1,18})", name) for name in names]
     parts = [(match[1], int(match[2])) for match in matches if match]
     if len(parts) < len(names) or len({word for word, _ in parts}) != 1:
@@ -85,7 +84,7 @@ def _note_missing_numbers(names: Sequence[str], problems: ProblemCollector) -> N
 
 
 def _duplicates(episodes: Sequence[EpisodeFacts]) -> list[DatasetProblem]:
-    """Return faults of episodes that equal an earlier episode in all values or in the layout."""
+    """Return faults of episodes that equal an earlier one in all values or in the layout."""
     contents: dict[str, str] = {}
     layouts: dict[tuple[tuple[str, tuple[float, ...]], ...], str] = {}
     found = []
@@ -137,7 +136,7 @@ def _note_leftovers(dataset: Path, known: set[str], problems: ProblemCollector) 
 
 
 def read_ledger(dataset: Path, problems: ProblemCollector) -> list[AttemptRecord]:
-    """Return all readable attempts, in order. Damaged lines and missing attempts are added to `problems`."""
+    """Return all readable attempts, in order. Add damaged lines and missing attempts to `problems`."""
     file = dataset / ATTEMPTS
     attempts: list[AttemptRecord] = []
     if not file.is_file():
@@ -167,7 +166,7 @@ def read_ledger(dataset: Path, problems: ProblemCollector) -> list[AttemptRecord
 def compare_ledger(
     dataset: Path, attempts: Sequence[AttemptRecord], episodes: Sequence[EpisodeFacts], problems: ProblemCollector
 ) -> list[DatasetProblem]:
-    """Return faults of episodes that differ from the ledger. Faults of the ledger itself are added to `problems`."""
+    """Return faults of episodes that differ from the ledger. Add faults of the ledger itself to `problems`."""
     recorded = [episode for episode in episodes if episode.record]
     if not (dataset / ATTEMPTS).is_file():
         if recorded:
@@ -175,7 +174,6 @@ def compare_ledger(
         return []
     logged = {attempt.episode: attempt for attempt in attempts}
     unlogged = [episode.name for episode in recorded if episode.number not in logged]
-    # Damaged and missing lines are already reported.
     if unlogged and not problems.has_code_prefix("ledger."):
         problems.add("ledger.unlogged", ATTEMPTS, ", ".join(unlogged))
     found = []
@@ -188,7 +186,6 @@ def compare_ledger(
 
 
 def _find_difference(attempt: AttemptRecord, episode: EpisodeFacts) -> tuple[str, str] | None:
-    """Return the first differing value, in the episode and in the ledger; None if all agree."""
     record = episode.record
     assert record is not None
     for key in ("attempt", "seed", "outcome", "layout"):
@@ -199,7 +196,6 @@ def _find_difference(attempt: AttemptRecord, episode: EpisodeFacts) -> tuple[str
 
 
 def _shown(value: object, other: object) -> str:
-    """Return a value as text. For a record, return only the entries that differ from the other record."""
     if hasattr(value, "model_dump") and hasattr(other, "model_dump"):
         mine, theirs = value.model_dump(), other.model_dump()
         return ", ".join(f"{key} {mine[key]}" for key in mine if mine[key] != theirs.get(key))
@@ -209,7 +205,7 @@ def _shown(value: object, other: object) -> str:
 def check_manifest(
     dataset: Path, episodes: Mapping[int, EpisodeFacts], problems: ProblemCollector
 ) -> tuple[set[int], list[DatasetProblem]]:
-    """Return the numbers of the episodes in the manifest, and faults of episodes that differ from the manifest."""
+    """Return the numbers of the episodes in the manifest, and faults of episodes that differ from it."""
     file = dataset / MANIFEST
     if not file.is_file():
         problems.add("manifest.missing", MANIFEST)

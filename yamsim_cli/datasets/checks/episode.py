@@ -1,4 +1,4 @@
-"""Check one episode: open every file, collect faults, and collect facts for statistics."""
+"""Check the files of one episode, and collect facts for statistics."""
 
 from __future__ import annotations
 
@@ -42,14 +42,14 @@ from .episode_facts import (
 from .episode_files import check_missing_files, list_files, read_file
 from .images import CameraChecks, ImageReader, TruthChecks, check_frozen_images
 
-# m, largest difference between the object-target distance in the recorded outcome and in the last frame. The outcome
-# is measured shortly after that frame, and a resting object moves by less than 0.1 mm until then.
+# m, largest difference between the object-target distance in the recorded outcome and in the last frame. The outcome is
+# measured shortly after that frame; a resting object moves by less than 0.1 mm until then.
 _OUTCOME_TOLERANCE = 0.005
-_SHOWN_HASH_DIGITS = 12  # leading hex digits of a SHA-256 in messages
+_SHOWN_HASH_DIGITS = 12  # of a SHA-256 in messages
 
 
 def check_episode(episode: EpisodeDirectory, context: CheckContext, reader: ImageReader) -> EpisodeFacts:
-    """Check every file of an episode, and return facts and faults. A fault in one file does not stop other checks."""
+    """Check every file of an episode. A fault in one file does not stop other checks."""
     return _EpisodeCheck(episode, context, reader).run()
 
 
@@ -145,7 +145,6 @@ class _EpisodeCheck:
             self._problems.add("frames.count", "lowdim", f"{frames} in lowdim", f"{record.frames}, as in {EPISODE}")
 
     def _hash_fits(self, name: str, data: bytes) -> bool:
-        """Return whether the hash of a file matches the record; True if the record does not list the file."""
         record = self._record or self._imported
         wanted = record.files.get(name) if record else None
         if wanted is None:

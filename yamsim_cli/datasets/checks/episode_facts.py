@@ -1,5 +1,3 @@
-"""Facts about an episode for statistics, from `episode.json` or else from the frames."""
-
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
@@ -17,30 +15,25 @@ from yamsim_cli.core.geometry.se3 import Array, yaw
 # Frame number -> flat key, such as `intrinsics[camera]` -> value, for values that passed `lowdim.LowdimChecks`.
 Values = Mapping[int, Mapping[str, Any]]
 
-POSE = "_pose"  # end of the keys of object poses and of `ee_pose`
+POSE = "_pose"  # end of the keys of poses
 _HAND = "ee_pose"
 
 
 @dataclass(frozen=True)
 class EpisodeFacts:
-    """Facts about an episode and the problems that checks found.
+    """Facts about an episode, and its problems.
 
     Attributes:
-        name: directory name.
         number: episode number in that name; None if yamsim did not name the directory.
         record: content of episode.json; None if missing or unreadable.
-        record_sha256: hash of episode.json.
-        frames: expected number of frames.
-        bytes: total size of all files.
         seconds: time from the first frame to the last; None if unknown.
-        cameras: camera -> width and height of its images, px.
+        cameras: camera -> (width, height), px.
         images: camera -> paths of decodable images, relative to the episode, in order.
         starts, ends: object -> (x, y) in `world` in the first and in the last frame, m.
         layout: object -> initial pose as recorded, or else (x, y, z, yaw) in the robot base; m and rad.
-        outcome: recorded outcome, or else derived from the last frame; None without either.
+        outcome: as recorded, or else derived from the last frame; None without either.
         content: hash of the lowdim values; "" if a frame is unreadable.
-        problems: the episode's faults.
-        noted: faults that the import found, one sentence each; only for real recordings.
+        noted: faults that the import of a real recording found, one sentence each.
     """
 
     name: str
@@ -69,7 +62,7 @@ def values_by_frame(values: Values, key: str) -> dict[int, Array]:
 def rigid_poses(values: Values) -> dict[str, dict[int, Array]]:
     """Return flat key -> frame number -> pose (4, 4) of objects, `ee_pose`, `extrinsics[camera]` and `BETWEEN_BASES`.
 
-    The hand poses of two arms have the keys `ee_pose[0]` and `ee_pose[1]`.
+    Two arms have `ee_pose[0]` and `ee_pose[1]`.
     """
     keys = dict.fromkeys(key for entries in values.values() for key in entries)
     named = [key for key in keys if key.endswith(POSE) or key.startswith("extrinsics[") or key == BETWEEN_BASES]
@@ -86,7 +79,7 @@ def _have_shape(by_frame: Mapping[int, Array], shape: tuple[int, ...]) -> bool:
 
 
 def object_poses(values: Values, frame: int) -> dict[str, Array]:
-    """Return object -> pose (4, 4) in the robot base, in one frame."""
+    """Return object -> pose (4, 4) in the robot base."""
     return {
         key.removesuffix(POSE): np.asarray(by_frame[frame], dtype=np.float64)
         for key, by_frame in rigid_poses(values).items()
@@ -95,7 +88,7 @@ def object_poses(values: Values, frame: int) -> dict[str, Array]:
 
 
 def object_positions(values: Values, context: CheckContext, *, last: bool) -> dict[str, tuple[float, float]]:
-    """Return object -> (x, y) in `world`, m, in the first or the last readable frame."""
+    """Return object -> (x, y) in `world`, m, in the first or last readable frame."""
     if not values:
         return {}
     poses = object_poses(values, max(values) if last else min(values))
@@ -104,7 +97,7 @@ def object_positions(values: Values, context: CheckContext, *, last: bool) -> di
 
 
 def initial_layout(values: Values, record: EpisodeRecord | None) -> dict[str, tuple[float, ...]]:
-    """Return object -> initial pose, as recorded, or else (x, y, z, yaw) in the robot base from the first frame."""
+    """Return object -> initial pose, as recorded, or else (x, y, z, yaw) in the robot base."""
     if record:
         return dict(record.layout)
     if not values:
@@ -113,7 +106,7 @@ def initial_layout(values: Values, record: EpisodeRecord | None) -> dict[str, tu
 
 
 def outcome_from_frames(values: Values, context: CheckContext) -> OutcomeRecord | None:
-    """Return the outcome derived from the last frame; None without stored poses of object and target."""
+    """Return the outcome of the last frame; None without stored poses of object and target."""
     if not values:
         return None
     poses = object_poses(values, max(values))

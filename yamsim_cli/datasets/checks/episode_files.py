@@ -1,4 +1,4 @@
-"""List the files of an episode, check that none is missing, and read them. Files may be huge or irregular."""
+"""List, check and read the files of an episode, which may be huge or irregular."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from yamsim_cli.core.dataset.checks.problem import ProblemCollector
 from yamsim_cli.core.dataset.dataset_paths import EPISODE, depth_name, image_path, lowdim_path, segmentation_name
 from yamsim_cli.core.dataset.records import EpisodeRecord
 
-_MAX_DEPTH = 4  # folder levels that are searched: the format has no deeper folders, and a link may form a loop
+_MAX_DEPTH = 4  # folder levels: a link may form a loop
 # File extension -> largest file that is read, bytes.
 _MAX_BYTES = {".pkl": 2**20, ".jpg": 2**26, ".jpeg": 2**26, ".json": 2**26, ".png": 2**26, ".npz": 2**27}
-_MAX_OTHER_BYTES = 2**28  # bytes, largest file with any other extension that is read
+_MAX_OTHER_BYTES = 2**28  # bytes, largest read file with another extension
 
 _IMAGE = re.compile(r"rgb/([^/]+)/([0-9]{1,12})\.jpe?g")
 _LOWDIM = re.compile(r"lowdim/([0-9]{1,12})\.pkl")
@@ -26,14 +26,11 @@ _TRUTH_NAMES = {"depth": depth_name, "segmentation": segmentation_name}
 
 @dataclass
 class EpisodeFiles:
-    """Files of an episode by kind. All paths are relative to the episode.
+    """Files of an episode by kind, with paths relative to the episode.
 
     Attributes:
-        sizes: path -> bytes, for every regular file.
-        lowdim: frame number -> path.
-        images: camera -> frame number -> path.
+        sizes: path of every regular file -> bytes.
         truth: "depth" or "segmentation" -> camera -> frame number -> path; only in yamsim's recordings.
-        others: paths of all other files except episode.json.
     """
 
     sizes: dict[str, int] = field(default_factory=dict)
@@ -44,10 +41,9 @@ class EpisodeFiles:
 
 
 def list_files(directory: Path, recorded: bool, problems: ProblemCollector) -> EpisodeFiles:
-    """Return all files below an episode directory. Other kinds of entries than files and folders are reported.
+    """Return all files below an episode directory, and report entries that are neither files nor folders.
 
-    Args:
-        recorded: whether yamsim recorded the episode, so that frame numbers have at least six digits.
+    `recorded` states that yamsim recorded the episode, so that frame numbers have at least six digits.
     """
     files = EpisodeFiles()
     for name in _walk(directory, directory, 0, files, problems):
@@ -98,7 +94,7 @@ def _walk(top: Path, folder: Path, depth: int, files: EpisodeFiles, problems: Pr
 
 
 def read_file(directory: Path, name: str, files: EpisodeFiles, problems: ProblemCollector) -> bytes | None:
-    """Return the content of a file. Report a file that is unreadable or too large, and return None."""
+    """Return the content of a file; report one that is unreadable or too large."""
     if name not in files.sizes:
         return None
     limit = _MAX_BYTES.get(Path(name).suffix, _MAX_OTHER_BYTES)
@@ -113,7 +109,7 @@ def read_file(directory: Path, name: str, files: EpisodeFiles, problems: Problem
 
 
 def check_missing_files(files: EpisodeFiles, record: EpisodeRecord | None, problems: ProblemCollector) -> int:
-    """Report missing frames and unexpected files, and return the expected number of frames of the episode."""
+    """Report missing and unexpected files, and return the expected number of frames."""
     if record:
         _drop_unrecorded_truth(files, record)
         for name in files.others:
@@ -150,12 +146,12 @@ def check_missing_files(files: EpisodeFiles, record: EpisodeRecord | None, probl
 
 
 def _is_numbered(name: str, record: EpisodeRecord) -> bool:
-    """Return whether a file belongs to a sequence of frames, whose gaps are reported separately."""
+    """Whether a file belongs to a sequence of frames, whose gaps are reported separately."""
     return bool(_IMAGE.fullmatch(name) or _LOWDIM.fullmatch(name) or (record.truth and _TRUTH.fullmatch(name)))
 
 
 def _drop_unrecorded_truth(files: EpisodeFiles, record: EpisodeRecord) -> None:
-    """Move depth and segmentation to `files.others` if the record has no such camera or no truth."""
+    """Move depth and segmentation that the record does not list to `files.others`."""
     for cameras in files.truth.values():
         for camera in [name for name in cameras if not record.truth or name not in record.cameras]:
             files.others += cameras.pop(camera).values()

@@ -16,34 +16,34 @@ from yamsim_cli.core.errors import DatasetError
 from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.core.images.image import ImageHeader, ImageStats
 
-_MAX_PIXELS = 2**26  # pixels, largest image that is decoded: a header can declare gigabytes
+_MAX_PIXELS = 2**26  # a header can declare gigabytes
 
-# Contrast and brightness are measured on a downscaled image, which suppresses noise and single bad pixels.
-_UNIFORM_CONTRAST = 2.0  # 0 to 255, contrast below which an image is uniform
-_BLACK_BRIGHTNESS = 16.0  # 0 to 255, brightness below which a uniform image is black
+# Both are measured on a downscaled image, which suppresses noise and single bad pixels.
+_UNIFORM_CONTRAST = 2.0  # 0 to 255, largest contrast of a uniform image
+_BLACK_BRIGHTNESS = 16.0  # 0 to 255, largest brightness of a black image
 
-# A camera is frozen if at least `_MIN_FROZEN_RUN` consecutive images are equal while a joint moves more than
-# `_MIN_FROZEN_MOTION`. 0.02 rad move the hand, half a metre away, by 10 mm or 5 pixels in the task's camera.
+# A camera is frozen if `_MIN_FROZEN_RUN` images are equal while a joint moves by `_MIN_FROZEN_MOTION`. That moves the
+# hand, half a metre away, by 10 mm or 5 pixels in the task's camera.
 _MIN_FROZEN_RUN = 3  # images
 _MIN_FROZEN_MOTION = 0.02  # rad; images of a slower arm may be equal
 
-HashCheck = Callable[[str, bytes], object]  # gets the path and content of a file, and reports a wrong hash
-Read = Callable[[str], bytes | None]  # gets the path of a file, and returns its content or None
+HashCheck = Callable[[str, bytes], object]  # gets path and content of a file, and reports a wrong hash
+Read = Callable[[str], bytes | None]  # path of a file -> content, or None
 
 
 class ImageReader(Protocol):
-    """Image decoder. Callers inject the decoder, because this package does not import OpenCV."""
+    """Image decoder, which callers inject because this package does not import OpenCV."""
 
     def header(self, data: bytes) -> ImageHeader | None:
-        """Return size and channels; None if `data` is not a complete image."""
+        """Return size and channels; None without a complete image."""
         ...
 
     def measure(self, data: bytes) -> ImageStats | None:
-        """Return statistics of the decoded image; None if `data` cannot be decoded."""
+        """Return statistics of the decoded image; None if it is damaged."""
         ...
 
     def labels(self, data: bytes) -> NDArray[np.uint8] | None:
-        """Return a decoded segmentation image (height, width); None if `data` is damaged."""
+        """Return a decoded segmentation image (height, width); None if it is damaged."""
         ...
 
 
@@ -51,7 +51,7 @@ class CameraChecks:
     """Checks the images of one camera, one by one.
 
     Args:
-        size: expected width and height of images; None expects the size of the first image.
+        size: expected (width, height); None expects that of the first image.
     """
 
     def __init__(
@@ -65,7 +65,7 @@ class CameraChecks:
         self.fingerprints: dict[int, int] = {}
 
     def check(self, number: int, name: str, data: bytes) -> bool:
-        """Check one image, and return False if it cannot be decoded."""
+        """Check one image; return False if it is damaged."""
         header = self._reader.header(data)
         if header is None:
             self._problems.add("image.decode", name, f"{len(data)} bytes")
@@ -105,9 +105,7 @@ def check_frozen_images(
     """Report runs of equal images during which the arm moves.
 
     Args:
-        fingerprints: frame number -> fingerprint of the image.
-        names: frame number -> path of the image.
-        joints: frame number -> joint angles, rad.
+        fingerprints, names, joints: by frame number; joints in rad.
     """
     for run in _equal_runs(fingerprints):
         known = [joints[k] for k in run if k in joints]
@@ -135,11 +133,7 @@ def _format_size(size: tuple[int, int]) -> str:
 
 
 class TruthChecks:
-    """Checks the ground truth of one episode against its `record`.
-
-    Args:
-        hash_fits: called with each image that decodes; reports a wrong hash.
-    """
+    """Checks the ground truth of one episode against its `record`."""
 
     def __init__(
         self, record: EpisodeRecord, reader: ImageReader, read: Read, hash_fits: HashCheck, problems: ProblemCollector
@@ -165,13 +159,13 @@ class TruthChecks:
         return labels
 
     def check_missing(self, present: Mapping[str, int]) -> None:
-        """Report ground truth files that are neither on disk nor in the record. `present` is path -> size, bytes."""
+        """Report ground truth files that are neither in `present` (path -> bytes) nor in the record."""
         for name in (TRUTH_LABELS, *map(truth_name, self._record.cameras)):
             if name not in present and name not in self._record.files:
                 self._problems.add("truth.missing", name)
 
     def check_arrays(self, camera: str) -> None:
-        """Check keys, dtypes and shapes of the arrays of one camera: poses, keypoints and boxes."""
+        """Check keys, dtypes and shapes of one camera's poses, keypoints and boxes."""
         name = truth_name(camera)
         data = self._read(name)
         if data is None:
@@ -186,7 +180,7 @@ class TruthChecks:
                 self._problems.add("truth.shape", name, fault)
 
     def check_depth(self, camera: str, name: str) -> None:
-        """Check that a depth image decodes and has the size and the hash in the record."""
+        """Check that a depth image decodes, with the recorded size and hash."""
         data = self._read(name)
         if data is None:
             return
@@ -199,7 +193,7 @@ class TruthChecks:
         self._hash_fits(name, data)
 
     def check_segmentation(self, camera: str, name: str) -> None:
-        """Check that a segmentation image decodes, has the recorded size and hash, and has only values with a label."""
+        """Check that a segmentation image decodes, with the recorded size and hash, and that each value has a label."""
         data = self._read(name)
         if data is None:
             return

@@ -11,27 +11,24 @@ from typing import Any
 
 from yamsim_cli.core.errors import UsageError
 
-_SAME = ("task", "rig", "grasp", "arms", "seed")  # keys of a report that two policies must share to be compared
+_SAME = ("task", "rig", "grasp", "arms", "seed")  # keys of a report that must be equal
 _MAX_BYTES = 500_000_000  # largest size of a report's file
 
 
 def mcnemar(only_first: int, only_second: int) -> float:
     """Return the exact two-sided p-value of McNemar's test, or 1 without trials.
 
-    Each argument is the number of trials in which only one of the two policies succeeded.
+    Args:
+        only_first, only_second: trials in which only this policy succeeded.
     """
     n, fewer = only_first + only_second, min(only_first, only_second)
-    # Use integers, because floats overflow from about a thousand trials on.
+    # Integers, because floats overflow from about a thousand trials on.
     as_uneven: int = 2 * sum(math.comb(n, k) for k in range(fewer + 1))
     return min(1.0, float(Fraction(as_uneven, 1 << n)))
 
 
 def read_report(path: Path) -> dict[str, Any]:
-    """Read a report that `yamsim eval --out` wrote.
-
-    Raises:
-        UsageError: the file cannot be read, or is no report of an evaluation.
-    """
+    """Read a report that `yamsim eval --out` wrote."""
     try:
         if path.stat().st_size > _MAX_BYTES:
             raise UsageError(f"--compare {path}: {path.stat().st_size} bytes are no report of yamsim eval")
@@ -52,14 +49,7 @@ def read_report(path: Path) -> dict[str, Any]:
 
 
 def require_same_trials(expected: Mapping[str, Any], report: Mapping[str, Any]) -> None:
-    """Check that two evaluations have the same task, rig, grasp, arms and seed, so that their trials can be paired.
-
-    Args:
-        expected: report of the other evaluation, or the description of its run by `describe_run`.
-
-    Raises:
-        UsageError: the two differ in task, rig, grasp, arms or seed.
-    """
+    """Refuse two evaluations that differ in task, rig, grasp, arms or seed."""
     for key in _SAME:
         if expected[key] != report[key]:
             raise UsageError(
@@ -68,12 +58,9 @@ def require_same_trials(expected: Mapping[str, Any], report: Mapping[str, Any]) 
 
 
 def compare_reports(first: Mapping[str, Any], second: Mapping[str, Any]) -> dict[str, Any]:
-    """Compare two reports trial by trial, and return JSON data: counts of successes and McNemar's exact p-value.
+    """Compare two reports trial by trial. Return counts of successes and McNemar's exact p-value as JSON data.
 
-    `policy` and `success_rate` in the data are those of the second report.
-
-    Raises:
-        UsageError: the reports differ in task, rig, grasp, arms, seed, or in the number or the starts of their trials.
+    `policy` and `success_rate` are those of the second report.
     """
     name = second["policy"]
     require_same_trials(first, second)

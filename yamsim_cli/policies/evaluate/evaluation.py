@@ -1,5 +1,3 @@
-"""Evaluate a policy: trials in worker processes, their statistics, and films of failures."""
-
 from __future__ import annotations
 
 import functools
@@ -38,14 +36,7 @@ from .policy_trial import MEASURED, TrialEnd, TrialResult, TrialRunner
 
 @dataclass(frozen=True)
 class Evaluation:
-    """Results of all trials of a policy.
-
-    Attributes:
-        choice: the evaluated policy.
-        results: results of the trials, in order.
-        seconds: real time of all trials, s.
-        instances: objects of each trial as text, such as "object banana, plate".
-    """
+    """Results of all trials of a policy, their real time, s, and objects, such as "object banana, plate"."""
 
     choice: PolicyChoice
     results: tuple[TrialResult, ...]
@@ -56,14 +47,9 @@ class Evaluation:
 def evaluate(
     session: Session, choice: PolicyChoice, progress: Progress, trial_seconds: float = JOB_SECONDS
 ) -> Evaluation:
-    """Run `config.episodes` trials of a policy, from the same starts as `yamsim trials` with the same seed.
+    """Run `config.episodes` trials of a policy, from the same starts as `yamsim trials` with that seed.
 
-    Args:
-        trial_seconds: real time after which a worker with an unfinished trial is terminated, s.
-
-    Raises:
-        UsageError, ResourceError: the policy cannot be made.
-        InterruptedJobError: the user stopped the evaluation.
+    A worker is terminated if a trial takes more than `trial_seconds` of real time.
     """
     began = time.monotonic()
     config = session.config
@@ -77,7 +63,7 @@ def evaluate(
 
 
 def describe_objects(session: Session, job: AttemptJob) -> str:
-    """Return which object has which role in a trial as text, such as "object banana, plate"."""
+    """Return the objects of a trial with their roles, such as "object banana, plate"."""
     kinds = sample_roles_for(session, job).config_names
     return ", ".join(name if name == kind else f"{name} {kind}" for name, kind in sorted(kinds.items()))
 
@@ -102,7 +88,6 @@ def rates_by_objects(evaluation: Evaluation) -> list[dict[str, Any]]:
 
 
 def _chunks(results: Sequence[TrialResult], tick: float) -> dict[str, Any]:
-    """Return sums over all trials: chunks, actions, actions that came too late, and the time without an action, s."""
     counts = [result.chunk_stats for result in results]
     return {
         "chunks": sum(count.chunks for count in counts),
@@ -122,7 +107,7 @@ def _lost_trial(lost: LostJobError) -> TrialResult:
 
 
 def evaluation_report(evaluation: Evaluation, config: RecordConfig, thresholds: Sequence[float]) -> dict[str, Any]:
-    """Return an evaluation as JSON data, with policy, stats, rig, task, grasp, arms, seed, seconds and trials.
+    """Return an evaluation as JSON data.
 
     Args:
         thresholds: distances, m, for which success rates are computed in addition to that of the task.
@@ -155,14 +140,7 @@ def evaluation_report(evaluation: Evaluation, config: RecordConfig, thresholds: 
 
 
 def require_measured(report: Mapping[str, Any]) -> None:
-    """Check that an evaluation measured the policy's success.
-
-    Args:
-        report: result of `evaluation_report`.
-
-    Raises:
-        PartialJobError: all trials ended before they measured the policy.
-    """
+    """Raise PartialJobError if all trials ended before they measured the policy's success."""
     ended = report["stats"]["ended"]
     if not any(TrialEnd(how) in MEASURED for how in ended):
         first = report["trials"][0]
@@ -194,7 +172,7 @@ class _FilmJob:
 
 
 class PolicyFilmer(TrialFilmer):
-    """Films trials of a policy: simulates the recorded actions again, and renders the frames."""
+    """Films trials of a policy by simulating the recorded actions again."""
 
     def run(self, film: _FilmJob) -> list[bytes]:
         """Return the frames of a trial as JPEGs."""
@@ -203,7 +181,7 @@ class PolicyFilmer(TrialFilmer):
 
 
 def trials_to_film(results: Sequence[TrialResult], limit: int, *, successes: bool) -> list[TrialResult]:
-    """Return up to `limit` trials to film: failures, or successes if none failed. With `successes`, return both."""
+    """Return up to `limit` failures, or successes if none failed. With `successes`, return both."""
     acted = [result for result in results if result.actions is not None]
     failed = [result for result in acted if not result.outcome.success]
     return (acted if successes else failed or acted)[:limit]
@@ -218,16 +196,7 @@ def film_evaluation(
     *,
     successes: bool = False,
 ) -> list[FilmedTrial]:
-    """Film trials that have actions: the failures, or the successes if no trial failed.
-
-    Args:
-        limit: largest number of films.
-        successes: whether to film failures and successes, in the order of the trials.
-
-    Raises:
-        InterruptedJobError: the user stopped the job; finished films stay.
-        ResourceError: the machine cannot render, or the films cannot be written.
-    """
+    """Film trials with actions: failures, or successes if no trial failed. With `successes`, film both in order."""
     config = session.config
     tick = config.task.timing.tick
     chosen = trials_to_film(evaluation.results, limit, successes=successes)

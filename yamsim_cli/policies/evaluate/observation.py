@@ -1,5 +1,3 @@
-"""Observations of policies, whose images are rendered at the first access."""
-
 from __future__ import annotations
 
 import threading
@@ -17,12 +15,12 @@ from yamsim_cli.core.images.image import Image
 
 from ..policy_protocol import OBJECTS, SCENE, VELOCITIES, WRIST, squeeze_single_arm
 
-# Function that renders the image of a camera (second argument) at MuJoCo's positions (nq,) (first argument).
+# (MuJoCo's positions (nq,), name of a camera) -> image.
 Render = Callable[[Array, str], Image]
 
 
 def available_cameras(config: RecordConfig) -> dict[str, dict[str, str]]:
-    """Return the images that a policy can request: requested name -> {key of an observation: camera of the scene}."""
+    """Return requested name -> {key of an observation: camera of the scene}."""
     if len(config.rig.arms) == 1:
         arm = config.rig.arms[0]
         side = f"{arm.side}_wrist"
@@ -37,11 +35,7 @@ def available_cameras(config: RecordConfig) -> dict[str, dict[str, str]]:
 
 
 def policy_cameras(config: RecordConfig, images: Iterable[str]) -> dict[str, str]:
-    """Return key of an observation -> camera of the scene, for the images that a policy requests.
-
-    Raises:
-        UsageError: the rig and the task do not have a requested image.
-    """
+    """Return key of an observation -> camera of the scene, for the requested images."""
     there = available_cameras(config)
     cameras: dict[str, str] = {}
     for name in images:
@@ -55,11 +49,7 @@ def policy_cameras(config: RecordConfig, images: Iterable[str]) -> dict[str, str
 
 
 class ObservationRenderer:
-    """Renders the images of one trial's observations, and refuses to do so in another thread or after the trial.
-
-    Attributes:
-        failure: exception of a failed rendering, which is not the policy's fault; None if none failed.
-    """
+    """Renders the images of one trial's observations. `failure` is an exception of rendering, not of the policy."""
 
     def __init__(self, render: Render) -> None:
         self._render = render
@@ -68,10 +58,9 @@ class ObservationRenderer:
         self.failure: Exception | None = None
 
     def render(self, key: str, qpos: Array, camera: str) -> Image:
-        """Render the image of a camera at MuJoCo's positions (nq,). `key` names the image in error messages.
+        """Render a camera at MuJoCo's positions (nq,). `key` names the image in error messages.
 
-        Raises:
-            RuntimeError: the image is read in another thread, where OpenGL cannot render, or after its trial.
+        Raise RuntimeError in another thread, where OpenGL cannot render, or after the trial.
         """
         hint = f"read observation[{key!r}], or dict(observation) for all, while the policy is called"
         if threading.get_ident() != self._thread:
@@ -85,19 +74,18 @@ class ObservationRenderer:
             raise
 
     def finish(self) -> None:
-        """End the trial, after which its images can no longer be rendered."""
+        """End the trial, after which `render` refuses."""
         self._is_over = True
 
 
 class LazyObservation(Mapping[str, Any]):
-    """An observation whose images are rendered at the first access, in the state of the observation.
+    """Observation whose images are rendered at the first access, in the state of the observation.
 
-    `dict(observation)` renders all images. Listing and counting the keys renders no image.
+    `dict(observation)` renders all images. Listing the keys renders none.
 
     Args:
-        numbers: key -> value, for all keys of the observation except images.
+        numbers: key -> value, for all keys except images.
         qpos: MuJoCo's positions (nq,), which the caller must not change.
-        cameras: key of an image -> camera.
     """
 
     def __init__(
@@ -124,20 +112,11 @@ class LazyObservation(Mapping[str, Any]):
         return f"{type(self).__name__}({', '.join(self._keys)})"
 
     def __reduce__(self) -> tuple[type[dict[str, Any]], tuple[dict[str, Any]]]:
-        # A copy is a plain dictionary with all images.
         return dict, (dict(self),)
 
 
 class ObservationBuilder:
-    """Builds the observations of a policy.
-
-    Args:
-        images: names of the requested images, from `policy_protocol.IMAGES` or the rig's cameras.
-        wants: further requested values, from `policy_protocol.STATE`.
-
-    Raises:
-        UsageError: a requested camera does not exist.
-    """
+    """Builds the observations of a policy."""
 
     def __init__(self, simulator: Simulator, images: Iterable[str], wants: Iterable[str]) -> None:
         self._simulator = simulator
@@ -146,12 +125,12 @@ class ObservationBuilder:
 
     @property
     def drives(self) -> tuple[int, int]:
-        """Number of arms, and number of drives of each arm."""
+        """Numbers of arms, and of drives of each arm."""
         arms, drives = self._simulator.scene.drives.shape
         return arms, drives
 
     def observe(self, episode: Episode, attempt: Attempt, renderer: ObservationRenderer) -> LazyObservation:
-        """Return the observation of an episode's current state. `renderer` renders its images when they are read."""
+        """Return the observation of the current state. `renderer` renders its images when they are read."""
         config, scene, replica = self._simulator.config, self._simulator.scene, self._simulator.state_replay
         task = config.task
         replica.set_state(episode.data.qpos)

@@ -21,7 +21,7 @@ T = TypeVar("T")
 
 
 class PolicyFailedError(Exception):
-    """The policy raised an exception, described by `fault`."""
+    """The policy raised an exception."""
 
     def __init__(self, fault: PolicyFault) -> None:
         super().__init__(fault.text)
@@ -39,8 +39,7 @@ class PolicyCaller:
         seconds: duration of the last call, without the time in `paused` blocks, s.
 
     Args:
-        limit: time limit for one call, s.
-        folder: folder to which paths of the policy's files are shown relative.
+        limit: time limit of a call, s.
     """
 
     def __init__(self, limit: float, folder: Path) -> None:
@@ -49,13 +48,7 @@ class PolicyCaller:
         self._waited = 0.0
 
     def call(self, function: Callable[[], T]) -> T:
-        """Return the result of a function that calls the policy.
-
-        Raises:
-            PolicyFailedError: the policy raised an exception.
-            PolicyTimeoutError: the time limit passed.
-            InvalidActionError: the client or the server of the policy reports that its answer is invalid.
-        """
+        """Call a function of the policy. Raise PolicyFailedError, PolicyTimeoutError or InvalidActionError."""
         began, self._waited = time.monotonic(), 0.0
         try:
             with output_on_stderr(), self._limited(), kill_forks_at_exit():
@@ -74,7 +67,7 @@ class PolicyCaller:
 
     @contextlib.contextmanager
     def paused(self) -> Iterator[None]:
-        """Context in which the time limit is paused, because the policy waits for yamsim to render an image."""
+        """Pause the time limit while yamsim renders an image."""
         began = time.monotonic()
         left = signal.setitimer(signal.ITIMER_REAL, 0)[0]
         try:
@@ -85,7 +78,7 @@ class PolicyCaller:
 
     @contextlib.contextmanager
     def _limited(self) -> Iterator[None]:
-        """Context that raises PolicyTimeoutError in its block when the time limit is over."""
+        """Raise PolicyTimeoutError in the block when the time limit is over."""
         # The worker pool terminates code that never returns to Python.
 
         def ring(number: int, frame: FrameType | None) -> None:
@@ -104,5 +97,5 @@ class PolicyCaller:
 
 
 def output_on_stderr() -> contextlib.AbstractContextManager[Any]:
-    """Redirect a policy's output from stdout, which may carry a report, to stderr."""
+    """Redirect a policy's output to stderr, because stdout may carry a report."""
     return contextlib.redirect_stdout(sys.stderr)

@@ -1,4 +1,4 @@
-"""Choice of a policy to evaluate, and settings for its answers."""
+"""Choice of a policy to evaluate."""
 
 from __future__ import annotations
 
@@ -17,14 +17,12 @@ class PolicyChoice:
     """A policy with settings for its answers and its time limits.
 
     Attributes:
-        name: name of the policy, such as `scripted`, `file.py:Class` or `http://HOST:PORT`.
-        folder: folder to which the paths of the user's files in the name are relative.
-        call_seconds: real-time limit for one answer or reset, s.
-        time_limit: simulated-time limit for a trial, s; None for the task's limit.
-        end: rule that ends a trial, such as at the first success.
-        arguments: keyword arguments for the constructor, if the policy is a class of the user.
-        mapping: name or file of a config in `configs/policies/`, for policies of other programs; None for the default.
-        chunking: settings for which actions of action chunks are executed, and when.
+        name: such as `scripted`, `file.py:Class` or `http://HOST:PORT`.
+        folder: of the user's files, if their paths are relative.
+        call_seconds: real time of one answer or reset, s.
+        time_limit: simulated time of a trial, s; None for the task's limit.
+        arguments: for the constructor of a class of the user.
+        mapping: a config in `configs/policies/` or a file, for policies of other programs; None for the default.
         known_only: whether a class gets only the `arguments` that it accepts.
     """
 
@@ -39,7 +37,7 @@ class PolicyChoice:
     known_only: bool = False
 
     def compared_with(self, name: str) -> PolicyChoice:
-        """Return the choice of the policy `name` with the same time limits, end rule and chunk settings.
+        """Return the choice of the policy `name` with the same limits, end rule and chunk settings.
 
         A class of the user gets the keywords that it accepts. A policy of another program gets the same config.
         """

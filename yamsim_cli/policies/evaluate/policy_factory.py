@@ -1,5 +1,3 @@
-"""Make policies by name: built-in policies, policies of the user, and policies of other programs."""
-
 from __future__ import annotations
 
 import functools
@@ -32,17 +30,12 @@ from ..remote_policy import RemotePolicy
 from .observation import available_cameras
 from .policy_choice import PolicyChoice
 
-# Scheme of a policy's name -> name of the default config in `configs/policies/`, which describes its messages.
+# Scheme of a policy's name -> default config in `configs/policies/`, which describes its messages.
 _CONFIGS = {act.SCHEME: "molmoact2_yam", openpi.SCHEME: "openpi_aloha", lerobot.SCHEME: "lerobot_export"}
 
 
 class PrivilegedTrial:
-    """The simulator's state of a trial, which is hidden from all policies except privileged ones.
-
-    Attributes:
-        attempt: the sampled attempt.
-        scene: the compiled scene.
-    """
+    """The simulator's state of a trial, which only privileged policies see."""
 
     def __init__(self, simulator: Simulator, attempt: Attempt) -> None:
         self._simulator = simulator
@@ -51,7 +44,7 @@ class PrivilegedTrial:
 
     @functools.cached_property
     def expert_attempt(self) -> SimulatedAttempt:
-        """Attempt of the task's scripted expert at this trial, which is simulated at the first access."""
+        """Attempt of the task's scripted expert at this trial, simulated at the first access."""
         return demonstrate(self._simulator, self.attempt)
 
 
@@ -60,17 +53,11 @@ class PrivilegedPolicy(Protocol):
     """A policy that reads the simulator's state."""
 
     def begin(self, trial: PrivilegedTrial) -> Array | None:
-        """Prepare for a trial, before `reset`.
-
-        Returns:
-            MuJoCo's initial positions (nq,) for the trial; None for the sampled positions.
-        """
+        """Prepare for a trial, before `reset`. Return MuJoCo's initial positions (nq,), or None for the sampled."""
         ...
 
 
 class _ActionSequencePolicy:
-    """Policy that answers with given actions, one per control tick."""
-
     images = ()
 
     def __init__(self) -> None:
@@ -91,10 +78,10 @@ class _ActionSequencePolicy:
 
 
 class ExpertPolicy(_ActionSequencePolicy):
-    """Policy that repeats the actions of the task's scripted expert, which `yamsim record` records."""
+    """Repeats the actions of the task's scripted expert, which `yamsim record` records."""
 
     def begin(self, trial: PrivilegedTrial) -> Array | None:
-        """Set the expert's actions, and return MuJoCo's positions (nq,) at the expert's start, or None."""
+        """Set the expert's actions, and return MuJoCo's start positions (nq,), or None."""
         states = trial.expert_attempt.states
         ctrl = np.concatenate([state.actions.ctrl for state in states])
         self._set_actions(ctrl, np.concatenate([state.actions.magnet for state in states]), trial.scene)
@@ -102,7 +89,7 @@ class ExpertPolicy(_ActionSequencePolicy):
 
 
 class HoldStillPolicy:
-    """Policy that holds the joints of the first observation."""
+    """Holds the joints of the first observation."""
 
     images = ()
 
@@ -120,14 +107,7 @@ class HoldStillPolicy:
 
 
 class ReplayPolicy(_ActionSequencePolicy):
-    """Policy that repeats the actions of the dataset's episode with the trial's seed and number.
-
-    If the dataset lacks this episode, the policy repeats the actions of another one.
-
-    Raises:
-        UsageError: the dataset has no episodes.
-        DatasetError: an episode is damaged, or belongs to another scene.
-    """
+    """Repeats the actions of the dataset's episode with the trial's seed and number, or else of another episode."""
 
     def __init__(self, dataset: Path) -> None:
         super().__init__()
@@ -151,16 +131,7 @@ class ReplayPolicy(_ActionSequencePolicy):
 
 
 def make_policy(choice: PolicyChoice, session: Session) -> Policy:
-    """Construct the chosen policy: built in, a class of the user, or a client of another program.
-
-    Args:
-        choice: choice of a policy; its folder has the user's modules, files and datasets.
-
-    Raises:
-        ConfigError: the config of another program's policy is invalid.
-        UsageError: the policy does not exist, cannot be loaded, or does not fit the rig.
-        ResourceError: no server answers, or a package is missing.
-    """
+    """Make the chosen policy: built in, a class of the user, or a client of another program."""
     name, folder = choice.name, choice.folder
     kind, colon, rest = name.partition(":")
     external = is_external(name)
@@ -199,7 +170,7 @@ def _make_external(choice: PolicyChoice, session: Session) -> MappedPolicy:
 
 
 def policy_station(config: RecordConfig) -> PolicyStation:
-    """Return the arms, cameras and objects that a policy acts on."""
+    """Return the arms, cameras and objects on which a policy acts."""
     arms = [config.rig.arms[k] for k in config.rig.recording_order]
     cameras = {name: next(iter(keys)) for name, keys in available_cameras(config).items() if len(keys) == 1}
     return PolicyStation(

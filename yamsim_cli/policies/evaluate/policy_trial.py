@@ -1,5 +1,3 @@
-"""Trials of a policy, with the same starts and verdicts as `yamsim trials`."""
-
 from __future__ import annotations
 
 import contextlib
@@ -49,7 +47,7 @@ class TrialEnd(StrEnum):
 
 
 FAULTS = (TrialEnd.RAISED, TrialEnd.INVALID, TrialEnd.SLOW, TrialEnd.LOST)
-# Ends after which a trial counts as a measurement of the policy's success.
+# Ends that measure the policy's success.
 MEASURED = (TrialEnd.SUCCESS, TrialEnd.DONE, TrialEnd.TIME_LIMIT, TrialEnd.UNSTABLE)
 
 _NO_FAULT = PolicyFault("")
@@ -60,15 +58,9 @@ class TrialResult:
     """Result of a trial.
 
     Attributes:
-        attempt: sampled start of the trial: objects, their poses and MuJoCo's positions.
-        outcome: whether the trial succeeded, and why not.
-        ended: reason for the end of the trial.
-        error: description of the policy's fault; empty without a fault.
-        traceback: traceback of the policy's exception; empty without an exception.
-        ticks: number of simulated control ticks.
+        ticks: simulated control ticks.
         seconds: duration of each inference, s.
-        actions: executed actions; None if no tick was simulated.
-        chunk_stats: numbers of received chunks and actions, of skipped actions, and of ticks without an action.
+        actions: None if no tick was simulated.
     """
 
     attempt: Attempt
@@ -83,18 +75,14 @@ class TrialResult:
 
 
 def trial_rules(config: RecordConfig, choice: PolicyChoice) -> EpisodeRules:
-    """Return the rule and the time limit that end a policy's trials, from the choice or else from the task."""
+    """Return the rule and time limit that end a trial, from the choice or else the task."""
     task = config.task
     ticks = task.max_ticks if choice.time_limit is None else max(1, round(choice.time_limit / task.timing.tick))
     return EpisodeRules(choice.end, max_ticks=ticks)
 
 
 class TrialRunner(Closable):
-    """Runs trials of one policy. The caller must close the runner, for example as a context manager.
-
-    Raises:
-        ConfigError, UsageError, ResourceError: the policy does not exist, cannot be loaded, or does not fit the rig.
-    """
+    """Runs trials of one policy. The caller must close the runner."""
 
     def __init__(self, session: Session, choice: PolicyChoice) -> None:
         self._config, self._choice = session.config, choice
@@ -136,7 +124,6 @@ class TrialRunner(Closable):
     def _drive(
         self, simulator: Simulator, attempt: Attempt, seconds: list[float]
     ) -> tuple[Episode, TrialEnd, PolicyFault, ChunkStats]:
-        """Run the policy until the trial ends, or the policy is done or fails."""
         config = self._config
         episode = open_episode(simulator, attempt, trial_rules(config, self._choice))
         renderer = ObservationRenderer(lambda qpos, camera: self._render(simulator, attempt, qpos, camera))
@@ -176,7 +163,7 @@ class TrialRunner(Closable):
         except PolicyFailedError as error:
             return TrialEnd.RAISED, PolicyFault(f"{error}, after {episode.ticks} ticks", error.fault.traceback)
         if episode.end is None:
-            # The policy is done. Hold the last command while objects settle, and for the goal's hold time.
+            # Hold the last command while objects settle, and for the goal's hold time.
             for _ in range(self._config.task.timing.settle_ticks + self._config.task.hold_ticks):
                 if not episode.succeeds:
                     episode.step(ctrl, magnet)
@@ -203,5 +190,5 @@ class TrialRunner(Closable):
 
 
 def _policy_seed(job: AttemptJob) -> int:
-    """Return a seed of 32 bits for a trial, which all libraries accept."""
+    """Return a seed of 32 bits, which all libraries accept."""
     return (job.seed * 1_000_003 + job.attempt) % 2**32

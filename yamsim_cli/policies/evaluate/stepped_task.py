@@ -1,4 +1,4 @@
-"""Trials of a task for callers that step the simulation tick by tick, such as environments and simulated stations."""
+"""Trials for callers that step the simulation themselves, such as environments and simulated stations."""
 
 from __future__ import annotations
 
@@ -20,22 +20,13 @@ from yamsim_cli.core.errors import SimulationError
 from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.core.images.image import Image
 
-MAX_STARTS = 20  # number of consecutive trials without a start after which `begin` fails
+MAX_STARTS = 20  # consecutive trials without a start, after which `begin` fails
 
 
 class SteppedTask(Closable):
-    """Trials of a task, with the same starts as `yamsim trials`. The caller must close the object to free renderers.
+    """Trials of a task, with the same starts as `yamsim trials`. The caller must close the object.
 
-    Attributes:
-        config: config of the session.
-        rules: rules of the episodes.
-        simulator: simulator of the current trial.
-        attempt: sampled start of the current trial.
-        episode: simulation of the current trial.
-
-    Args:
-        end: rule that ends a trial, such as at the first success.
-        max_ticks: time limit of a trial in control ticks; None for the task's limit.
+    A trial takes up to `max_ticks` control ticks, by default the task's limit.
     """
 
     attempt: Attempt
@@ -48,11 +39,7 @@ class SteppedTask(Closable):
         self.simulator: Simulator = self._simulators.get(AttemptJob(self.config.seed, 0))
 
     def begin(self, job: AttemptJob) -> None:
-        """Begin the trial `job`. If no start could be sampled for it, begin the next trial that has a start.
-
-        Raises:
-            SimulationError: none of `MAX_STARTS` trials has a start.
-        """
+        """Begin the trial `job`, or the next trial for which a start can be sampled."""
         for attempt in self._sampled(job):
             if attempt.start is not None:
                 self._set_up(with_reserved_distractors(self.simulator, attempt))
@@ -60,15 +47,9 @@ class SteppedTask(Closable):
         raise self._none(job, "has a start")
 
     def begin_demonstrated(self, job: AttemptJob) -> ActionSequence:
-        """Begin the trial `job`, or the next trial in which the task's scripted expert succeeds.
+        """Begin the trial `job`, or the next one in which the scripted expert succeeds, as `yamsim record` starts it.
 
-        The trial starts where `yamsim record` starts an episode of it.
-
-        Returns:
-            Actions with which the expert succeeds in this trial.
-
-        Raises:
-            SimulationError: the expert succeeds in none of `MAX_STARTS` trials.
+        Return the expert's actions.
         """
         for attempt in self._sampled(job):
             done = demonstrate(self.simulator, attempt)
@@ -92,7 +73,7 @@ class SteppedTask(Closable):
         return end is not None and end.reason is EndReason.TIME_LIMIT
 
     def failure_reason(self) -> str:
-        """Return the reason why the trial is currently no success, or an empty text if it is a success."""
+        """Return why the trial is no success; empty for a success."""
         if self.succeeded:
             return ""
         end = self.episode.end
@@ -107,7 +88,6 @@ class SteppedTask(Closable):
         self._simulators.close()
 
     def _sampled(self, job: AttemptJob) -> Iterator[Attempt]:
-        """Yield the attempts of `job` and of the following trials, and set `self.simulator` to each one's simulator."""
         for number in range(job.attempt, job.attempt + MAX_STARTS):
             one = replace(job, attempt=number)
             self.simulator = self._simulators.get(one)

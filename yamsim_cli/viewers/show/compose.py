@@ -1,4 +1,4 @@
-"""Composes a rig, with or without a task, and writes the scene to a folder or a zip file for other programs."""
+"""Composes a rig, with or without a task, and writes the scene to files for other programs."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from yamsim_cli.viewers.show.scene_files import Reader, scene_files, zip_bytes
 
 @dataclass(frozen=True)
 class ComposeReport:
-    """A written scene: path, files, `nq`, `nu` and bodies of the MuJoCo model, and the backup of an older output."""
+    """A written scene: path, files, sizes and bodies of the MuJoCo model, and the backup of an older output."""
 
     path: Path
     files: tuple[str, ...]
@@ -37,7 +37,7 @@ class ComposeReport:
 
 @dataclass(frozen=True)
 class HomeState:
-    """The initial state of a composed scene, for its MuJoCo keyframe `home`.
+    """Initial state of a composed scene, for its MuJoCo keyframe `home`.
 
     Attributes:
         T_in_world: object -> pose (4, 4) in `world`.
@@ -51,11 +51,7 @@ class HomeState:
 
 
 def first_attempt_start(session: Session) -> tuple[RecordConfig, HomeState]:
-    """Sample the first attempt of a session. Return the config with the objects of the attempt, and its start state.
-
-    Raises:
-        SimulationError: no layout has room for the objects, or the scene cannot be compiled.
-    """
+    """Sample a session's first attempt. Return the config with its objects, and its start state."""
     job = AttemptJob(session.config.seed, 0)
     with Simulators(session.without_meshes()) as simulators:
         simulator = simulators.get(job)
@@ -76,11 +72,7 @@ def first_attempt_start(session: Session) -> tuple[RecordConfig, HomeState]:
 def compose_at_home(
     blueprint: Blueprint, locations: Locations, home: HomeState | None = None
 ) -> tuple[mujoco.MjSpec, mujoco.MjModel]:
-    """Compose a scene with keyframe `home`. Return the spec and the compiled model.
-
-    Args:
-        home: the state of the keyframe; by default the home posture without objects.
-    """
+    """Compose a scene with keyframe `home`, by default without objects. Return spec and compiled model."""
     spec, home = compose(blueprint, locations), home or HomeState()
     return spec, add_home_key(spec, blueprint.rig, home.T_in_world, home.joints, home.parts)
 
@@ -94,16 +86,11 @@ def write_scene(
     overwrite: bool,
     reader: Reader = "3.3",
 ) -> ComposeReport:
-    """Write a composed scene to a folder, or to one zip file.
+    """Write a composed scene, which must be stable in MuJoCo, to a folder or one zip file.
 
     Args:
         overwrite: whether to replace an existing `out`, which is renamed once the new scene is on the disk.
-        reader: the oldest MuJoCo version that must read the scene.
-
-    Raises:
-        UsageError: `out` exists, or the scene uses elements that `reader` does not know.
-        ResourceError: `out` cannot be written, and is unchanged.
-        SimulationError: the scene is not stable: its parts move apart when MuJoCo steps it.
+        reader: oldest MuJoCo version that must read the scene.
     """
     _check_stable(model)
     files = scene_files(spec, model, reader)

@@ -1,5 +1,3 @@
-"""Shows a recorded episode as a video or in a viewer. For a real recording, viewers show the measured motion."""
-
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
@@ -37,7 +35,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class WrittenVideo:
-    """A written video: path, frames, length in s, size in px, cameras, and the backup of an older file of that name."""
+    """A written video: its length in s, size (width, height) in px, and the backup of an older file of that name."""
 
     path: Path
     frames: int
@@ -50,17 +48,7 @@ class WrittenVideo:
 def film_recorded(
     episode: RecordedEpisode, cameras: Sequence[str], path: Path, frame_period: float, *, overwrite: bool
 ) -> WrittenVideo:
-    """Make a video of the recorded images.
-
-    Args:
-        cameras: cameras whose images are placed side by side; the first camera if empty.
-        frame_period: time between two frames in the video, s.
-
-    Raises:
-        UsageError: the episode has no such camera, or the file exists.
-        DatasetError: an image is missing, altered or damaged. No video is written then.
-        ResourceError: the video cannot be written, see `VideoWriter`.
-    """
+    """Make a video of the recorded images of cameras side by side, by default the first, at `frame_period`, s."""
     if not episode.record.cameras:
         raise DatasetError(f"{episode.directory} has no pictures; without --video its arms are shown")
     chosen = _choose(cameras, tuple(episode.record.cameras))
@@ -79,12 +67,7 @@ def film_rendered(
     """Render an episode again, and make a video.
 
     Args:
-        session: the result of `session_with_wrist_camera`, with its meshes.
-
-    Raises:
-        DatasetError: the episode was not simulated, or was simulated in another scene.
-        UsageError: the episode has no such camera, or the file exists.
-        ResourceError: the video cannot be written, or nothing can be rendered.
+        session: result of `session_with_wrist_camera`, with its meshes.
     """
     with _simulator_of(episode, session) as simulator:
         chosen = _choose(cameras, simulator.scene.cameras)
@@ -113,21 +96,13 @@ def _choose(wanted: Sequence[str], valid: Sequence[str]) -> tuple[str, ...]:
 
 
 def session_with_wrist_camera(session: Session, size: tuple[int, int] | None = None) -> Session:
-    """Return the session of a dataset with a wrist camera, whether or not the dataset records one.
-
-    Args:
-        size: width and height of images, px; by default the recorded size.
-    """
+    """Return the session of a dataset with a wrist camera, recorded or not, and images of `size` (w, h), px."""
     image = session.config.image
     return session.with_values(wrist=True, image=image.model_copy(update={"size_px": size}) if size else image)
 
 
 def episode_positions(episode: StoredEpisode, simulator: Simulator) -> Array:
-    """Return the `qpos` of each frame (frames, nq) of a simulated episode.
-
-    Raises:
-        DatasetError: the episode was not simulated, was simulated in another scene, or a file is damaged.
-    """
+    """Return `qpos` of each frame (frames, nq) of a simulated episode."""
     frames = episode.frames()
     if not all(map(has_simulation, frames)):
         raise DatasetError(
@@ -144,7 +119,6 @@ def episode_positions(episode: StoredEpisode, simulator: Simulator) -> Array:
 
 
 def _simulator_of(episode: StoredEpisode, session: Session) -> Simulator:
-    """Return the simulator of the scene in which an episode was simulated."""
     return simulator_for(session, AttemptJob(episode.record.seed, episode.record.attempt))
 
 
@@ -156,15 +130,10 @@ def play_simulated(
     ready: Callable[[str | None], None],
     stopped: Callable[[], bool],
 ) -> None:
-    """Play a simulated episode in a loop, on a browser page or in MuJoCo's window; see `viewer.show_scene`.
+    """Play a simulated episode in a loop; further arguments as in `viewer.show_scene`.
 
     Args:
-        session: a session of the dataset's config.
         speed: playback speed; 1 is real time.
-
-    Raises:
-        DatasetError: the episode was not simulated, or is damaged.
-        UsageError, ResourceError: the page cannot be served, or no window can be opened.
     """
     record, config = episode.record, session.config
     with _simulator_of(episode, session_with_wrist_camera(session)) as simulator:
@@ -186,11 +155,7 @@ def play_real(
 ) -> None:
     """Play the measured motion of a real recording in a loop; further arguments as in `viewer.show_scene`.
 
-    Args:
-        motion: motion of the arms, in the recording order of the rig.
-
-    Raises:
-        UsageError, ResourceError: the page cannot be served, or no window can be opened.
+    `motion` has the rig's recording order.
     """
     _, model = compose_at_home(blueprint, locations)
     period = episode.record.frame_period_s
@@ -216,7 +181,7 @@ def _show(
 
 
 def _measured_positions(motion: RecordedMotion, blueprint: Blueprint, model: mujoco.MjModel, period: float) -> Array:
-    """Return `qpos` (n, nq) at multiples of `period` (s), each from the latest measurement before that time."""
+    """Return `qpos` (n, nq) at multiples of `period` (s), each from the latest earlier measurement."""
     rig = blueprint.rig
     even = np.arange(0.0, motion.duration + period / 2, period)
     rows = np.clip(np.searchsorted(motion.times, even + period / 1000, side="right") - 1, 0, None)

@@ -1,5 +1,3 @@
-"""Renders a rig from several views, and makes a montage of the images."""
-
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
@@ -33,8 +31,8 @@ class ViewScene:
     """A rig in its home posture, with a camera for each view.
 
     Attributes:
-        size: width and height of the image of a view, px.
-        fine: width and height of the rendered image before it is averaged to `size`, px.
+        size: (width, height) of a view, px.
+        fine: (width, height) of the rendered image before it is averaged to `size`, px.
     """
 
     rig: RigConfig
@@ -45,16 +43,12 @@ class ViewScene:
     fine: tuple[int, int]
 
     def renderer(self) -> SceneRenderer:
-        """Return a renderer of the views, which the caller must close.
-
-        Raises:
-            ResourceError: nothing can render here.
-        """
+        """Return a renderer of the views, which the caller must close."""
         return SceneRenderer(self.model, self.size, self.fine)
 
 
 def set_up_views(blueprint: Blueprint, locations: Locations, quality: RenderConfig, size: tuple[int, int]) -> ViewScene:
-    """Compose a rig with a camera for each view, placed by the rig's extent. A view has `size` (width, height), px."""
+    """Compose a rig with a camera for each view, placed by the rig's extent. `size` is (width, height), px."""
     rig = blueprint.rig
     spec, model = compose_at_home(replace(blueprint, pictures=PictureSettings(quality, size)), locations)
     cameras = _cameras(rig, model, _at_home(model), size)
@@ -74,16 +68,12 @@ def _at_home(model: mujoco.MjModel) -> mujoco.MjData:
 
 
 def picture_names() -> list[str]:
-    """Return the file names of the images that `render_views` makes."""
+    """Return the file names of the images of `render_views`."""
     return [*(f"{view.name}.png" for view in VIEWS), MONTAGE]
 
 
 def render_views(views: ViewScene) -> dict[str, Image]:
-    """Render all views with labels, and the montage. Return file name -> RGB image (height, width, 3).
-
-    Raises:
-        ResourceError: nothing can render here.
-    """
+    """Render all labelled views, and the montage. Return file name -> RGB image (height, width, 3)."""
     rig, images = views.rig, dict[str, Image]()
     with views.renderer() as renderer:
         for name, camera in views.cameras.items():
@@ -95,11 +85,7 @@ def render_views(views: ViewScene) -> dict[str, Image]:
 
 
 def write_views(images: dict[str, Image], out: Path) -> list[Path]:
-    """Write either all images or none into a folder, which is created if missing. Return their paths.
-
-    Raises:
-        ResourceError: the folder cannot be written.
-    """
+    """Write all images or none into a folder, created if missing. Return their paths."""
     write_outputs({out / name: encode_png(image) for name, image in images.items()}, make_folder=True)
     return [out / name for name in images]
 
@@ -118,7 +104,6 @@ def _cameras(
 
 
 def _link(model: mujoco.MjModel, arm: ArmConfig, joint: int) -> int:
-    """Return the body that an arm's joint moves; joints are numbered from the base."""
     return int(model.jnt_bodyid[model.joint(arm.prefix + arm.robot.joint_names[joint]).id])
 
 

@@ -1,7 +1,7 @@
-"""Converts a composed scene to files: `scene.xml` and all files that the XML names.
+"""Converts a composed scene to `scene.xml` and all files that the XML names.
 
-MuJoCo writes MJCF of its own version. This module translates it for MuJoCo 3.3, all later versions and dm_control.
-The poses of `frame` elements are merged into their children, and values whose defaults differ between versions become
+MuJoCo writes MJCF of its own version. This module translates it for MuJoCo 3.3, all later versions and dm_control. The
+poses of `frame` elements are merged into their children, and values whose defaults differ between versions become
 explicit. A scene that 3.3 cannot express is an error.
 """
 
@@ -21,21 +21,14 @@ from yamsim_cli.core.geometry.se3 import Array
 
 from .mjcf_3_3 import ATTRIBUTES, CLASS_ELEMENTS, OPTIONAL, VALUES
 
-Reader = Literal["3.3", "4"]  # the oldest MuJoCo version that must read the scene
+Reader = Literal["3.3", "4"]  # oldest MuJoCo version that must read the scene
 Element = ElementTree.Element
 
-_ZIP_DATE = (1980, 1, 1, 0, 0, 0)  # earliest date of a zip file; constant, so that equal scenes give equal bytes
+_ZIP_DATE = (1980, 1, 1, 0, 0, 0)  # constant, so that equal scenes give equal bytes
 
 
 def scene_files(spec: mujoco.MjSpec, model: mujoco.MjModel, reader: Reader = "3.3") -> dict[str, bytes]:
-    """Return relative path -> content for the files of a scene. Equal specs give equal bytes.
-
-    Args:
-        model: the compiled `spec`.
-
-    Raises:
-        UsageError: the scene has an element, attribute or value that `reader` does not know.
-    """
+    """Return path -> content of a scene's files; `model` is the compiled `spec`. Equal specs give equal bytes."""
     named = {mesh.file for mesh in spec.meshes} | {texture.file for texture in spec.textures}
     files = {name: data for name, data in sorted(spec.assets.items()) if name in named}
     text = classic_xml(spec, model) if reader == "3.3" else spec.to_xml()
@@ -43,7 +36,7 @@ def scene_files(spec: mujoco.MjSpec, model: mujoco.MjModel, reader: Reader = "3.
 
 
 def zip_bytes(files: dict[str, bytes], folder: str) -> bytes:
-    """Return a zip file with `files` inside `folder`. Equal files give equal bytes."""
+    """Return a zip file. Equal files give equal bytes."""
     stream = io.BytesIO()
     with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, data in files.items():
@@ -55,13 +48,9 @@ def zip_bytes(files: dict[str, bytes], folder: str) -> bytes:
 
 
 def classic_xml(spec: mujoco.MjSpec, model: mujoco.MjModel) -> str:
-    """Return the MJCF of a scene for MuJoCo 3.3 and newer, in full precision.
+    """Return the MJCF for MuJoCo 3.3 and newer, in full precision; `model` is the compiled `spec`.
 
-    Args:
-        model: the compiled `spec`.
-
-    Raises:
-        UsageError: the scene has an element, attribute or value that 3.3 does not know.
+    Raise UsageError for an element, attribute or value that 3.3 does not know.
     """
     root = ElementTree.fromstring(_as_authored(spec))
     _write_defaults(root, model)
@@ -93,8 +82,8 @@ def _as_authored(spec: mujoco.MjSpec) -> str:
 def _write_defaults(root: Element, model: mujoco.MjModel) -> None:
     """Make values explicit whose defaults differ between versions.
 
-    `island`, on by default since 3.3.6, is left out. The flag only solves the same equations in parts, and older
-    versions colour each moving body by its island.
+    `island`, on by default since 3.3.6, is left out. It only solves the same equations in parts. Older versions colour
+    each moving body by its island.
     """
     option = _child(root, "option")
     option.set("ccd_iterations", str(model.opt.ccd_iterations))
@@ -113,7 +102,6 @@ def _write_inertia(body: Element, model: mujoco.MjModel, number: int) -> None:
 
 
 def _write_light_type(light: Element) -> None:
-    """Replace the type of a light by the attribute `directional` of 3.3.0."""
     kind = light.get("type")
     if kind in ("directional", "spot"):
         del light.attrib["type"]
@@ -121,7 +109,7 @@ def _write_light_type(light: Element) -> None:
 
 
 def _unroll(parent: Element) -> None:
-    """Replace every `frame` element in place by its children, with its pose and class applied to them."""
+    """Replace every `frame` element by its children, with its pose and class applied to them."""
     for child in parent:
         _unroll(child)
     parent[:] = [item for child in parent for item in (_children_in_frame(child) if child.tag == "frame" else [child])]
@@ -194,5 +182,5 @@ def _numbers(element: Element, name: str, default: str) -> Array:
 
 
 def _text(numbers: Iterable[float]) -> str:
-    """Convert numbers to text without loss of precision; -0 becomes 0."""
+    """Convert without loss of precision; -0 becomes 0."""
     return " ".join(repr(float(number) + 0.0).removesuffix(".0") for number in numbers)

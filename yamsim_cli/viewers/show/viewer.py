@@ -1,5 +1,3 @@
-"""Shows a scene, or a simulated rig with movable joints, on a browser page or in MuJoCo's window."""
-
 from __future__ import annotations
 
 import time
@@ -25,26 +23,18 @@ from .compose import compose_at_home, first_attempt_start
 if TYPE_CHECKING:
     from ..scene_page import ScenePage
 
-PERIOD = 1 / 30  # s, between two images; physics takes as many steps in between as real time needs
-_PICTURE = (320, 240)  # px, width and height of camera images on the page
+PERIOD = 1 / 30  # s, between two images
+_PICTURE = (320, 240)  # px, (width, height) of camera images on the page
 
 
 def make_live_rig(blueprint: Blueprint, locations: Locations, quality: RenderConfig | None = None) -> LiveRig:
-    """Compose a rig in keyframe `home`, ready to simulate.
-
-    Args:
-        quality: render quality of camera images; None if no images are rendered.
-    """
+    """Compose a rig in keyframe `home`. With `quality`, its cameras can be rendered."""
     _, model = compose_at_home(_with_cameras(blueprint, quality), locations)
     return LiveRig(blueprint.rig, model)
 
 
 def make_live_task(session: Session, *, boards: bool = True, quality: RenderConfig | None = None) -> LiveRig:
-    """Compose the scene of a task, with the layout of the first attempt of the seed, ready to simulate.
-
-    Raises:
-        SimulationError: no layout has room for the objects, or the scene cannot be compiled.
-    """
+    """Compose a task's scene as in the seed's first attempt. With `quality`, its cameras can be rendered."""
     config, home = first_attempt_start(session)
     blueprint = _with_cameras(task_blueprint(config, boards=boards), quality)
     _, model = compose_at_home(blueprint, session.locations, home)
@@ -52,7 +42,6 @@ def make_live_task(session: Session, *, boards: bool = True, quality: RenderConf
 
 
 def _with_cameras(blueprint: Blueprint, quality: RenderConfig | None) -> Blueprint:
-    """Return a copy of the blueprint with wrist and station cameras, and picture settings if `quality` is given."""
     pictures = PictureSettings(quality, _PICTURE) if quality is not None else None
     rig = blueprint.rig
     cameras = (
@@ -64,24 +53,20 @@ def _with_cameras(blueprint: Blueprint, quality: RenderConfig | None) -> Bluepri
 
 
 def task_viewpoint(config: RecordConfig) -> Viewpoint:
-    """Return the initial view of a task scene, towards a point between the arm and the middle of the table."""
+    """Return a view towards a point between the arm and the middle of the table."""
     x, y, _ = config.table.position
     return workspace_viewpoint(x - 0.15, y, config.table.top + 0.1, config.rig.span)
 
 
 class LivePictures:
-    """Renders the camera images of a live rig. The first call creates the renderer, which belongs to that thread."""
+    """Renders a live rig's cameras. The first call creates the renderer, which belongs to that thread."""
 
     def __init__(self, live: LiveRig) -> None:
         self._live = live
         self._renderer: SceneRenderer | None = None
 
     def render(self, camera: str) -> Image:
-        """Return an RGB image (240, 320, 3) of a camera.
-
-        Raises:
-            ResourceError: no OpenGL context could be made.
-        """
+        """Return an RGB image (240, 320, 3). Raise ResourceError without an OpenGL context."""
         if self._renderer is None:
             self._renderer = SceneRenderer(self._live.model, _PICTURE)
         with self._live.lock:
@@ -103,13 +88,7 @@ def view_rig(
     boards: bool = True,
     pictures: bool = False,
 ) -> None:
-    """Simulate a rig, and show it as `show_scene` does, on a browser page or in MuJoCo's window.
-
-    Args:
-        viewpoint: the initial view; by default the whole rig.
-        boards: whether a page shows boards and mounts at first.
-        pictures: whether a page offers images of the rig's cameras.
-    """
+    """Simulate a rig, and show it as `show_scene` does, with boards at first and pictures of its cameras if wanted."""
     viewpoint = viewpoint or rig_viewpoint(live.rig)
     seen = LivePictures(live) if pictures else None
 
@@ -137,13 +116,8 @@ def show_scene(
 
     Args:
         address: address of the browser page; None for MuJoCo's window.
-        open_page: creates the page; called only if viser is installed.
         ready: called once when the viewer is open, with the URL of the page or None. Not called if `stopped` returns
             True before.
-
-    Raises:
-        UsageError: the page cannot listen on the address.
-        ResourceError: viser is not installed, or no window can be opened.
     """
     if address is None:
         from ..mujoco_window import run_window
@@ -165,11 +139,7 @@ def show_scene(
 
 
 def require_viser() -> None:
-    """Check that a browser page can be served.
-
-    Raises:
-        ResourceError: viser is not installed.
-    """
+    """Raise ResourceError unless viser is installed, which serves browser pages."""
     try:
         from .. import scene_page as bodies_page  # noqa: F401
     except ModuleNotFoundError as error:

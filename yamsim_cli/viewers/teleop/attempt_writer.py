@@ -25,14 +25,14 @@ from yamsim_cli.core.workers.process_pool import ProcessPool
 
 SOURCE = "teleop"
 
-_POLL_SECONDS = 0.1  # s, between two checks for a closed writer during a wait
+_POLL_SECONDS = 0.1  # s, between checks for a closed writer
 
 
 class TeleopAttemptRenderer(Closable):
-    """Renders teleoperated attempts that were successful. The outcomes were determined before.
+    """Renders successful teleoperated attempts.
 
     Args:
-        render: whether images and files of successful attempts are made; otherwise only outcomes are returned.
+        render: whether to make images and files of successful attempts; otherwise only outcomes are returned.
     """
 
     def __init__(self, session: Session, *, render: bool = True) -> None:
@@ -44,7 +44,7 @@ class TeleopAttemptRenderer(Closable):
         self._simulators.get(AttemptJob(session.config.seed, 0))
 
     def run(self, simulated: SimulatedAttempt) -> AttemptPayload:
-        """Return the payload of an attempt: its record and, on success, its rendered files."""
+        """Return an attempt's record and, on success, its rendered files."""
         simulator, done = self._simulators.get(simulated.attempt.job), simulated
         if done.outcome.success:
             done = replace(done, attempt=with_distractors(simulator, done.attempt, done.states))
@@ -64,11 +64,11 @@ def open_worker(session: Session) -> ProcessPool[SimulatedAttempt, AttemptPayloa
 
 
 class AttemptReceiver(Protocol):
-    """Interface of an object to which a scene submits its teleoperated attempts."""
+    """Object to which a scene submits its teleoperated attempts."""
 
     @property
     def next_attempt(self) -> int:
-        """The number of the next attempt."""
+        """Number of the next attempt."""
         ...
 
     def submit(self, simulated: SimulatedAttempt) -> None:
@@ -77,13 +77,11 @@ class AttemptReceiver(Protocol):
 
 
 class AttemptWriter(Closable):
-    """Sends teleoperated attempts to the executor, and writes the results in order, in a separate thread.
+    """Sends teleoperated attempts to the executor, and writes the results in order, in a thread: writing can outlast a
+    tick.
 
-    Writing an episode can take longer than a control tick. Use the writer as a context manager; its exit drops
-    attempts that are not written yet. Until then, no other code may use the sink or the executor.
-
-    Args:
-        written: called with the number of an attempt once the attempt is in the sink.
+    Leaving the context drops attempts that are not written yet. Until then, no other code may use the sink or the
+    executor. `written` is called with the number of a written attempt.
     """
 
     def __init__(
@@ -104,12 +102,12 @@ class AttemptWriter(Closable):
 
     @property
     def waiting(self) -> int:
-        """The number of submitted attempts that `next_written` has not returned yet."""
+        """Submitted attempts that `next_written` has not returned yet."""
         return len(self._futures)
 
     @property
     def next_attempt(self) -> int:
-        """The number of the next attempt."""
+        """Number of the next attempt."""
         return self._first + self._submitted
 
     def submit(self, simulated: SimulatedAttempt) -> None:
@@ -118,12 +116,9 @@ class AttemptWriter(Closable):
         self._futures.append(self._thread.submit(self._process, simulated))
 
     def next_written(self, timeout: float = 0.0) -> AttemptRecord | None:
-        """Wait up to `timeout` seconds for the next written attempt. Return its record, or None if none was written.
+        """Return the record of the next written attempt, waiting up to `timeout` s; None if none was written.
 
-        Raises:
-            OSError: a write to the disk failed.
-            PartialJobError: the worker process died in each of several tries.
-            ResourceError: nothing can be rendered here.
+        Raises errors of the disk, of the worker process, and of rendering.
         """
         if not self._futures:
             return None
@@ -149,7 +144,6 @@ class AttemptWriter(Closable):
             raise
 
     def _payload(self) -> AttemptPayload | None:
-        """Wait for the result of the worker. Return None once the writer is closed."""
         while not self._ended.is_set():
             try:
                 return self._executor.result(_POLL_SECONDS)[1]

@@ -1,5 +1,3 @@
-"""Command streams of a leader arm: text files with a timed JSON object on each line."""
-
 from __future__ import annotations
 
 import math
@@ -21,33 +19,31 @@ from .teleop_scene import TeleopScene
 
 Row = tuple[FiniteFloat, FiniteFloat, FiniteFloat, Place]
 
-_LIMIT_TOLERANCE = math.radians(30)  # rad, by which a leader arm may exceed the joint limits of the follower
-_OPENING = QuantityBounds("m", -0.02, 0.1)  # valid finger openings; drives report values slightly outside the range
+_LIMIT_TOLERANCE = math.radians(30)  # rad, by which a leader arm may exceed the follower's joint limits
+_OPENING = QuantityBounds("m", -0.02, 0.1)  # drives report values slightly outside the valid range
 
 
 class PoseTarget(Config):
-    """A pose of `grasp_site` in the arm's base: position in m, quaternion wxyz."""
+    """Pose of `grasp_site` in the arm's base: position in m, quaternion wxyz."""
 
     position: PlacePoint
     quaternion: Quaternion
 
     @property
     def T(self) -> Array:
-        """The pose (4, 4)."""
+        """Pose (4, 4)."""
         return pose_from_quat(self.position, self.quaternion)
 
 
 class TeleopCommand(Config):
-    """One line of a command stream. Values that the line omits keep their previous commands.
+    """One line of a command stream. Omitted values keep their previous commands.
 
     Attributes:
-        t: time since the beginning of the stream, s.
+        t: since the beginning of the stream, s.
         arm: the arm for this and the following commands; at first, the arm that acts first in the task.
         joints: joints of the arm, rad; or joints (rad) and finger openings (m) of both arms, the left arm first.
-        ee: pose of the end effector (`grasp_site`) in the base of the left or only arm.
+        ee: pose of `grasp_site` in the base of the left or only arm.
         gripper: opening of one finger, m.
-        magnet: whether the weld is commanded to hold.
-        event: start, stop or discard a recording.
     """
 
     t: Annotated[FiniteFloat, QuantityBounds("s", 0, 86400)]
@@ -60,7 +56,7 @@ class TeleopCommand(Config):
 
     @property
     def T_grasp_in_base(self) -> Array | None:
-        """Target pose (4, 4) of `grasp_site` in the base of the left or only arm; None if the line has no pose."""
+        """Pose (4, 4) of `grasp_site` in the base of the left or only arm; None if the line has none."""
         if self.ee is None:
             return None
         return self.ee.T if isinstance(self.ee, PoseTarget) else np.array(self.ee)
@@ -80,11 +76,7 @@ class TeleopCommand(Config):
 
 
 def read_stream(file: Path, config: RecordConfig) -> list[TeleopCommand]:
-    """Read all commands of a file, in order of time, for the arms of a recording.
-
-    Raises:
-        ConfigError: the file cannot be read, or a line is not valid for these arms. The message names line and key.
-    """
+    """Read a file's commands, in order of time. Errors name line and key."""
     try:
         lines = file.read_text(encoding="utf-8").splitlines()
     except (OSError, UnicodeDecodeError) as error:
@@ -117,8 +109,6 @@ def _read(line: str, where: str) -> TeleopCommand:
 
 
 class _Arms:
-    """Checks that each command of a stream is valid for the arms of a recording config."""
-
     def __init__(self, config: RecordConfig) -> None:
         rig = config.rig
         self._arms = {rig.arms[k].side: rig.arms[k] for k in rig.recording_order}
@@ -127,7 +117,7 @@ class _Arms:
         self._task, self._grasp = config.task.name, config.grasp
 
     def check(self, command: TeleopCommand, where: str) -> None:
-        """Check one command. Raise ConfigError if the arm or the weld does not exist, or the joints are not valid."""
+        """Raise ConfigError if the arm, the weld or the joints are not valid."""
         if self._grasp != "weld" and command.magnet is not None:
             raise ConfigError(
                 f"{where}: magnet: task {self._task!r} with grasp {self._grasp!r} has none: things are held by "
@@ -158,7 +148,7 @@ class _Arms:
 
 
 class StreamPlayer:
-    """Applies each command of a stream at the first control tick that begins at or after its time."""
+    """Applies each command at the first control tick that begins at or after its time."""
 
     def __init__(self, commands: Sequence[TeleopCommand]) -> None:
         self._commands = commands
@@ -170,7 +160,7 @@ class StreamPlayer:
         return self._next == len(self._commands)
 
     def act(self, scene: TeleopScene, now: float) -> None:
-        """Apply the commands that are due at `now`, s since the beginning of the stream."""
+        """Apply the commands due at `now`, s since the beginning of the stream."""
         # The tolerance covers rounding errors of `now`, which is a multiple of the tick.
         while not self.done and self._commands[self._next].t <= now + 1e-9:
             self._apply(scene, self._commands[self._next])

@@ -1,4 +1,4 @@
-"""Saves recordings to the disk during teleoperation, so that the recording of a killed session can be judged later."""
+"""Saves recordings during teleoperation, so that those of a killed session can be judged later."""
 
 from __future__ import annotations
 
@@ -24,8 +24,7 @@ class CommandTick:
 
     Attributes:
         ctrl: commands to the drives (arms, drives), rad and m.
-        magnet: for each arm, whether the weld was commanded to hold.
-        reference: joints and openings (arms, drives), rad and m, that the commands aim at.
+        reference: joints and openings (arms, drives), rad and m, at which the commands aim.
     """
 
     ctrl: Array
@@ -38,11 +37,8 @@ class UnfinishedRecording:
     """The recording of a killed session.
 
     Attributes:
-        path: the file of the recording.
-        job: seed and number of the attempt.
         start: MuJoCo `qpos` (nq,) at the beginning.
-        ticks: the commands of all simulated ticks.
-        stopped: number of ticks before the user stopped the recording; None if the session was killed before.
+        stopped: ticks before the user stopped the recording; None if the session was killed before.
     """
 
     path: Path
@@ -55,8 +51,8 @@ class UnfinishedRecording:
 class RecordingJournal:
     """Writes each recording, tick by tick, to a file in the directory of the dataset.
 
-    A file exists from the start of a recording until the attempt is written into the dataset, or discarded. A written
-    tick survives the end of this process. A power failure may lose the last second.
+    The file exists until the attempt is written into the dataset, or discarded. A written tick survives the end of this
+    process. A power failure may lose the last second.
     """
 
     def __init__(self, dataset: Path) -> None:
@@ -65,11 +61,7 @@ class RecordingJournal:
         self._attempt = -1
 
     def begin(self, attempt: Attempt) -> None:
-        """Open the file of a recording.
-
-        Raises:
-            OSError: the file cannot be written.
-        """
+        """Open the file of a recording. Raise OSError if it cannot be written."""
         self.end()
         self._folder.mkdir(exist_ok=True)
         assert attempt.start is not None, "a driven attempt has a start"
@@ -92,11 +84,11 @@ class RecordingJournal:
             self._write({"ctrl": ctrl, "magnet": list(tick.magnet), "asked": reference})
 
     def stop(self) -> None:
-        """Mark in the file that the user stopped the recording. In the ticks that follow, the scene comes to rest."""
+        """Mark that the user stopped the recording. In the ticks that follow, the scene comes to rest."""
         self._write({"event": _STOP})
 
     def end(self) -> None:
-        """Close the file. The file exists until `drop` removes it."""
+        """Close the file, which stays on the disk."""
         if self._file is not None:
             self._file.close()
             self._file = None
@@ -113,7 +105,7 @@ class RecordingJournal:
             self._folder.rmdir()
 
     def unfinished(self) -> list[UnfinishedRecording]:
-        """Return the recordings of killed sessions, in order. Remove files without a complete first line."""
+        """Return the recordings of killed sessions, and remove files without a complete first line."""
         found = []
         for path in sorted(self._folder.glob("*.jsonl")):
             recording = _read(path)
@@ -132,7 +124,7 @@ class RecordingJournal:
 
 
 def _read(path: Path) -> UnfinishedRecording | None:
-    """Read a recording up to the last complete line. Return None if the first line is not valid."""
+    """Read up to the last complete line; None if the first line is not valid."""
     lines: list[dict[str, Any]] = []
     for line in path.read_bytes().split(b"\n"):
         try:

@@ -1,5 +1,3 @@
-"""An arm that a user or a leader arm teleoperates: its target, its motion, and its obstacles."""
-
 from __future__ import annotations
 
 import mujoco
@@ -14,25 +12,19 @@ from yamsim_cli.core.scene.arm_model import kinematic_model
 from yamsim_cli.core.scene.compiled import CompiledScene
 from yamsim_cli.core.sim.placement import ArmCollisionCheck
 
-_IK_ITERATIONS = 12  # iterations of inverse kinematics in a control tick
-_REACH_TOLERANCE = 0.003  # m, position error of inverse kinematics up to which a target counts as reachable
-_LIMIT_DISTANCE = 0.005  # rad, distance to a joint limit below which a joint counts as at the limit
-_CLEARANCE = 0.012  # m, smallest height of the target of the finger tips above the table
+_IK_ITERATIONS = 12  # in a control tick
+_REACH_TOLERANCE = 0.003  # m, position error up to which a target counts as reachable
+_LIMIT_DISTANCE = 0.005  # rad, below which a joint counts as at its limit
+_CLEARANCE = 0.012  # m, smallest height of the finger tips' target above the table
 
 
 class TeleopArm:
-    """Moves an arm to a target with bounded speed. Stops it before a collision with the table, the other arm or itself.
+    """Moves an arm to a target with bounded speed, and stops it before a collision.
 
     Attributes:
-        side: "left" or "right".
-        opening: commanded opening of each finger, m.
-        max_opening: largest opening of each finger, m.
-        magnet: whether the weld is commanded to hold.
-        target_distance: distance from the target pose to the nearest reachable pose, m; 0 if reachable.
-        obstacle: name of the obstacle that stops the arm; empty for none.
-
-    Args:
-        number: number of the arm in the scene.
+        opening, max_opening: commanded and largest opening of each finger, m.
+        target_distance: from the target pose to the nearest reachable pose, m; 0 if reachable.
+        obstacle: that stops the arm; empty for none.
     """
 
     def __init__(self, config: RecordConfig, scene: CompiledScene, number: int) -> None:
@@ -51,7 +43,7 @@ class TeleopArm:
         )
 
     def reset(self, posture: ArmPosture) -> None:
-        """Set the reference (the joints that the commands aim at) to a posture, at rest."""
+        """Set the reference (the joints at which the commands aim) to a posture."""
         self._tracker.reset(posture.joints)
         self._joint_target: Array | None = None
         self._target = self._ik.pose_of(posture.joints)
@@ -72,7 +64,7 @@ class TeleopArm:
 
     @property
     def reference(self) -> Array:
-        """The present reference (drives,) of the commands: joints, rad, and, if the arm has fingers, opening, m."""
+        """Present reference (drives,): joints, rad, and, if the arm has fingers, opening, m."""
         return self._with_opening(self._tracker.joints)
 
     @property
@@ -102,7 +94,7 @@ class TeleopArm:
         self._was_commanded, self.opening = True, min(max(opening, 0.0), self.max_opening)
 
     def toggle_gripper(self) -> None:
-        """Open the gripper fully, or close it. With welds, the gripper closes to the opening around the object."""
+        """Open the gripper fully, or close it. With welds, it closes to the opening around the object."""
         self.set_gripper(self._closed if self.is_open else self.max_opening)
 
     def set_weld(self, on: bool) -> None:
@@ -121,14 +113,10 @@ class TeleopArm:
         self._joint_target = self._tracker.joints.copy()
 
     def step(self, qpos: Array) -> Array:
-        """Advance the reference by a control tick, and return the commands (drives,) to the drives, rad and m.
-
-        Args:
-            qpos: the present positions (nq,) of the scene.
-        """
+        """Advance the reference by a tick, and return the commands (drives,), rad and m."""
         before = self._tracker.joints
         velocity = self._step_reference(qpos)
-        # Same formula as `core.episode.commands.drive_commands`, without the inertia term, which needs the next target.
+        # As in `core.episode.commands.drive_commands`, without the inertia term, which needs the next target.
         command = (before + self._tracker.joints) / 2 + self._arm.velocity_gain * velocity / self._arm.position_gain
         return self._with_opening(command)
 
@@ -170,9 +158,9 @@ class TeleopArm:
 
 
 def _opening_around_object(config: RecordConfig) -> float:
-    """Return the opening of one finger around the first object to grasp, m, to which grippers with welds close.
+    """Return the opening of one finger around the first object, m, to which grippers with welds close.
 
-    The result is 0 for grasps by friction, since the object stops the fingers.
+    Grasps by friction give 0, since the object stops the fingers.
     """
     grasps = (item.grasp for item in config.task.objects)
     first = next((grasp for grasp in grasps if grasp is not None), None)

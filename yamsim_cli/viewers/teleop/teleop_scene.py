@@ -1,4 +1,4 @@
-"""Simulates teleoperated arms tick by tick, and submits the attempts. The module depends on neither pages nor files."""
+"""Simulates teleoperated arms tick by tick, and submits the attempts. Independent of pages and files."""
 
 from __future__ import annotations
 
@@ -25,18 +25,11 @@ from .attempt_writer import AttemptReceiver
 from .recording_journal import CommandTick, RecordingJournal, UnfinishedRecording
 from .teleop_arm import TeleopArm
 
-TIME_LIMIT = 600.0  # s, default time limit of a recording
+TIME_LIMIT = 600.0  # s, default of a recording
 
 
 class TeleopAttemptScene:
-    """The compiled scene and the arms of the present attempt. Each role assignment has a separate scene.
-
-    Attributes:
-        scene: the compiled scene.
-        arms: the arms, in the order of recordings.
-        sides: sides of the arms, in the order of recordings.
-        postures: start postures of the arms.
-    """
+    """Scene and arms of the present attempt, in the order of recordings. Each role assignment has a separate scene."""
 
     scene: CompiledScene
     arms: tuple[TeleopArm, ...]
@@ -49,11 +42,7 @@ class TeleopAttemptScene:
         self.postures = start_postures(session.config)
 
     def begin(self, job: AttemptJob) -> Attempt:
-        """Sample the attempt of a job, which becomes the present attempt.
-
-        Raises:
-            SimulationError: no layout has room for the objects of the attempt.
-        """
+        """Sample the attempt of a job, which becomes the present attempt."""
         attempt = self.sample(job)
         if attempt.start is None:
             assert self._simulator is not None, "begin comes first"
@@ -63,7 +52,7 @@ class TeleopAttemptScene:
         return attempt
 
     def sample(self, job: AttemptJob, start: Array | None = None) -> Attempt:
-        """Sample the attempt of a job, which may lack a start. If given, `start` (nq,) becomes its start state."""
+        """Sample the attempt of a job, which may lack a start unless `start` (nq,) is given."""
         simulator = self._simulators.get(job)
         if simulator is not self._simulator:
             self._simulator, self.scene = simulator, simulator.scene
@@ -72,14 +61,14 @@ class TeleopAttemptScene:
         return attempt if start is None else replace(attempt, start=start)
 
     def set_up(self, attempt: Attempt, rules: EpisodeRules) -> Episode:
-        """Reset the arms, and return the episode that simulates the present attempt."""
+        """Reset the arms, and return the attempt's episode."""
         assert self._simulator is not None, "begin comes first"
         for arm, posture in zip(self.arms, self.postures, strict=True):
             arm.reset(posture)
         return open_episode(self._simulator, attempt, rules)
 
     def result(self, attempt: Attempt, episode: Episode) -> SimulatedAttempt:
-        """Finish the episode of an attempt, and return the attempt with its result."""
+        """Finish the episode, and return the attempt with its result."""
         assert self._simulator is not None, "begin comes first"
         played = episode.finish()
         return SimulatedAttempt(attempt, build_outcome(self._simulator, played), played)
@@ -89,25 +78,18 @@ class TeleopScene(TeleopInterface):
     """A scene with teleoperated arms, and its state. All methods are thread-safe.
 
     Of two arms, one is teleoperated at a time, and the other continues to its last target. Methods without a side
-    command the teleoperated arm. An arm follows a target pose or target joints, see `TeleopArm`. A recording begins at
-    rest with the layout of its attempt. Each attempt has its own role assignment, so the scene and the model change
-    between attempts. A stop releases objects that welds hold. Fingers keep their grasp, since the goal may require it.
-    After a stop, the scene ignores targets until it is at rest.
+    command the teleoperated arm. Each attempt has its own role assignment, so scene and model change between attempts.
+    A stop releases objects that welds hold. Fingers keep their grasp, since the goal may require it. After a stop, the
+    scene ignores targets until it is at rest.
 
     Attributes:
         sides: sides of the arms, in the order of recordings.
         active_arm: index of the teleoperated arm in that order.
-        episodes, failures, waiting, discarded: numbers of successful, failed, not yet judged and discarded attempts.
-        message: the result of the last command.
+        episodes, failures, waiting, discarded: numbers of attempts; `waiting` ones are not judged yet.
 
     Args:
-        receiver: object to which finished attempts are submitted.
         journal: saves the present recording to the disk; None saves nothing.
-        time_limit: time limit of a recording, s.
-        end: the rule that ends a recording.
-
-    Raises:
-        SimulationError: no layout has room for the objects of the task.
+        time_limit: of a recording, s.
     """
 
     def __init__(
@@ -144,7 +126,7 @@ class TeleopScene(TeleopInterface):
 
     @property
     def dof(self) -> int:
-        """The number of joints of each arm, without fingers."""
+        """Number of joints of each arm, without fingers."""
         return self._stage.scene.arms[0].dof
 
     @property
@@ -164,7 +146,7 @@ class TeleopScene(TeleopInterface):
 
     @property
     def status(self) -> TeleopStatus:
-        """The state of the session, for display."""
+        """State of the session, for display."""
         with self.lock:
             arm = self._arm
             return TeleopStatus(
@@ -191,7 +173,7 @@ class TeleopScene(TeleopInterface):
             self.active_arm = (self.active_arm + 1) % len(self.sides)
 
     def select_arm(self, side: str) -> None:
-        """Teleoperate the arm of a side, "left" or "right", which must exist."""
+        """Teleoperate the arm of a side, "left" or "right"."""
         with self.lock:
             self.active_arm = self.sides.index(side)
 
@@ -208,7 +190,7 @@ class TeleopScene(TeleopInterface):
         self._command(lambda arm: arm.set_joint_target(joints))
 
     def set_all_joint_targets(self, joints: Array) -> None:
-        """Set target joints and openings (arms, drives), rad and m. Arms without fingers have no opening."""
+        """Set target joints and openings (arms, drives), rad and m."""
         with self.lock:
             if not self._settling:
                 for arm, row in zip(self._arms, joints, strict=True):
@@ -243,7 +225,9 @@ class TeleopScene(TeleopInterface):
             self.message = "recording"
 
     def stop(self) -> None:
-        """End the recording, and release objects that welds hold. Submit the attempt after settling and hold time."""
+        """End the recording, and release objects that welds hold. The attempt is submitted after settling and hold
+        time.
+        """
         with self.lock:
             if not self._recording or self._settling:
                 self.message = "nothing was being recorded"
@@ -279,7 +263,7 @@ class TeleopScene(TeleopInterface):
                 self.message = "paused, since nobody was watching: Play goes on"
 
     def submit_unfinished(self, left: UnfinishedRecording) -> None:
-        """Submit the recording of a killed session, after a simulation of the missing ticks after its stop."""
+        """Submit the recording of a killed session, after simulating the ticks that miss after its stop."""
         with self.lock:
             self._set_attempt(self._stage.sample(left.job, left.start), self._rules)
             for tick in left.ticks:
@@ -297,7 +281,7 @@ class TeleopScene(TeleopInterface):
             self._submit_recording()
 
     def settle(self) -> None:
-        """Simulate all remaining ticks after a stop immediately."""
+        """Simulate all remaining ticks after a stop."""
         with self.lock:
             while self._settling:
                 self._tick()
@@ -339,11 +323,11 @@ class TeleopScene(TeleopInterface):
                 self._tick()
 
     def advance(self, now: float) -> None:
-        """Simulate a control tick, unless paused. `now` is ignored: the caller paces the ticks."""
+        """Simulate a control tick, unless paused: the caller paces the ticks."""
         self.tick()
 
     def _begin(self, *, recording: bool = False) -> None:
-        """Reset the scene to the start of the next attempt. End rule and time limit apply to recordings only."""
+        """Reset to the start of the next attempt. End rule and time limit apply to recordings only."""
         attempt = self._stage.begin(AttemptJob(self._config.seed, self._receiver.next_attempt))
         self._set_attempt(attempt, self._rules if recording else EpisodeRules())
         self._recording = recording

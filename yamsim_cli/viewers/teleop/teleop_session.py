@@ -1,5 +1,3 @@
-"""Teleoperation sessions with a command stream, or with a user on a browser page."""
-
 from __future__ import annotations
 
 import contextlib
@@ -28,8 +26,8 @@ from .command_stream import StreamPlayer, TeleopCommand
 from .recording_journal import RecordingJournal
 from .teleop_scene import TIME_LIMIT, TeleopScene
 
-_MAX_CATCH_UP = 0.25  # s, largest delay that the loop catches up with; the rest of a larger delay is skipped
-_POLL_SECONDS = 0.5  # s, longest single wait for an attempt at the end of a session
+_MAX_CATCH_UP = 0.25  # s, largest delay that the loop catches up with; the rest is skipped
+_POLL_SECONDS = 0.5  # s, longest single wait at the end of a session
 
 
 @dataclass(frozen=True)
@@ -37,10 +35,8 @@ class Jitter:
     """Deviations of the time between control ticks from its nominal value, ms.
 
     Attributes:
-        rate_hz: nominal rate of ticks.
-        ticks: number of ticks.
         p50, p95, max: median, 95th percentile and maximum.
-        late: number of ticks that began more than half a tick late.
+        late: ticks that began more than half a tick late.
         lost: time that the loop skipped because its delay was too large, ms. The recording still has every tick.
     """
 
@@ -54,7 +50,7 @@ class Jitter:
 
 
 class TickClock:
-    """Paces a loop at a fixed period with the monotonic clock, and measures the jitter."""
+    """Paces a loop at a fixed period (s), and measures the jitter."""
 
     def __init__(self, period: float) -> None:
         self._period = period
@@ -77,7 +73,7 @@ class TickClock:
 
     @property
     def jitter(self) -> Jitter | None:
-        """The jitter of the ticks so far; None before the second tick."""
+        """Jitter of the ticks so far; None before the second tick."""
         if len(self._began) < 2:
             return None
         off = 1000 * np.abs(np.diff(self._began) - self._period)
@@ -88,14 +84,11 @@ class TickClock:
 
 @dataclass(frozen=True)
 class TeleopReport:
-    """The result of a teleoperation session.
+    """Result of a teleoperation session.
 
     Attributes:
-        path: directory of the dataset.
-        episodes, attempts: numbers of successful attempts and of all attempts in the dataset.
-        discarded: number of recordings that the user discarded.
-        trials: records of the attempts of this session, in order.
-        jitter: jitter of the control ticks; None if ticks did not follow the clock.
+        episodes, attempts: in the whole dataset; `trials` are of this session.
+        jitter: None if ticks did not follow the clock.
     """
 
     path: Path
@@ -108,14 +101,14 @@ class TeleopReport:
 
 @dataclass(frozen=True)
 class TeleopSession:
-    """An open teleoperation session: the scene, the writer of its attempts, and the dataset."""
+    """Scene, writer of attempts, and dataset of an open session."""
 
     scene: TeleopScene
     attempts: AttemptWriter
     dataset: DatasetWriter
 
     def update(self, timeout: float = 0.0) -> None:
-        """Update the counts and the message of the scene from the next written attempt, if any. `timeout` is in s."""
+        """Update the scene's counts and message from the next attempt that is written within `timeout` s."""
         scene, attempts = self.scene, self.attempts
         attempt = attempts.next_written(timeout)
         scene.episodes, scene.waiting = attempts.episodes, attempts.waiting
@@ -134,12 +127,7 @@ class TeleopSession:
 
 
 def check_page(address: PageAddress) -> None:
-    """Check that a page can be served, before the dataset is created.
-
-    Raises:
-        UsageError: the host is no address of this machine.
-        ResourceError: the port is in use, or viser is not installed.
-    """
+    """Raise unless a page can be served."""
     require_viser()
     from ..scene_page import require_free_address
 
@@ -157,13 +145,7 @@ def open_teleop(
 ) -> Iterator[TeleopSession]:
     """Open a dataset and a scene for teleoperation. Recordings of killed sessions are judged first.
 
-    Args:
-        warn: called with each warning.
-        time_limit: time limit of a recording, s. At the limit, the recording is stopped and judged.
-
-    Raises:
-        UsageError, ConfigError, DatasetError, ResourceError: the dataset cannot be opened, see `DatasetWriter`.
-        PartialJobError: a write to the disk failed.
+    At `time_limit`, s, a recording is stopped and judged.
     """
     session = with_mesh_descriptions(session)
     config = session.config
@@ -200,7 +182,7 @@ def open_teleop(
 def _submit_unfinished(
     scene: TeleopScene, attempts: AttemptWriter, journal: RecordingJournal, warn: Callable[[str], None]
 ) -> None:
-    """Submit the recordings of killed sessions that continue the dataset without a gap."""
+    """Submit recordings of killed sessions that continue the dataset without a gap."""
     for left in journal.unfinished():
         attempt = left.job.attempt
         if attempt < attempts.next_attempt or not left.ticks:
@@ -217,10 +199,9 @@ def _submit_unfinished(
 def run_stream(
     session: TeleopSession, commands: Sequence[TeleopCommand], stop: StopRequest, *, realtime: bool
 ) -> TeleopReport:
-    """Teleoperate the arms with a command stream. Its end stops a recording; a stop request discards the recording.
+    """Teleoperate by a command stream. Its end stops a recording; a stop request discards it.
 
-    Args:
-        realtime: whether ticks follow the clock; otherwise they run as fast as possible, with the same result.
+    Without `realtime`, ticks run as fast as possible, with the same result.
     """
     scene, player = session.scene, StreamPlayer(commands)
     clock = TickClock(scene.tick_seconds) if realtime else None
@@ -239,7 +220,6 @@ def run_stream(
 
 
 def _end_recording(scene: TeleopScene) -> None:
-    """Submit a stopped recording, or discard an unfinished one."""
     scene.settle()
     if scene.recording:
         scene.discard()
@@ -248,13 +228,9 @@ def _end_recording(scene: TeleopScene) -> None:
 def run_page(
     session: TeleopSession, config: RecordConfig, address: PageAddress, ready: Callable[[str], None], stop: StopRequest
 ) -> TeleopReport:
-    """Serve a browser page until the user ends the session, then discard an unfinished recording.
+    """Serve a page until the user ends the session, then discard an unfinished recording.
 
-    Args:
-        ready: called with the URL once the page is served.
-
-    Raises:
-        UsageError, ResourceError: the page cannot listen on the address.
+    `ready` is called with the URL.
     """
     from ..teleop_page import TeleopPage
 

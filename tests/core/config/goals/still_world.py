@@ -1,4 +1,4 @@
-"""A world that stands still, told in a few words: for tests of goals."""
+"""A static world for tests of goals."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ SIZE = 0.04
 
 @dataclass
 class StillWorld:
-    """Cubes of 40 mm by the places of their middles (m), and what else is true of them.
+    """Cubes of 40 mm at given places (m), with further facts.
 
     Attributes:
-        places: thing -> its middle.
-        leaning: thing -> its turn about the x axis, rad.
-        touches: pairs of things that touch.
-        held: thing -> sides of the hands that hold it.
-        passed: thing -> sides of the hands that held it, in order.
-        handed: thing -> its handovers so far, giver and taker.
-        shares: (thing, container) -> share inside.
-        openings: (thing, joint) -> share open.
-        starts: thing -> where it began.
-        marks: (thing, handle) -> the handle's pose.
+        places: object -> its middle.
+        leaning: object -> rotation about x, rad.
+        touches: pairs of objects in contact.
+        held: object -> sides of the hands that hold it.
+        passed: object -> sides of the hands that held it, in order.
+        handed: object -> its handovers so far, giver and receiver.
+        shares: (object, container) -> share inside.
+        openings: (object, joint) -> share open.
+        starts: object -> start.
+        marks: (object, handle) -> pose of the handle.
         sheets: cloth -> its points (along y, along x, 3).
     """
 
@@ -80,7 +80,7 @@ class StillWorld:
 
 
 def flat_sheet(high: float = 0.0) -> Array:
-    """Points (6, 7, 3) of a sheet of 20 cm by 30 that lies flat, but for one of them so high, m."""
+    """Points (6, 7, 3) of a flat sheet of 20 x 30 cm, one of them `high` m up."""
     x, y = np.meshgrid(np.linspace(0, 0.3, 7), np.linspace(0, 0.2, 6))
     points = np.stack([x, y, np.zeros_like(x)], axis=-1)
     points[2, 3, 2] = high
@@ -88,8 +88,8 @@ def flat_sheet(high: float = 0.0) -> Array:
 
 
 def folded_sheet(apart: float, off: float = 0.0, through: float = 0.0) -> Array:
-    """Points (6, 7, 3) of a sheet of 20 cm by 30, its upper half `apart` over the lower one and `off` along y, and one
-    corner of it `through` below the lower one, m.
+    """Points (6, 7, 3) of a folded sheet of 20 x 30 cm: its upper half is `apart` over the lower one and `off` along y,
+    and one corner `through` below the lower one, m.
     """
     x, y = np.meshgrid(np.linspace(0, 0.3, 7), np.linspace(0, 0.2, 6))
     upper = y > 0.1

@@ -1,4 +1,4 @@
-"""Goals: every predicate where it holds, where it just does not, and how they are joined."""
+"""Goals: every predicate at its limit and just beyond, and combinations."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ CAST = RoleAssignment(
 ON_PLATE = StillWorld({"cup": (0.3, 0.01, 0.06), "plate": (0.3, 0.0, 0.02)}, touches=[("cup", "plate")])
 IN_AIR = StillWorld({"cup": (0.3, 0.0, 0.20), "plate": (0.3, 0.0, 0.02)}, held={"cup": frozenset({"left"})})
 
-# A predicate as a goal says it, a world in which it holds, its margin there, and a near miss.
+# Predicate in a goal, a world in which it holds, its margin there, and a near miss.
 CASES = {
     "on": (
         {"thing": "cup", "surface": "plate"},

@@ -1,4 +1,4 @@
-"""The closed solution of inverse kinematics: complete and exact, for arms whose axes point either way."""
+"""Analytic inverse kinematics: complete and exact, for arms whose axes point either way."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def _solver(model: mujoco.MjModel) -> AnalyticIk:
 
 
 class Forward:
-    """Forward kinematics of a bare arm's flange."""
+    """Forward kinematics of an arm's flange."""
 
     def __init__(self, model: mujoco.MjModel) -> None:
         self._model, self._data = model, mujoco.MjData(model)
@@ -82,13 +82,13 @@ def test_many_poses_are_looked_at_together_as_one_by_one(rig: str, margin: float
     poses = [forward(joints) for joints in rng.uniform(low, high, (150, 6))]
     places, turns = rng.uniform((-0.2, -0.6, -0.1), (0.7, 0.6, 0.7), (150, 3)), rng.uniform(-2, 2, (150, 3))
     poses += [pose(place, rotation_from_vector(turn)) for place, turn in zip(places, turns, strict=True)]
-    # At zero, the last axis is parallel to the three: joints 4 and 6 are not determined.
+    # At zero, the last axis is parallel to three others: joints 4 and 6 are not determined.
     poses.append(forward(np.clip(np.zeros(6), low, high)))
     margins = [np.minimum(found - low, high - found).min(axis=1) for found in map(solver.solutions, poses)]
     reached = np.array([bool((one >= margin).any()) for one in margins])
     asked = solver.passes_reach_test(np.array(poses), margin)
     assert not (reached & ~asked).any()
-    # Rounding, and joints that a pose does not determine, may let a pose through that is out of reach.
+    # Rounding, and undetermined joints, may add a pose that is out of reach.
     assert (asked & ~reached).sum() <= 2
     assert 50 < reached.sum() < 250
 
@@ -101,7 +101,7 @@ def test_a_pose_out_of_reach_has_no_joints(rig: str) -> None:
         R = rotation_from_vector(rng.normal(size=3))
         far, within = 1.5 * place / np.linalg.norm(place), np.array([0.0, 0.0, 0.02])
         assert solver.solutions(pose(far, R)).shape == (0, 6)
-        # In its own base, where the links are too long to fold to, or joints would be beyond their stops.
+        # In its own base, where the links are too long to fold, or joints beyond their limits.
         assert solver.solutions(pose(within, np.diag([1.0, -1.0, -1.0]))).shape == (0, 6)
 
 
@@ -117,7 +117,7 @@ _AXES = ("0 0 1", "0 1 0", "0 1 0", "0 1 0", "0 0 1", "1 0 0")
 def _chain(
     axes: Sequence[str], wrist: str = "0.07 0.01 0.03", last: str = "0 0 0", sixth: str = 'range="-3 3"'
 ) -> mujoco.MjModel:
-    """An arm of six joints about given axes; the axes of the last two meet where `last` is along one of them."""
+    """An arm of six joints about given axes; the last two axes meet where `last` is along one of them."""
     joints = [f'<joint axis="{axis}" range="-3 3"/>' for axis in axes[:5]] + [f'<joint axis="{axes[5]}" {sixth}/>']
     return mujoco.MjModel.from_xml_string(_CHAIN.format(*joints, wrist=wrist, last=last))
 
@@ -165,7 +165,7 @@ def test_a_sliding_joint_has_none() -> None:
 
 @pytest.mark.parametrize("rig", SHIPPED)
 def test_singular_poses_are_solved(rig: str) -> None:
-    """A stretched arm, a folded one, a wrist whose axes line up, and joints at their stops."""
+    """A stretched arm, a folded one, a wrist whose axes are parallel, and joints at their limits."""
     model = _model(rig)
     solver = _solver(model)
     low, high = model.jnt_range.T
@@ -184,20 +184,20 @@ def test_singular_poses_are_solved(rig: str) -> None:
         solutions = solver.solutions(T)
         assert len(solutions) > 0
         _require_exact(model, solutions, T)
-    # Both at once: of the last joint's samples, few or none leave the rest of the arm long enough.
+    # Both at once: few or no samples of the last joint leave the rest of the arm long enough.
     T = Forward(model)((0.3, 1.0, straight, 0.2, math.pi / 2, 0.4))
     _require_exact(model, solver.solutions(T), T)
 
 
 def test_a_wrist_on_the_first_axis_leaves_that_joint_free() -> None:
-    """The bodies' offsets along y add up to zero here, so that the wrist can come to lie on that axis."""
+    """The bodies' offsets along y add up to zero, so that the wrist can lie on the first axis."""
     model = _chain(_AXES, wrist="0.07 -0.02 0.03")
     solver, data = _solver(model), mujoco.MjData(model)
     for joints in np.random.default_rng(3).uniform(-1.0, 1.0, (20, 6)):
         data.qpos[:] = [joints[0], 0.0, *joints[2:]]
         mujoco.mj_kinematics(model, data)
         x, _, z = data.xmat[1].reshape(3, 3).T @ (data.xanchor[4] - data.xanchor[1])
-        # Joint 2 turns that about y, until the wrist is as far behind it as it is before joint 1.
+        # Joint 2 rotates about y, until the wrist is as far behind joint 1 as it was before it.
         joints[1] = math.atan2(z, x) - math.acos(-0.02 / math.hypot(x, z))
         T = Forward(model)(joints)
         _require_exact(model, solver.solutions(T), T)
@@ -231,7 +231,7 @@ def test_solutions_too_near_to_a_stop_are_not_reached() -> None:
 
 
 def test_a_path_does_not_change_to_another_branch() -> None:
-    """Where the followed branch ends at a stop, the search goes on beside it, though other joints would be exact."""
+    """Where the followed branch ends at a limit, the search continues near it, though other joints would be exact."""
     model = _model("single")
     ik, solver = IkSolver(model, np.eye(4)), _solver(model)
     changes = 0

@@ -67,7 +67,7 @@ def test_out_of_reach_is_said_not_hidden(ik: IkSolver) -> None:
 
 
 def test_torques_move_the_arm_along_the_path(config: RecordConfig) -> None:
-    """Forward dynamics under the torques alone follows the path that they were computed from."""
+    """Forward dynamics with the torques alone follows the path of the inverse dynamics."""
     arm = config.rig.arms[0]
     dynamics = ArmDynamics(arm_spec(arm, None).compile(), arm.robot)
     model = arm_spec(arm, None).compile()
@@ -89,7 +89,7 @@ def test_torques_move_the_arm_along_the_path(config: RecordConfig) -> None:
 def test_a_weight_in_the_hand_is_borne_by_every_joint_that_lifts_it(
     rig: str, tmp_path: Path, locations: Locations
 ) -> None:
-    """Of an arm of five joints too: a joint's torque is the weight times how much the joint lifts it."""
+    """Also for five joints: a joint's torque is the weight times how much the joint lifts it."""
     write_robot(tmp_path)
     where = Locations((tmp_path, *locations.data), locations.assets)
     arm = load_config(RigConfig, "rigs", rig, where).arms[0]

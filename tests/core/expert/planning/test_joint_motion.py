@@ -1,4 +1,4 @@
-"""Motions in joint space: smooth, within speeds, through their points; and searches around obstacles."""
+"""Joint-space motions: smooth, within speeds, through their points; and searches around obstacles."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def test_starts_and_ends_at_rest_and_passes_its_points() -> None:
     velocities = np.diff(path, axis=0) / TICK
     assert np.abs(velocities[[0, -1]]).max() < 0.1
     assert np.abs(velocities).max() <= 2.3
-    # Speed changes where it passes a point no faster than elsewhere.
+    # Speed changes no more at a point than elsewhere.
     changes = np.abs(np.diff(velocities, axis=0)).max(axis=1)
     passing = int(np.abs(path - points[1]).max(axis=1).argmin())
     assert changes[passing - 2 : passing + 1].max() <= changes.max()
@@ -34,7 +34,7 @@ def test_a_slow_motor_takes_longer() -> None:
 
 
 def wall(joints: np.ndarray) -> str | None:
-    """A wall across the way at 0.5, with a gap above 0.8."""
+    """A wall at 0.5 with a gap above 0.8."""
     return "wall" if 0.45 < joints[0] < 0.55 and joints[1] < 0.8 else None
 
 

@@ -1,4 +1,4 @@
-"""Programs whose steps cannot reach their goal."""
+"""Programs whose steps contradict their goal."""
 
 from __future__ import annotations
 

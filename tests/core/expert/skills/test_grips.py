@@ -1,4 +1,4 @@
-"""The ways in which a hand can hold a thing."""
+"""Grips: how a hand can hold an object."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ def _item(name: str) -> ObjectConfig:
 
 
 def test_a_hand_leans_to_the_side_about_narrow_things_alone() -> None:
-    """Along the axis on which its fingers close, so that a wall beside them is not in its way."""
+    """Along the closing axis, so that a wall beside the fingers is not in the way."""
     assert not list(sideways_candidates(_item("kitchen_cup")))
     fork = _item("kitchen_fork")
     assert fork.grasp is not None
     found = list(sideways_candidates(fork))
-    # A fork lies along y: fingers close along x, and the hand comes from above, leaning along x.
+    # A fork lies along y: fingers close along x, and the hand comes from above, tilted along x.
     leans = {round(math.degrees(math.asin(np.clip(grip.T_pinch_in_thing[0, 2], -1, 1)))) for grip in found}
     assert {0, 20, -20, 35, -35, 50, -50} <= leans
     assert all(grip.clearance < fork.grasp.clearance for grip in found)

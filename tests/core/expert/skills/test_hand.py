@@ -1,4 +1,4 @@
-"""Hands remember grasps that failed, and reach as far as the bench allows."""
+"""Hands remember failed grasps, and reach as far as the planning context allows."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A thing that is handed over and put down: the taking hand holds it so that it can be placed."""
+"""A handed-over object is placed: the receiving hand grasps it so that it can be placed."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ def test_what_is_too_wide_for_the_hand_is_told_with_both_widths(tmp_path: Path) 
 @pytest.mark.slow
 @pytest.mark.parametrize(("task", "number"), [("handover", 0), ("handover", 5), ("pickplace", 0)])
 def test_joints_stay_away_from_their_stops(task: str, number: int) -> None:
-    """In a hand-over they went down to 0 rad, where grips and retreats were chosen without a look at the stops."""
+    """Regression: in a handover, joints went down to 0 rad, because grips and retreats ignored the limits."""
     opener = SessionOpener({}, lambda text: None, str)
     where = opener.locations()
     job = AttemptJob(7, number)

@@ -1,4 +1,4 @@
-"""Programs: loops over the things of a role, and what fails is tried again and noted."""
+"""Programs: loops over a role's objects, and repeated and noted failures."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ CAST = RoleAssignment(
 
 
 class Failing(Skill):
-    """Fails as often as it is told to."""
+    """Fails a given number of times."""
 
     ROLES: ClassVar[tuple[str, ...]] = ()
     times: int
@@ -40,7 +40,7 @@ class Failing(Skill):
 
 
 class NoHands:
-    """A bench with nothing to bring out of the way."""
+    """A planning context without hands to park."""
 
     hands = ()
 
@@ -83,7 +83,7 @@ class HandlessPick(Pick):
 
 
 class FailingPlace(Place):
-    """Fails as often as it is told to, its thing in a hand."""
+    """Fails a given number of times, with its object in a hand."""
 
     tried: ClassVar[list[str]] = []
 
@@ -95,7 +95,7 @@ class FailingPlace(Place):
 
 
 def _put_back(monkeypatch: pytest.MonkeyPatch, taken: str, times: int) -> list[str]:
-    """What is put down to be taken another way where putting the plate down fails so often."""
+    """Count how often an object is put down to be grasped in another way, after failures of placing the plate."""
     put: list[str] = []
 
     def put_back(bench: PlanningContext, cast: RoleAssignment, role: str) -> Iterator[MotionSegment]:
@@ -110,7 +110,7 @@ def _put_back(monkeypatch: pytest.MonkeyPatch, taken: str, times: int) -> list[s
 
 
 class Closing(Operate):
-    """Fails once, as a drawer that a hand slips off."""
+    """Fails once, as when a hand slips off a drawer."""
 
     def run(self, bench: PlanningContext, cast: RoleAssignment, ahead: Sequence[Skill]) -> Iterator[MotionSegment]:
         ran.append("operate")
@@ -128,7 +128,7 @@ class RecordingPick(HandlessPick):
 
 
 class Dropping(Place):
-    """Drops its thing the first time."""
+    """Drops its object the first time."""
 
     def run(self, bench: PlanningContext, cast: RoleAssignment, ahead: Sequence[Skill]) -> Iterator[MotionSegment]:
         ran.append(f"place {self.thing}")

@@ -1,4 +1,4 @@
-"""Handing a banana over by friction: hands that hold it near to each other meet side by side."""
+"""Handover of a banana by friction: hands near to each other meet side by side."""
 
 from __future__ import annotations
 

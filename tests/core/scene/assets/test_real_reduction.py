@@ -1,4 +1,4 @@
-"""The acceptance test of reduced meshes, on the real ones: how far they stray, and whether their outlines stay."""
+"""Acceptance test of reduced meshes, on the real ones: deviation and outlines."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from yamsim_cli.core.scene.assets import AssetStore, load_lock, make_reduced
 
 LOCATIONS = Locations.find(os.environ)
 LOCK = load_lock(LOCATIONS)
-# What is made here has few faces from the beginning.
+# Generated meshes have few faces anyway.
 FILES = [(name, file) for name, assets in LOCK.sets.items() if assets.archive is not None for file in assets.files]
-# The mesh of each set with the most bytes: distances to all of them would take minutes.
+# The largest file of each set: distances to all of them would take minutes.
 LARGEST = {name: max(LOCK.sets[name].files.items(), key=lambda file: file[1].size)[0] for name, _ in FILES}
 
-# Faces of the whole set at most: the crank arm has 104,574, the big arm 199,418, banana and plate 16,384 each.
+# Most faces of a whole set: the crank arm has 104,574, the big arm 199,418, banana and plate 16,384 each.
 MOST = {
     "i2rt_yam_crank": 15_000,
     "i2rt_yam_linear_4310": 5_600,
@@ -38,7 +38,7 @@ MOST = {
 }
 
 
-# With fewer faces, thin parts of these stray by more than half a millimetre.
+# With fewer faces, thin parts of these deviate by more than half a millimetre.
 LARGE_SHARES = {
     ("i2rt_gripper_crank_4310", "tip_left.stl"): 0.66,
     ("i2rt_gripper_crank_4310", "tip_right.stl"): 0.56,
@@ -47,7 +47,7 @@ LARGE_SHARES = {
 
 @cache
 def folders(name: str) -> tuple[Path, Path]:
-    """A set's own folder and that of its reduced meshes."""
+    """Folder of a set, and that of its reduced meshes."""
     assets, store = LOCK.sets[name], AssetStore(LOCATIONS.assets)
     source = store.resolve(assets)
     if source is None:
@@ -73,7 +73,7 @@ def test_no_point_strays_by_half_a_millimetre(name: str, file: str) -> None:
 @pytest.mark.render
 @pytest.mark.parametrize(("name", "file"), FILES)
 def test_outlines_stay(name: str, file: str) -> None:
-    """Each mesh by itself, filling the picture: in a scene it would be a tenth as large."""
+    """Each mesh alone fills the picture: in a scene it would be a tenth as large."""
     source, reduced = meshes(name, file)
     camera = Silhouettes(source[0])
     outlines = camera.of(*source)

@@ -1,4 +1,4 @@
-"""Reduced meshes: how far they deviate, and how the store keeps them."""
+"""Reduced meshes: their deviation, and the store."""
 
 import threading
 
@@ -47,14 +47,14 @@ def test_the_same_mesh_gives_the_same_bytes():
 
 @pytest.mark.slow
 def test_one_that_strays_too_far_is_not_used(monkeypatch):
-    """A ball of 20 faces misses the real one by millimetres: clearing alone is what is left."""
+    """A ball of 20 faces deviates by millimetres: only removing slivers is left."""
     source = stl_bytes(*BALL)
     far = collapse_edges(in_mm(source), Reduction(faces=20))
     assert hausdorff_distance(in_mm(source), far, 10.0, 1000) > MAX_DEVIATION_MM
     reduced = reduce_stl(source, Reduction(faces=20))
     assert 100 < len(in_mm(reduced)[1]) < len(BALL[1])
     assert hausdorff_distance(in_mm(source), in_mm(reduced), 1.0, 4000) <= MAX_DEVIATION_MM
-    # And where that strays too, the source.
+    # If that deviates too, the source is used.
     monkeypatch.setattr(reduction, "remove_slivers", lambda surface, tolerance: (surface[0] * 1.1, surface[1][:50]))
     assert reduce_stl(source, Reduction(faces=20)) == source
 
@@ -76,7 +76,7 @@ def test_no_face_without_an_area_is_left():
 
 @pytest.fixture
 def contents():
-    """In metres, and finely cut, so that there is something to reduce."""
+    """Finely cut, m, so that there is something to reduce."""
     return {"part.stl": stl_bytes(*box(0.1, 6)), "tip.stl": stl_bytes(*ball(0.05, 12))}
 
 

@@ -84,7 +84,7 @@ def test_a_half_filled_folder_does_not_count_and_its_state_is_told(world, conten
 
 @pytest.mark.parametrize(("owner", "call"), [(os, "open"), (Path, "mkdir"), (os, "fsync"), (os, "rename")])
 def test_publishing_is_all_or_nothing(world, contents, owner, call, monkeypatch):
-    """The n-th file operation fails, for every n until none does: the set is never half there."""
+    """For every n, the n-th file operation fails: the set is never incomplete."""
     tiny, real = world.lock.sets["tiny"], getattr(owner, call)
     calls_left = 0
 
@@ -106,7 +106,7 @@ def test_publishing_is_all_or_nothing(world, contents, owner, call, monkeypatch)
                 failures += 1
             else:
                 break
-        # When flushing the parent is what failed, the set is there already, and whole.
+        # If flushing the parent failed, the set is complete already.
         assert (world.store.resolve(tiny) is not None) == world.store.directory(tiny).exists()
     assert failures > 0, "the fault was never injected"
     assert world.store.resolve(tiny) is not None

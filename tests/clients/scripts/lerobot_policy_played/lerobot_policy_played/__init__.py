@@ -1,4 +1,4 @@
-"""A policy of LeRobot whose weights are the actions that it answers with, which LeRobot imports to find it."""
+"""A policy of LeRobot whose weights are its actions."""
 
 from .configuration_played import PlayedConfig
 from .modeling_played import PlayedPolicy

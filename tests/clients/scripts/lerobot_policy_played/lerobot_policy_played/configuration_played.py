@@ -8,7 +8,7 @@ from lerobot.configs.policies import PreTrainedConfig
 @PreTrainedConfig.register_subclass("played")
 @dataclass
 class PlayedConfig(PreTrainedConfig):
-    """How many trials and frames its weights hold, and of how many numbers an action is."""
+    """Numbers of trials and frames in the weights, and width of an action."""
 
     trials: int = 1
     frames: int = 1

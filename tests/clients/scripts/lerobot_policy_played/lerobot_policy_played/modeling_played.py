@@ -9,7 +9,7 @@ from .configuration_played import PlayedConfig
 
 
 class PlayedPolicy(PreTrainedPolicy):
-    """Plays one trial after the other, as many at once as it is asked for; the last action stays."""
+    """Plays one trial after the other, several at once if asked; the last action stays."""
 
     config_class = PlayedConfig
     name = "played"

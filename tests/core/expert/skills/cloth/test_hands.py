@@ -15,7 +15,7 @@ from yamsim_cli.core.expert.skills.cloth import point_grasps as reach
 
 @pytest.mark.slow
 def test_hands_that_come_too_high_feel_for_cloth(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    # An arm that reaches far comes to rest that much higher than commanded.
+    # A stretched arm comes to rest that much higher than commanded.
     monkeypatch.setattr(reach, "_HALF_PAD", reach._HALF_PAD + 0.0018)
     with Simulators(session_of(tmp_path, FOLD)) as simulators:
         simulator, attempt = first_attempt(simulators)

@@ -20,12 +20,12 @@ def test_a_hand_does_not_come_down_where_cloth_stands_up_beside_its_fingers(tmp_
             PointPlacement((4, 8), target_at_place(place), single_layer=alone) for alone in (True, False)
         )
         assert reachable_grasps(bench, "napkin", [alone], flat) is not None
-        # The next points come nearer, and up by 1 and then by 4 cm.
+        # The next points are nearer, and 1 and then 4 cm higher.
         standing = flat.copy()
         standing[around] += 0.3 * (place - flat[around]) + [0.0, 0.0, 0.01]
         assert reachable_grasps(bench, "napkin", [alone], standing) is not None
         standing[around] += [0.0, 0.0, 0.03]
         assert reachable_grasps(bench, "napkin", [alone], standing) is None
-        # What is folded is taken with all that lies there.
+        # A fold includes all layers there.
         assert reachable_grasps(bench, "napkin", [all_of_it], standing) is not None
         assert np.array_equal(bench.world.cloth_points("napkin"), flat)

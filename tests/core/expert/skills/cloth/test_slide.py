@@ -16,7 +16,7 @@ from yamsim_cli.core.geometry.se3 import Array
 
 
 def _turned(points: Array) -> float:
-    """How far the rows of a sheet are turned from x, degrees."""
+    """Rotation of a sheet's rows from x, degrees."""
     along = points[:, -1] - points[:, 0]
     return float(np.degrees(np.arctan2(along[:, 1].mean(), along[:, 0].mean())))
 
@@ -35,7 +35,7 @@ def test_two_hands_slide_cloth_to_where_it_is_wanted_and_nowhere_else(tmp_path: 
         assert grasps is not None and len(grasps) == 2 and all(grasp.placement.single_layer for grasp in grasps)
         after = predicted_points(bench, "napkin", grasps, 0.0, SLIDE_SPEED)
         assert wanted(after) and height_range(after) < 0.01
-        # It comes nearer to the arms by 10 cm, since what is pulled comes along straight.
+        # It comes nearer to the arms by 10 cm: a pull moves it straight.
         assert np.ptp(after[..., 0]) < 0.22
         assert after[..., 0].mean() == pytest.approx(points[..., 0].mean() - 0.1, abs=0.02)
         assert slide_grasps(bench, "napkin", [0.0], lambda points: False) is None
