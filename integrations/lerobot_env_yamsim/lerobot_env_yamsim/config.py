@@ -66,7 +66,7 @@ class YamsimEnvConfig(EnvConfig):
         for task, other in forms.items():
             if self._shown(other) != self._shown(form):
                 raise ValueError(
-                    f"--env.task={self.task}: one policy cannot do {first} and {task}: joints, cameras or things "
+                    f"--env.task={self.task}: one policy cannot do {first} and {task}: joints, cameras or objects "
                     "differ; give --env.rig and --env.cameras that suit both, or evaluate them one by one"
                 )
         numbers = {STATE: (FeatureType.STATE, form.state, OBS_STATE), ACTION: (FeatureType.ACTION, form.action, ACTION)}

@@ -89,7 +89,7 @@ def test_several_tasks_are_groups_of_their_own() -> None:
     made = make_env(YamsimEnvConfig(task="tower, set_upright", **SMALL), n_envs=1)
     assert {task: list(group) for task, group in made.items()} == {"tower": [0], "set_upright": [0]}
     assert made["tower"][0].call("task") == ("tower",)
-    with pytest.raises(ValueError, match="things differ"):
+    with pytest.raises(ValueError, match="objects differ"):
         YamsimEnvConfig(task="tower,set_upright", environment_state=True)
 
 

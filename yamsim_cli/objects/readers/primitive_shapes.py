@@ -74,7 +74,7 @@ def visual_surface(kind: str, size: Array, material: SurfaceMaterial) -> Surface
         kind, size: shape and dimensions, with the meaning that they have in `collision_shape`.
     """
     if not all(1e-6 <= length <= 1e4 for length in size):
-        raise RefusedError("impossible", f"it has a body of size {' x '.join(f'{length:g}' for length in size)}")
+        raise RefusedError("impossible", f"it has a primitive of size {' x '.join(f'{length:g}' for length in size)}")
     match kind:
         case "box":
             return _box(size, material)

@@ -124,7 +124,7 @@ def program_environment(environ: Mapping[str, str], folder: Path) -> dict[str, s
     served = sorted(path.name for path in folder.glob("*") if path.is_socket()) if folder.is_dir() else []
     if not served:
         raise ResourceError(
-            f"{folder}: nothing is served there; start `yamsim serve-robot --rig yam_v1+linear_4310` first"
+            f"{folder}: no server runs there; start `yamsim serve-robot --rig yam_v1+linear_4310` first"
         )
     path = os.pathsep.join(filter(None, (str(_SITE), environ.get("PYTHONPATH"))))
     return {"PYTHONPATH": path, "YAMSIM_CAN_FOLDER": str(folder.resolve())}

@@ -199,7 +199,7 @@ def read_message(message: bytes) -> tuple[str, Array | None]:
 
     length = int.from_bytes(message[:4], "little")
     if len(message) < 4 or not 1 <= length <= len(message) - 4:
-        raise ChiralError("the header's length does not fit")
+        raise ChiralError("the length of the header is wrong")
     try:
         header = msgpack.unpackb(message[4 : 4 + length], raw=False, strict_map_key=True)
     # The base classes of msgpack's errors.
@@ -220,7 +220,7 @@ def _action_numbers(shape: Any, dtype: Any, data: bytes) -> Array:
         raise ChiralError("an action's shape is not valid")
     count = math.prod(shape)
     if count > _MAX_ACTION_NUMBERS or count * np.dtype(dtype).itemsize != len(data):
-        raise ChiralError("an action has not as many bytes as its shape says")
+        raise ChiralError("the bytes of an action do not match its shape")
     numbers: Array = np.frombuffer(data, dtype).astype(np.float64)
     return numbers
 

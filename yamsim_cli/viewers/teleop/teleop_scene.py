@@ -276,7 +276,7 @@ class TeleopScene(TeleopInterface):
         with self.lock:
             if self._recording and not self.paused:
                 self.paused = True
-                self.message = "paused, since nobody was watching: Play goes on"
+                self.message = "paused, because no browser was connected: Play continues"
 
     def submit_unfinished(self, left: UnfinishedRecording) -> None:
         """Submit the recording of a killed session, after a simulation of the missing ticks after its stop."""
