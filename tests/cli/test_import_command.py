@@ -75,12 +75,12 @@ def test_what_a_real_dataset_has_not_is_one_line(
 @pytest.mark.parametrize(
     ("arguments", "code", "message"),
     [
-        (["no.csv"], 4, "no.csv does not exist"),
+        (["no.csv"], 4, "no.csv"),
         (["log.csv", "--rig", "russet"], 4, "position_left_joint1"),
         (["log.csv", "--swap-arms"], 2, "the rig has one arm"),
         (["log.csv", "--resume", "--overwrite"], 2, "give one of them"),
         (["log.csv", "--format", "lerobot"], 4, "meta/info.json cannot be read"),
-        (["."], 4, "is no recording that is known"),
+        (["."], 4, "valid: a .csv"),
         (["log.csv", "--mirror-gripper", "no"], 2, "--mirror-gripper"),
     ],
 )

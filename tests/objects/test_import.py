@@ -76,14 +76,14 @@ MESH_LINK = '<robot name="a"><link name="a"><visual><geometry><mesh filename="{}
 @pytest.mark.parametrize(
     ("name", "content", "unit", "code", "message"),
     [
-        ("mm.stl", ball(30.0), None, 2, "60 x 60 x 60 m large*--unit mm makes it 0.06 m long [[]size]"),
-        ("cut.stl", ball(0.03)[:-20], None, 4, "as a binary STL it says * faces, * [[]damaged]"),
-        ("noise.glb", bytes(100), None, 4, "it does not begin as a GLB does [[]damaged]"),
-        ("bare.obj", TETRAHEDRON, None, 2, "give --unit cm * or --unit mm *, and --up z, y or x [[]unit]"),
-        ("bare.obj", TETRAHEDRON, "m", 2, "--unit mm makes it 0.06 m long [[]size]"),
+        ("mm.stl", ball(30.0), None, 2, "60 x 60 x 60 m*--unit mm*0.06 m*[[]size]"),
+        ("cut.stl", ball(0.03)[:-20], None, 4, "its header gives * faces, * [[]damaged]"),
+        ("noise.glb", bytes(100), None, 4, "it does not begin with the header of a GLB [[]damaged]"),
+        ("bare.obj", TETRAHEDRON, None, 2, "--unit cm * or --unit mm *--up z, y or x [[]unit]"),
+        ("bare.obj", TETRAHEDRON, "m", 2, "--unit mm*0.06 m*[[]size]"),
         ("gone.urdf", MESH_LINK.format("no.obj"), None, 4, "'no.obj' is not in its folder [[]missing]"),
         ("out.urdf", MESH_LINK.format("../a.obj"), None, 4, "'../a.obj', which * [[]outside]"),
-        ("thing.step", b"ISO-10303-21;", None, 4, "what ends in '.step' is not read; valid: * [[]unknown-kind]"),
+        ("thing.step", b"ISO-10303-21;", None, 4, "the suffix '.step' are not supported; valid: * [[]unknown-kind]"),
     ],
 )
 @needs_extra

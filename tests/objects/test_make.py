@@ -63,7 +63,7 @@ def test_mass_follows_what_is_told() -> None:
 def test_a_plane_is_refused_since_it_has_no_volume(tilt: float) -> None:
     corners = np.array([[0, 0, 0], [0.1, 0, 0], [0.1, 0.1, tilt * 0.1], [0, 0.1, tilt * 0.1]])
     plane = Surface(corners, np.array([[0, 1, 2], [0, 2, 3]], np.int32))
-    with pytest.raises(ResourceError, match=r"^sheet: all 4 corners of its base lie in one plane: no volume"):
+    with pytest.raises(ResourceError, match=r"^sheet: all 4 vertices of its base lie in one plane"):
         build_object(thing(plane), ImportOptions("sheet", collision="hull"), Path("unused"))
 
 

@@ -115,7 +115,7 @@ def test_a_native_servers_text_is_no_action() -> None:
 
     with raw_server(answer) as port:
         policy = RemotePolicy(f"http://127.0.0.1:{port}", 5.0)
-        with pytest.raises(InvalidActionError, match="ctrl is no array of numbers"):
+        with pytest.raises(InvalidActionError, match="ctrl"):
             policy({"time": 0.0})
         policy._connection.close()
 

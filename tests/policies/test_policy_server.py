@@ -170,7 +170,7 @@ def test_a_server_that_is_gone_is_the_trials_fault() -> None:
     with served("Still") as url:
         policy = RemotePolicy(url, 5.0)
     policy._connection.close()
-    with pytest.raises(RemoteError, match="is gone"):
+    with pytest.raises(RemoteError, match="the connection is lost"):
         policy({})
 
 

@@ -149,7 +149,9 @@ class MappedPolicy:
     def _actions(self, answer: Mapping[str, Any]) -> Mapping[str, Any]:
         actions = self._config.actions
         if actions.key not in answer:
-            raise InvalidActionError(f"the answer has no {actions.key!r}; its keys are {', '.join(map(str, answer))[:200]}")
+            raise InvalidActionError(
+                f"the answer has no {actions.key!r}; its keys are {', '.join(map(str, answer))[:200]}"
+            )
         arms, drives = self._scale.shape
         rows = action_rows(answer[actions.key], actions.key, arms * (drives + actions.weld))
         ctrl: Array = rows[:, : arms * drives].reshape(-1, arms, drives)[:, self._to_station] * self._scale

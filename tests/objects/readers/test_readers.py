@@ -86,9 +86,11 @@ def test_a_file_is_read_in_a_child(mugs: dict[str, Path]) -> None:
 
 
 def test_what_the_file_does_not_say_is_asked_for(mugs: dict[str, Path]) -> None:
-    with pytest.raises(UsageError, match=r"give --unit m \(0.117 x .*\), and --up z, y or x \[unit\]"):
+    with pytest.raises(
+        UsageError, match=r"does not state its unit: add --unit m \(0.117 x .*\), and --up z, y or x \[unit\]"
+    ):
         read_object(mugs["obj"], UnitOptions())
-    with pytest.raises(UsageError, match=r"which way is up.* \[up\]"):
+    with pytest.raises(UsageError, match=r"--up z, --up y or --up x \[up\]"):
         read_object(mugs["obj"], UnitOptions(unit="m"))
 
 
@@ -121,11 +123,22 @@ def test_a_drawer_in_sdf(tmp_path: Path) -> None:
     assert all(isinstance(shape, dict) and shape["type"] == "box" for shape in base.shapes or ())
 
 
+def test_the_up_axis_rotates_the_handles_of_the_base(tmp_path: Path) -> None:
+    on_box = cabinet_sdf().replace(
+        'attached_to="drawer"><pose relative_to="drawer"', 'attached_to="box"><pose relative_to="box"'
+    )
+    (tmp_path / "c.sdf").write_text(on_box)
+    (handle,) = read_here(tmp_path / "c.sdf", UnitOptions(up="y")).parts[0].handles
+    assert handle["position"] == pytest.approx([-0.112, -0.035, 0], abs=1e-6)
+    assert handle["approach"] == pytest.approx([0, 1, 0], abs=1e-6)
+
+
 def test_an_include_of_no_file_is_refused(tmp_path: Path) -> None:
     (tmp_path / "mug" / "model.sdf").mkdir(parents=True)
     (tmp_path / "world.sdf").write_text('<sdf version="1.9"><include><uri>model://mug</uri></include></sdf>')
-    with pytest.raises(RefusedError, match="no regular file"):
+    with pytest.raises(RefusedError) as caught:
         read_here(tmp_path / "world.sdf")
+    assert caught.value.code == "not-a-file"
 
 
 def test_a_lid_in_urdf(tmp_path: Path) -> None:

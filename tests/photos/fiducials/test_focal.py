@@ -27,7 +27,7 @@ from yamsim_cli.photos.fiducials.focal_length.focal_estimate import (
 from yamsim_cli.photos.lens_distortion import project_points
 
 SIZE = (640, 480)
-ADVICE = "photograph the board from a slant, or give --camera"
+ADVICE = "photograph the board at a slant, or give --camera"
 
 
 def outline(camera: CameraModel, board: Board, T: Array, sigma: float, rng: np.random.Generator) -> BoardOutline:
@@ -76,14 +76,14 @@ def test_nearly_from_the_front_it_stays_open(size: tuple[int, int], focal: float
 
 def test_no_board_tells_nothing() -> None:
     found = estimate_focal(find_outlines(photograph(CameraModel.pinhole(*SIZE, 600.0), []), [ONE]), SIZE)
-    assert (found.low, found.high, found.reason) == (None, None, "no board tells the focal length")
+    assert (found.low, found.high, found.reason) == (None, None, "no board determines the focal length")
 
 
 @pytest.mark.parametrize(
     ("focal", "sigma", "tilt", "part"),
     [
         (600.0, 0.2, 0.0, "any focal length explains the photo equally well"),
-        (3000.0, 0.1, 0.5, "px up explains the photo"),
+        (3000.0, 0.1, 0.5, "px upwards explains the photo"),
         (600.0, 0.05, 0.1, "any focal length up to "),
         (600.0, 0.05, 0.35, "the focal length may be anything from "),
     ],
@@ -119,7 +119,7 @@ def test_photos_of_two_lenses_are_not_forced_into_one() -> None:
     long = outlines(CameraModel.pinhole(*SIZE, 900.0), slants)
     assert estimate_focal(short, SIZE).reason == ""
     found = estimate_focal([*short, *long], SIZE)
-    assert found.reason.startswith("no one focal length explains the boards")
+    assert found.reason.startswith("no single focal length explains the boards")
     assert "give --camera" in found.reason
 
 

@@ -79,7 +79,7 @@ def test_the_same_print_twice_is_refused() -> None:
     sighting = seen(photograph(CAMERA, [(ONE, LEFT), (ONE, RIGHT)]))
     assert sighting.status is BoardStatus.AMBIGUOUS
     assert sighting.T_board_in_cam is None
-    assert sighting.reason == "its markers are in 2 places: hide or remove the other prints"
+    assert sighting.reason == "its markers appear in 2 places: hide or remove the other prints"
 
 
 @pytest.mark.parametrize(
@@ -142,7 +142,7 @@ def test_what_is_hidden_makes_it_less_certain(hidden: int) -> None:
         (photograph(CAMERA, []), "none of its markers was found"),
         (photograph(CAMERA, [(ONE, facing(0, 0, 5.0))]), "none of its markers was found"),
         (photograph(CAMERA, [(ONE, facing(0, 0, 0.8))], blur=8.0), "none of its markers was found"),
-        (photograph(CAMERA, [(replace(ONE, columns=9, rows=1), facing(0, 0, 0.8))]), "markers are in 3 places"),
+        (photograph(CAMERA, [(replace(ONE, columns=9, rows=1), facing(0, 0, 0.8))]), "in 3 places"),
     ],
     ids=["empty", "far", "blurred", "another layout"],
 )
@@ -275,7 +275,7 @@ def test_a_creased_print_is_uncertain_and_its_interval_holds_the_pose(seed: int)
     photo = with_noise(creased(np.random.default_rng(seed), picture(CAMERA, [(ONE, truth)]), CAMERA, ONE, truth))
     found = seen(photo)
     assert found.status is BoardStatus.UNCERTAIN
-    assert "a crease" in found.reason
+    assert "the print is creased or bent" in found.reason
     off = rotation_vector(found.T_board_in_cam[:3, :3] @ truth[:3, :3].T)
     assert off @ np.linalg.solve(found.covariance[:3, :3], off) < 7.815, "95 % of three degrees of freedom"
     wide = PoseLimits(turn=math.radians(10.0), shift=1.0)

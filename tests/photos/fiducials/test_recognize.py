@@ -156,7 +156,7 @@ def test_strangers_are_no_board(kind: str) -> None:
 
 @pytest.mark.parametrize(
     ("spoil", "part"),
-    [({"light": 0.1}, "more light"), ({"blur": 9.0}, "focus"), ({}, "bring the whole board into the photo")],
+    [({"light": 0.1}, "add light"), ({"blur": 9.0}, "focus"), ({}, "bring the whole board into the photo")],
     ids=["dark", "blurred", "absent"],
 )
 def test_what_would_help_is_said(spoil: dict[str, float], part: str) -> None:

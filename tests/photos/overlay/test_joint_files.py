@@ -142,8 +142,11 @@ class MaliciousPickle:
         (lambda p: npy(p, np.rad2deg(ARM)), "arm1.joint1: 17.19 rad lies outside -2.618..3.054; is it in degrees?"),
         (lambda p: npy(p, [0, -0.5, 0, 0, 0, 0]), "arm1.joint2: -0.5 rad lies outside 0..3.665"),
         (lambda p: npy(p, [0, np.nan, 0, 0, 0, 0]), "has values that are not finite"),
-        (lambda p: npy(p, [*ARM, 7.0]), "gripper 7 is no opening: give that of one finger, 0..0.0375 m, or a share"),
-        (lambda p: npy(p, [*ARM, -0.02]), "gripper -0.02 is no opening"),
+        (
+            lambda p: npy(p, [*ARM, 7.0]),
+            "gripper 7 is not an opening; valid: the opening of one finger, 0..0.0375 m, or a share",
+        ),
+        (lambda p: npy(p, [*ARM, -0.02]), "gripper -0.02"),
         (lambda p: npy(p, ARM[:5]), "joints have the shape (5,); rig 'single' needs 6 or 7 or 14 numbers a row"),
         (lambda p: npy(p, np.zeros((2, 3, 7))), "joints have the shape (2, 3, 7)"),
         (lambda p: npy(p, np.zeros((0, 7))), "holds no row of joints"),

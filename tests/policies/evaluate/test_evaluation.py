@@ -108,7 +108,7 @@ def test_a_datasets_actions_are_replayed_on_their_own_starts(
     assert own.outcome.dxy_m == trial("scripted", attempt=1).outcome.dxy_m
     # On a start of which the dataset knows nothing they are blind.
     assert not trial(name, attempt=7).outcome.success
-    with pytest.raises(UsageError, match="there are no episodes"):
+    with pytest.raises(UsageError, match="nothing: it has no episodes"):
         trial(f"replay:{tmp_path / 'nothing'}")
 
 

@@ -158,11 +158,11 @@ def test_hands_are_where_their_joints_put_them(made: RecordedMotion) -> None:
 @pytest.mark.parametrize(
     ("values", "said"),
     [
-        ({"commands": None}, "plant: holds no commands for its joints"),
+        ({"commands": None}, "plant: has no commands for its joints"),
         ({"joints": np.full((len(TIMES), 6), np.nan)}, "plant: a joint was never measured"),
         (
             {"joints": np.zeros((len(TIMES), 7)), "commands": np.zeros((len(TIMES), 7)), "velocities": None},
-            "plant: has 7 joints, and the rig's arm 6; choose another --rig",
+            "plant: has 7 joints, and the rig's arm has 6; choose another --rig",
         ),
     ],
 )
@@ -172,7 +172,7 @@ def test_what_cannot_be_followed_says_why(made: RecordedMotion, values: dict[str
 
 
 def test_another_number_of_arms_is_another_rig(made: RecordedMotion) -> None:
-    with pytest.raises(DatasetError, match="plant has 1 arm, and the rig 2"):
+    with pytest.raises(DatasetError, match="plant has 1 arm, and the rig has 2"):
         simulate_commands(rig_scene("bimanual"), made)
 
 

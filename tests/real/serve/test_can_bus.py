@@ -106,7 +106,7 @@ def test_a_killed_servers_socket_is_in_nobodys_way(tmp_path: Path) -> None:
 def test_a_folder_that_others_can_reach_is_refused(tmp_path: Path) -> None:
     (tmp_path / "open").mkdir()
     (tmp_path / "open").chmod(0o755)
-    with pytest.raises(ResourceError, match="is not a folder that is yours alone"):
+    with pytest.raises(ResourceError, match="other users can access this folder"):
         UnixBus(tmp_path / "open", "can0")
 
 
@@ -116,7 +116,7 @@ def test_a_program_finds_the_buses_first(served: UnixBus, tmp_path: Path) -> Non
     entry = next(Path(site).glob("*.dist-info/entry_points.txt")).read_text()
     assert "socketcan = yamsim_can:Bus" in entry and Path(site, "yamsim_can.py").exists()
     assert own == "/own" and environ.keys() == {"PYTHONPATH", "YAMSIM_CAN_FOLDER"}
-    with pytest.raises(ResourceError, match="nothing is served there"):
+    with pytest.raises(ResourceError, match="no server runs there"):
         program_environment({}, tmp_path)
 
 

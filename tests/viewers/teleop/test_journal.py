@@ -141,7 +141,7 @@ def test_who_leaves_a_recording_pauses_it(config: RecordConfig, locations: Locat
     before = driven.status.seconds
     run(driven, 1.0)
     assert driven.status.seconds == before
-    assert "nobody was watching" in driven.status.message
+    assert driven.status.message == "paused, because no browser was connected: Play continues"
     driven.paused = False
     run(driven, 0.32)
     assert driven.status.seconds > before

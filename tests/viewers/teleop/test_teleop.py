@@ -322,11 +322,11 @@ def test_an_end_effector_stream_is_the_frames_own_ee_pose(driven: TeleopScene, t
         ([{"t": 2}, {"t": 1}], "t 1 is before 2 of the line above"),
         ([{"t": 0, "event": "pause"}], "stream.jsonl:1: event"),
         ([{"t": 0, "joints": [0] * 6, "ee": np.eye(4).tolist()}], "give joints or ee, not both"),
-        ([{"t": 0, "ee": np.zeros((4, 4)).tolist()}], "no rotation"),
+        ([{"t": 0, "ee": np.zeros((4, 4)).tolist()}], "is not a rotation"),
         ([{"t": 0, "joints": [float("nan")] * 6}], "stream.jsonl:1: joints"),
         ([{"t": 0, "joints": [0] * 7}], "joints: 7 numbers; give 6 of the right arm$"),
         ([{"t": 0, "joints": [0] * 14}], "joints: 14 numbers; give 6 of the right arm$"),
-        ([{"t": 0, "arm": "left"}], "stream.jsonl:1: arm: there is only a right one"),
+        ([{"t": 0, "arm": "left"}], "stream.jsonl:1: arm: the rig has only a right arm"),
         (
             [{"t": 0}, {"t": 1, "joints": [0, 106, 109, -78, 0, 0]}],
             r"stream.jsonl:2: joints: arm1.joint2: 106 rad lies outside 0..3.665; is it in degrees\? Then give 1.85",

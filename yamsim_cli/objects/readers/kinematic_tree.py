@@ -137,13 +137,14 @@ def _merge(parent: LinkDescription, link: LinkDescription) -> None:
     T = inverse(parent.T) @ link.T
     parent.visual_surfaces += [surface.transform(T) for surface in link.visual_surfaces]
     parent.shapes += [transform_shape(shape, T) for shape in link.shapes]
-    parent.handles += [_moved_handle(handle, T) for handle in link.handles]
+    parent.handles += [transform_handle(handle, T) for handle in link.handles]
     if link.weight is not None:
         moved = transform_mass_properties(link.weight, T)
         parent.weight = moved if parent.weight is None else _add_mass_properties(parent.weight, moved)
 
 
-def _moved_handle(handle: Mapping[str, Any], T: Array) -> Mapping[str, Any]:
+def transform_handle(handle: Mapping[str, Any], T: Array) -> Mapping[str, Any]:
+    """Return a handle in the frame in which the handle's present frame has the pose T (4, 4)."""
     moved = {key: (T[:3, :3] @ handle[key]).tolist() for key in ("approach", "axis")}
     return {**handle, **moved, "position": (T @ [*handle["position"], 1.0])[:3].tolist()}
 

@@ -49,7 +49,9 @@ def _stl(data: bytes, maximum: int) -> None:
             raise _too_many_faces(maximum)
         return
     if not data.lstrip()[:5].lower() == b"solid":
-        raise RefusedError("damaged", f"its header gives {count:,} faces, but its bytes hold {max(0, len(data) - 84) // 50:,}")
+        raise RefusedError(
+            "damaged", f"its header gives {count:,} faces, but its bytes hold {max(0, len(data) - 84) // 50:,}"
+        )
     if data.count(b"facet normal") > maximum:
         raise _too_many_faces(maximum)
     if b"endsolid" not in data:

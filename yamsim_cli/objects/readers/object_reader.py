@@ -171,12 +171,12 @@ def _convert_units(thing: ObjectDescription, metre: float, turn: Array) -> Objec
     if metre == 1.0 and np.array_equal(turn, np.eye(3)):
         return thing
     base, *others = thing.parts
-    if not others and not base.shapes and not base.weight:
+    if not others and not base.shapes and not base.weight and not base.handles:
         looks = tuple(surface.transform(pose(rotation=metre * turn)) for surface in base.looks)
         return replace(thing, parts=(replace(base, looks=looks),), unit_m=1.0, up="z")
     if metre != 1.0:
         raise RefusedError("size", "a description is in metres: --unit and --scale are for mesh files only")
-    from .kinematic_tree import transform_mass_properties, transform_shape
+    from .kinematic_tree import transform_handle, transform_mass_properties, transform_shape
 
     T = pose(rotation=turn)
     turned = replace(
@@ -184,6 +184,7 @@ def _convert_units(thing: ObjectDescription, metre: float, turn: Array) -> Objec
         looks=tuple(surface.transform(T) for surface in base.looks),
         shapes=None if base.shapes is None else tuple(transform_shape(shape, T) for shape in base.shapes),
         weight=None if base.weight is None else transform_mass_properties(base.weight, T),
+        handles=tuple(transform_handle(handle, T) for handle in base.handles),
     )
     hung = (replace(part, T_in_parent=T @ part.T_in_parent) if part.parent == 0 else part for part in others)
     return replace(thing, parts=(turned, *hung))

@@ -82,7 +82,9 @@ def compare_reports(first: Mapping[str, Any], second: Mapping[str, Any]) -> dict
     require_same_trials(first, second)
     one, other = ({(trial["seed"], trial["trial"]): trial for trial in report["trials"]} for report in (first, second))
     if one.keys() != other.keys():
-        raise UsageError(f"--compare {name}: it has other trials ({len(other)}) than the first ({len(one)}): give the same --n")
+        raise UsageError(
+            f"--compare {name}: it has other trials ({len(other)}) than the first ({len(one)}): give the same --n"
+        )
     counts = {"both": 0, "only_first": 0, "only_second": 0, "neither": 0}
     for job, trial in one.items():
         if not _same_start(trial["layout"], other[job]["layout"]):
