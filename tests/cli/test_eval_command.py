@@ -91,7 +91,7 @@ def test_a_share_of_successes_can_be_asked_for(words: tuple[str, ...], count: in
         ),
         (("--policy", "scripted", "--video-all"), 2, "give --video"),
         (("--policy", "http://127.0.0.1:9"), 4, "http://127.0.0.1:9"),
-        (("--policy", "replay:nowhere"), 2, "--policy replay:nowhere"),
+        (("--policy", "replay:nowhere"), 2, "nowhere: "),
         (("--policy", "scripted", "--min-success", "90"), 2, "'--min-success'"),
         (("--policy", f"{SAMPLES}:Chunked", "--policy-arg", "speed=1"), 2, "unexpected keyword argument 'speed'"),
         (("--policy", "hold_still", "--compare", "nowhere.json"), 2, "--compare nowhere.json: cannot be read"),

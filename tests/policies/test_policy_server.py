@@ -138,11 +138,11 @@ def test_pictures_and_state_reach_a_policy_elsewhere(
     monkeypatch.setattr(render, lambda simulator, attempt, qpos, cameras: dict.fromkeys(cameras, picture))
     config = make_config({("episodes",): 1})
     with served("Remembering") as url, TrialRunner(Session(config, locations), PolicyChoice(url, HERE)) as runner:
-        assert runner._policy.images == ("scene",)  # type: ignore[attr-defined]
+        assert runner.policy.images == ("scene",)  # type: ignore[attr-defined]
         result = runner.run(AttemptJob(0, 0))
         assert (result.ended, result.error) == (TrialEnd.DONE, "")
     with served("Knowing") as url, TrialRunner(Session(config, locations), PolicyChoice(url, HERE)) as runner:
-        assert runner._policy.wants == ("objects", "velocities")  # type: ignore[attr-defined]
+        assert runner.policy.wants == ("objects", "velocities")  # type: ignore[attr-defined]
         assert runner.run(AttemptJob(0, 0)).ended is TrialEnd.DONE
 
 
@@ -169,7 +169,7 @@ def test_where_nobody_answers_is_told() -> None:
 def test_a_server_that_is_gone_is_the_trials_fault() -> None:
     with served("Still") as url:
         policy = RemotePolicy(url, 5.0)
-    policy._connection.close()
+    policy.close()
     with pytest.raises(RemoteError, match="the connection is lost"):
         policy({})
 

@@ -316,15 +316,15 @@ def test_photos_show_the_same_markers_at_a_size_the_detector_needs(
     large_photo: np.ndarray, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     sizes = []
-    stretched = markers._stretch_contrast
+    stretched = markers.stretch_contrast
 
     def spy(grey: np.ndarray) -> np.ndarray:
         sizes.append(grey.shape)
         return stretched(grey)
 
-    monkeypatch.setattr(markers, "_stretch_contrast", spy)
+    monkeypatch.setattr(markers, "stretch_contrast", spy)
     found = {one.id: one.corners for one in find_markers(large_photo, ["DICT_6X6_250"])["DICT_6X6_250"]}
-    monkeypatch.setattr(markers, "_REDUCED_SIDE", 10**6)
+    monkeypatch.setattr(markers, "REDUCED_SIDE", 10**6)
     whole = {one.id: one.corners for one in find_markers(large_photo, ["DICT_6X6_250"])["DICT_6X6_250"]}
     assert sizes == [(3072, 4096), (5400, 7200)]
     assert set(found) >= set(whole) >= set(TWO.ids)

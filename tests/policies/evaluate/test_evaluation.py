@@ -269,7 +269,7 @@ def test_an_observation_says_where_everything_is(config: RecordConfig, locations
     )
     with TrialRunner(Session(config, locations), PolicyChoice("spy.py", tmp_path)) as runner:
         runner.run(AttemptJob(0, 0))
-        seen = type(runner._policy).seen[0]  # type: ignore[attr-defined]
+        seen = type(runner.policy).seen[0]  # type: ignore[attr-defined]
     with Simulator(Session(config, locations)) as simulator:
         done = planned(simulator, 0)
         frame = frame_records(simulator, done.attempt, done.states[:1])[0]

@@ -206,7 +206,7 @@ def test_a_compared_class_is_made_with_the_keywords_that_it_has(config: RecordCo
     choice = PolicyChoice("a:B", HERE, arguments={"step": 0.5})
     samples = "tests.policies.sample_policies"
     made: Any = make_policy(choice.compared_with(f"{samples}:Chunked"), Session(config, locations))
-    assert made._step == 0.5
+    assert made.step == 0.5
     make_policy(choice.compared_with(f"{samples}:Still"), Session(config, locations))
     with pytest.raises(UsageError, match=r"Still\(\) takes no arguments"):
         make_policy(PolicyChoice(f"{samples}:Still", HERE, arguments={"step": 0.5}), Session(config, locations))
@@ -236,7 +236,7 @@ def expert_plans(config: RecordConfig, locations: Locations) -> tuple[list[Trial
             job = AttemptJob(config.seed, attempt)
             results.append(result := runner.run(job))
             assert result.actions is not None
-            told = result.actions.ctrl[:, runner._simulators.get(job).scene.drives].copy()
+            told = result.actions.ctrl[:, runner.simulators.get(job).scene.drives].copy()
             told[:, :, -1] /= np.array(where.openings)
             rows = np.concatenate([told.reshape(len(told), -1), result.actions.magnet], axis=1)
             plans[(job.seed * 1_000_003 + job.attempt) % 2**32] = rows

@@ -81,8 +81,8 @@ def test_numbers_are_the_left_arms_first(left: RecordConfig, locations: Location
     (tmp_path / "watcher.py").write_text(WATCHER)
     with TrialRunner(Session(left, locations), PolicyChoice("watcher.py:Watcher", tmp_path)) as runner:
         result = runner.run(AttemptJob(left.seed, 0))
-        seen = runner._policy.__call__.__globals__["SEEN"]
-        scene = runner._simulators.get(AttemptJob(0, 0)).scene
+        seen = runner.policy.__call__.__globals__["SEEN"]
+        scene = runner.simulators.get(AttemptJob(0, 0)).scene
     first, last = seen[0], seen[-1]
     assert first["joints"].shape == (14,)
     assert first["ee_pose_world"].shape == (2, 4, 4)

@@ -99,7 +99,8 @@ def test_a_killed_servers_socket_is_in_nobodys_way(tmp_path: Path) -> None:
     left = UnixBus(tmp_path / "buses", "can0")
     with pytest.raises(ResourceError, match="another program serves this channel"):
         UnixBus(tmp_path / "buses", "can0")
-    left._listener.close()
+    for one in left.readers:
+        one.close()
     UnixBus(tmp_path / "buses", "can0").close()
 
 
@@ -185,7 +186,7 @@ def test_an_interface_of_the_kernels_carries_the_same_frames(kernel: list[CanSoc
 
 
 def test_a_flood_on_an_interface_is_read_in_parts(kernel: list[CanSocket], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(can_bus, "_READ_FRAMES", 5)
+    monkeypatch.setattr(can_bus, "READ_FRAMES", 5)
     bus = KernelBus("can0")
     for _ in range(8):
         kernel[0].other.send(ENABLE)

@@ -254,7 +254,7 @@ def test_web_pages_are_refused(server: ChiralServer, foreign: dict[str, str]) ->
 
 
 def test_one_that_never_greets_is_hung_up_on(server: ChiralServer, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(chiral, "_HANDSHAKE_S", 0.05)
+    monkeypatch.setattr(chiral, "HANDSHAKE_SECONDS", 0.05)
     one = socket.create_connection(("127.0.0.1", server.port), timeout=5)
     one.sendall(b"GET / HTTP/1.1\r\n")
     turn(server)
@@ -277,7 +277,7 @@ def test_one_that_reads_nothing_waits_and_fills_no_memory(server: ChiralServer, 
 def test_a_flood_is_hung_up_on(server: ChiralServer, robot: Robot) -> None:
     one = Client(server)
     # No picture comes, so that the first of them is never answered.
-    for _ in range(chiral._MAX_QUEUED + 50):
+    for _ in range(chiral.MAX_QUEUED + 50):
         one.send(packed({"type": "obs_request"}))
     turn(server, times=20)
     one.heard()

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import itertools
-import os
+import multiprocessing
 import select
-import signal
 import time
 from collections.abc import Callable, Iterator
 
@@ -76,9 +75,9 @@ def test_it_draws_what_is_there_now(source: RenderProcess, served: ServedArms, s
 
 def test_its_death_is_told(source: RenderProcess) -> None:
     next_shot(source)
-    assert source._process.pid
-    os.kill(source._process.pid, signal.SIGKILL)
-    with pytest.raises(SimulationError, match="the process that draws pictures has ended"):
+    (process,) = (one for one in multiprocessing.active_children() if one.name == "yamsim-pictures")
+    process.kill()
+    with pytest.raises(SimulationError, match="the rendering process has ended"):
         next_shot(source, after=10**6)
 
 

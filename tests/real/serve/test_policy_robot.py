@@ -42,7 +42,7 @@ class Driven:
         return np.concatenate([follower.joint_pos() for follower in self.served.followers])
 
     def see(self, number: int = 0) -> dict[str, np.ndarray]:
-        self.shots._joints = tuple(follower.joint_pos() for follower in self.served.followers)
+        self.shots.joints = tuple(follower.joint_pos() for follower in self.served.followers)
         self.shots.take(number)
         assert self.shots.newest_frames is not None
         return dict(self.robot.observe(self.shots.newest_frames).proprios)

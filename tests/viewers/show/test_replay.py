@@ -235,7 +235,7 @@ def test_a_page_does_not_undo_what_a_user_does_with_its_slider(player: EpisodePl
         page.slider.value = 30
         page.update()
         assert page.slider.value == 30
-        asyncio.run(page._seek(SimpleNamespace(client=object())))
+        asyncio.run(page.seek(SimpleNamespace(client=object())))
         page.update()
         assert (player.frame, page.slider.value) == (30, 30)
     finally:

@@ -12,7 +12,6 @@ import sys
 import time
 import urllib.request
 from collections.abc import Callable
-from concurrent.futures import wait
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -66,7 +65,7 @@ def run(driven: TeleopScene, seconds: float) -> None:
 
 def player_of(driven: TeleopScene, lines: list[dict[str, Any]], folder: Path) -> StreamPlayer:
     stream = write_stream(folder / "stream.jsonl", lines)
-    return StreamPlayer(read_stream(stream, driven._config))
+    return StreamPlayer(read_stream(stream, driven.config))
 
 
 def play(driven: TeleopScene, lines: list[dict[str, Any]], folder: Path) -> None:
@@ -223,13 +222,14 @@ def test_a_wider_gripper_opens_as_wide_as_it_goes(
     driven = TeleopScene(Session(config, locations), tray)
     driven.set_gripper(0.0475)
     run(driven, 1.0)
-    fingers = driven._stage.scene.arm.fingers.qpos
+    fingers = driven.attempt_scene.scene.arm.fingers.qpos
     assert np.abs(driven.data.qpos[fingers]) == pytest.approx(0.0475, abs=0.001)
     assert driven.status.gripper_open
-    driven.toggle_gripper()
-    assert (driven._arm.opening, driven.status.gripper_open) == (grasp.opening, False)
-    driven.toggle_gripper()
-    assert (driven._arm.opening, driven.status.gripper_open) == (0.0475, True)
+    for opening, is_open in ((grasp.opening, False), (0.0475, True)):
+        driven.toggle_gripper()
+        run(driven, 1.0)
+        assert np.abs(driven.data.qpos[fingers]) == pytest.approx(opening, abs=0.001)
+        assert driven.status.gripper_open is is_open
 
 
 def test_a_stream_takes_what_is_wide(
@@ -450,9 +450,9 @@ def test_what_the_disk_refuses_is_raised_and_nothing_after_it_is_written(config:
             writer.submit(
                 SimulatedAttempt(Attempt(AttemptJob(0, number)), Outcome(False, FailureCause.OFF_TARGET), None)
             )
-        wait(list(writer._futures))
         with pytest.raises(TimeoutError, match="does not answer"):
-            writer.next_written()
+            writer.next_written(timeout=5)
+        time.sleep(0.1)  # s, in which the writer's thread reaches the second attempt
     assert sink.asked == [0]
 
 

@@ -17,8 +17,8 @@ from ..motors import can_frames as frames
 from ..motors.can_frames import CanFrame
 from .socket_servers import ClientConnection, UnixServer
 
-_READ_FRAMES = 256  # frames per read, limited so that a flood of frames does not stop physics
-_READ_BYTES = _READ_FRAMES * frames.FRAME_BYTES
+READ_FRAMES = 256  # frames per read, limited so that a flood of frames does not stop physics
+_READ_BYTES = READ_FRAMES * frames.FRAME_BYTES
 _BACKLOG_BYTES = 4096 * frames.FRAME_BYTES  # unsent bytes of a client; further frames are lost, as in a full adapter
 
 # Folder with the plugin that replaces python-can's `socketcan`. Only programs that `yamsim can-run` starts import it.
@@ -92,7 +92,7 @@ class KernelBus:
 
     def receive(self, ready: set[socket.socket]) -> Iterator[CanFrame]:
         """Yield the received frames."""
-        for _ in range(_READ_FRAMES if self._socket in ready else 0):
+        for _ in range(READ_FRAMES if self._socket in ready else 0):
             try:
                 frame = frames.parse_frame(self._socket.recv(frames.FRAME_BYTES))
             except OSError:

@@ -23,8 +23,8 @@ from .policy_robot import PolicyRobot, RobotObservation
 from .socket_servers import ClientConnection, TcpServer
 
 _READ_BYTES = 65_536  # largest number of bytes per read from a client
-_HANDSHAKE_S = 5.0  # s in which a client must complete the WebSocket handshake
-_MAX_QUEUED = 256  # unanswered messages above which a client is dropped
+HANDSHAKE_SECONDS = 5.0  # s in which a client must complete the WebSocket handshake
+MAX_QUEUED = 256  # unanswered messages above which a client is dropped
 _PER_STEP = 2  # messages of a client that are answered before physics continues
 
 MAX_MESSAGE_BYTES = 65_536  # largest accepted message; an action has some hundred bytes
@@ -92,7 +92,7 @@ class ChiralServer(TcpServer):
         for client, connection in list(self._connections.items()):
             if client not in clients:
                 self._end(client)
-            elif connection.protocol.state is State.CONNECTING and now > connection.began + _HANDSHAKE_S:
+            elif connection.protocol.state is State.CONNECTING and now > connection.began + HANDSHAKE_SECONDS:
                 self.drop(client)
             else:
                 self._work(client, connection)
@@ -122,7 +122,7 @@ class ChiralServer(TcpServer):
                 if event.fin:
                     connection.messages.append(bytes(connection.parts))
                     connection.parts.clear()
-        if len(connection.messages) > _MAX_QUEUED:
+        if len(connection.messages) > MAX_QUEUED:
             protocol.fail(1008, "too many messages at once")
             connection.messages.clear()
         self._work(client, connection)
