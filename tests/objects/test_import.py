@@ -99,7 +99,7 @@ def test_a_file_that_cannot_be_imported_is_one_line_with_what_to_do(
     assert not (tmp_path / "configs").exists() and not where.assets.exists()
 
 
-def test_what_cannot_be_imported_is_told(tmp_path: Path, locations: Locations) -> None:
+def test_imports_that_cannot_work_are_refused(tmp_path: Path, locations: Locations) -> None:
     where = own(tmp_path, locations)
     with pytest.raises(ResourceError, match=r"no\.stl: it cannot be read"):
         import_file(tmp_path / "no.stl", UnitOptions(), ImportOptions("ball"), where, None)
@@ -140,7 +140,7 @@ def test_objects_and_targets_are_named_by_number_or_without(locations: Locations
         ("013_apple", "013_apple", "the target may be called 'apple', as the object is"),
     ],
 )
-def test_what_cannot_be_done_is_told(item: str, target: str, said: str, locations: Locations) -> None:
+def test_unsuitable_objects_of_a_task_are_refused(item: str, target: str, said: str, locations: Locations) -> None:
     with pytest.raises(ConfigError) as caught:
         pickplace(item, target, locations)
     assert said in str(caught.value)

@@ -103,7 +103,7 @@ def test_a_long_error_is_shortened() -> None:
     assert len(error.fault.traceback) < 100_000
 
 
-def test_a_native_servers_text_is_no_action() -> None:
+def test_text_from_a_policy_server_is_refused_as_an_action() -> None:
     said = [
         pack_message({"session": "s", "images": [], "ticks": 1}),
         pack_message({"action": {"ctrl": ["x" * 1000, "a"]}}),

@@ -81,7 +81,7 @@ def test_an_error_of_openpis_server_is_told_and_the_next_trial_connects_again() 
 
 
 @pytest.mark.parametrize("make", [ActClient, OpenpiClient])
-def test_where_nobody_answers_is_told(make: Callable[..., Any]) -> None:
+def test_an_address_without_a_server_is_refused(make: Callable[..., Any]) -> None:
     scheme = "act" if make is ActClient else "ws"
     with pytest.raises(ResourceError, match="no policy answers there"):
         make(f"{scheme}://127.0.0.1:9", 2.0)
@@ -123,7 +123,7 @@ LIES = [
 
 
 @pytest.mark.parametrize(("said", "told"), LIES)
-def test_what_is_no_answer_of_act_is_told(said: bytes, told: str) -> None:
+def test_an_invalid_answer_of_an_act_server_is_refused(said: bytes, told: str) -> None:
     def answer(connection: socket.socket) -> None:
         read_request(connection)
         connection.sendall(said)
@@ -194,7 +194,7 @@ def handshake(connection: socket.socket) -> None:
         (frame(b"oops", code=1), "oops"),
     ],
 )
-def test_what_is_no_answer_of_openpi_is_told(said: bytes, told: str) -> None:
+def test_an_invalid_answer_of_an_openpi_server_is_refused(said: bytes, told: str) -> None:
     def answer(connection: socket.socket) -> None:
         handshake(connection)
         connection.recv(65536)
@@ -213,7 +213,7 @@ def test_what_is_no_answer_of_openpi_is_told(said: bytes, told: str) -> None:
 
 
 @pytest.mark.parametrize("said", [b"", b"HTTP/1.1 200 OK\r\n\r\n", b"x" * 20_000, http_answer(b"", status="101 Yes")])
-def test_what_speaks_no_websocket_is_told(said: bytes) -> None:
+def test_a_server_without_websocket_is_refused(said: bytes) -> None:
     def answer(connection: socket.socket) -> None:
         read_request(connection)
         connection.sendall(said)
@@ -254,7 +254,7 @@ def test_a_peer_that_says_nothing_is_not_waited_for(make: Callable[..., Any]) ->
         ({"a": 1}, "is of type dict, not an array of numbers"),
     ],
 )
-def test_what_is_no_row_of_actions_is_told(value: object, told: str) -> None:
+def test_invalid_rows_of_actions_are_refused(value: object, told: str) -> None:
     with pytest.raises(InvalidActionError, match=f"^actions {told}" if "its rows" not in told else told):
         action_rows(value, "actions", 14)
 
@@ -264,12 +264,12 @@ def test_a_row_alone_is_one_action_and_whole_numbers_do() -> None:
 
 
 @pytest.mark.parametrize("value", [-5, 0.5, 20_000, float("nan"), "20", True, [20]])
-def test_what_is_no_period_is_told(value: object) -> None:
+def test_an_invalid_period_is_refused(value: object) -> None:
     with pytest.raises(InvalidActionError, match=r"^dt_ms is "):
         action_period(value, "dt_ms")
 
 
-def test_no_period_is_the_configs() -> None:
+def test_without_a_period_in_the_answer_the_config_gives_it() -> None:
     assert (action_period(None, "dt_ms"), action_period(0, "dt_ms"), action_period(20, "dt_ms")) == (None, None, 0.02)
 
 
@@ -284,7 +284,7 @@ def test_arrays_survive_both_formats(dtype: str) -> None:
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_noise_is_refused_or_read_and_nothing_else(seed: int) -> None:
+def test_random_bytes_are_refused_or_read_without_a_crash(seed: int) -> None:
     """A good message with bytes that were changed."""
     rng = np.random.default_rng(seed)
     good = {"actions": np.zeros((3, 14)), "n": 1, "text": "t"}

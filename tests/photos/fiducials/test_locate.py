@@ -48,7 +48,7 @@ def assert_exact(sighting: BoardDetection, truth: Array) -> None:
 
 @pytest.mark.parametrize("camera", [CAMERA, WEBCAM], ids=["plain", "webcam"])
 @pytest.mark.parametrize("where", [(0, 0, 0.5), (-0.15, 0.1, 0.6), (0.1, -0.05, 0.45, -0.7, -0.3)])
-def test_a_board_is_where_it_is(camera: CameraModel, where: tuple[float, ...]) -> None:
+def test_a_located_board_matches_its_true_pose(camera: CameraModel, where: tuple[float, ...]) -> None:
     sighting = seen(photograph(camera, [(ONE, facing(*where))]), camera=camera)
     assert sighting.status is BoardStatus.OK
     assert sighting.markers == ONE.ids
@@ -146,7 +146,7 @@ def test_what_is_hidden_makes_it_less_certain(hidden: int) -> None:
     ],
     ids=["empty", "far", "blurred", "another layout"],
 )
-def test_what_cannot_be_told_is_refused_with_its_reason(photo: np.ndarray, part: str) -> None:
+def test_unusable_photos_of_a_board_are_refused_with_a_reason(photo: np.ndarray, part: str) -> None:
     sighting = seen(photo)
     assert sighting.status is not BoardStatus.OK
     assert sighting.T_board_in_cam is None
@@ -230,7 +230,7 @@ def test_together_the_prints_size_is_found_rather_than_believed(larger: float) -
     assert_exact(joint[0], truth)
 
 
-def test_together_only_what_lies_together() -> None:
+def test_boards_that_do_not_lie_as_the_rig_says_have_no_common_pose() -> None:
     """Boards that are 2 % farther apart than they are said to be are not forced onto each other."""
     truth = facing(-0.12, 0.0, 0.8)
     photo = photograph(CAMERA, [(ONE, truth), (TWO, truth @ pose((0.255, 0.0, 0.0)))])
@@ -334,7 +334,7 @@ def test_photos_show_the_same_markers_at_a_size_the_detector_needs(
 
 
 @pytest.mark.slow
-def test_a_board_in_a_photo_is_where_it_is(large_photo: np.ndarray) -> None:
+def test_a_board_in_a_real_photo_matches_its_true_pose(large_photo: np.ndarray) -> None:
     for sighting, (_, truth) in zip(locate_boards(large_photo, LARGE, [ONE, TWO])[0], LARGE_PLACED, strict=True):
         T = sighting.T_board_in_cam
         assert T is not None, sighting.reason

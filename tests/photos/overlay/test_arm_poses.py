@@ -49,7 +49,7 @@ def found(rig: RigConfig, grey: np.ndarray, trust: bool = False, photo: Photo = 
     return find_arms(rig, photo, grey, PhotoCamera.from_calibration(CAMERA, "file"), trust)
 
 
-def test_each_arm_by_its_own_board(russet: RigConfig, clean: np.ndarray) -> None:
+def test_each_arm_is_located_by_its_own_board(russet: RigConfig, clean: np.ndarray) -> None:
     result = found(russet, with_noise(clean))
     assert [(arm.name, arm.board, arm.status) for arm in result.arms] == [
         ("arm1", "larger_coarse_board", "ok"),
@@ -135,13 +135,13 @@ def test_a_board_is_looked_for_where_the_photo_before_had_it(russet: RigConfig) 
     assert arm.T_base_in_cam @ russet.arms[0].T_board_in_base == pytest.approx(T, abs=1e-3)
 
 
-def test_no_board_no_pose(russet: RigConfig) -> None:
+def test_a_photo_without_boards_gives_no_pose(russet: RigConfig) -> None:
     result = found(russet, photograph(CAMERA, []), trust=True)
     assert (result.bases, result.ids) == ({}, ())
     assert [arm.status for arm in result.arms] == ["not_found", "not_found"]
 
 
-def test_a_rig_without_boards(russet: RigConfig, clean: np.ndarray) -> None:
+def test_a_rig_without_boards_gives_no_pose(russet: RigConfig, clean: np.ndarray) -> None:
     bare = russet.model_copy(update={"arms": tuple(arm.model_copy(update={"board": None}) for arm in russet.arms)})
     result = found(bare, with_noise(clean))
     assert [(arm.board, arm.status) for arm in result.arms] == [(None, "no_board"), (None, "no_board")]
@@ -169,7 +169,7 @@ def test_a_print_that_is_not_as_the_rig_says_is_told(russet: RigConfig) -> None:
     assert [arm.status for arm in far_off.arms] == ["uncertain", "ok"]
     assert set(far_off.bases) == {1}
     refused = far_off.arms[0].detection
-    assert "px off those of a flat print: " in refused.reason
+    assert "marker_length_mm or gap_mm" in refused.reason
     assert far_off.notes == ()
 
 

@@ -78,7 +78,7 @@ def nothing_but(folder: Path, *names: str) -> None:
     assert sorted(path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()) == sorted(names)
 
 
-def test_one_photo(run: Runner, photo: Path, russet_shot: RigPhoto) -> None:
+def test_one_photo_gives_an_overlay_a_mask_and_a_report(run: Runner, photo: Path, russet_shot: RigPhoto) -> None:
     save(photo.parent / "truth.png", np.dstack([russet_shot.mask * np.uint8(255)] * 3))
     report = run("photo.png", mask_images=Path("truth.png"))
     report.check()
@@ -130,7 +130,7 @@ def test_the_report_has_what_is_promised(run: Runner, photo: Path) -> None:
     assert json.loads(json.dumps(plain)) == plain
 
 
-def test_wrong_joints_show(run: Runner, photo: Path, russet_shot: RigPhoto) -> None:
+def test_wrong_joints_lower_the_scores(run: Runner, photo: Path, russet_shot: RigPhoto) -> None:
     joints = russet_shot.joints.copy()
     joints[0, 1] += 0.1
     arms = run("photo.png", stands=[standing(joints)]).results[0].arms
@@ -315,7 +315,7 @@ def test_a_video_of_all_photos(run: Runner, photo: Path, russet_shot: RigPhoto) 
     assert not list(Path("out").glob("*two*"))
 
 
-def test_a_folder_that_cannot_be(run: Runner, photo: Path) -> None:
+def test_an_output_folder_that_cannot_be_made_is_refused(run: Runner, photo: Path) -> None:
     Path("file").write_text("in the way")
     for out in (Path("file"), Path("file/deeper")):
         with pytest.raises(ResourceError, match=r"cannot be made: (File exists|Not a directory); choose another --out"):

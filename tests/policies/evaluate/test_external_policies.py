@@ -173,11 +173,11 @@ def test_lerobot_that_is_not_installed_is_told(config: RecordConfig, locations: 
     ("choice", "told"),
     [
         (PolicyChoice("scripted", HERE, arguments={"a": 1}), "--policy-arg is for a policy of your own"),
-        (PolicyChoice("act://127.0.0.1:9", HERE, arguments={"a": 1}), "--policy-arg is for a policy of your own"),
+        (PolicyChoice("act://127.0.0.1:9", HERE, arguments={"a": 1}), "--policy-arg"),
         (PolicyChoice("hold_still", HERE, mapping="openpi_aloha"), "--policy-config is for policies of other programs"),
     ],
 )
-def test_what_is_for_other_policies_is_refused(
+def test_flags_of_other_policies_are_refused(
     choice: PolicyChoice, told: str, config: RecordConfig, locations: Locations
 ) -> None:
     with pytest.raises(UsageError, match=told):
@@ -342,7 +342,7 @@ def hostile(serve: Callable[..., Any]) -> Iterator[str]:
         yield url
 
 
-def test_a_server_that_lies_costs_a_trial_each_time_and_never_the_run(
+def test_a_hostile_server_fails_its_trials_and_not_the_run(
     hostile: str, mapping: str, make_config: Callable[..., RecordConfig], locations: Locations
 ) -> None:
     config = make_config({("episodes",): 8, ("workers",): 1})

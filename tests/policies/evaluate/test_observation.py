@@ -72,7 +72,7 @@ def test_a_copy_is_a_dictionary_of_everything(make: Callable[[LazyObservation], 
     assert sorted(source.rendered) == sorted(CAMERAS.values())
 
 
-def test_what_can_no_longer_be_drawn_is_told() -> None:
+def test_images_cannot_be_read_after_the_trial_or_in_another_thread() -> None:
     source = CountingRenderer()
     seen = source.observe()
     errors: list[Exception] = []
@@ -145,7 +145,7 @@ def test_a_picture_that_cannot_be_drawn_is_not_the_policys_fault(
 
 
 @pytest.mark.render
-def test_a_picture_shows_what_was_when_it_was_told(
+def test_an_image_shows_the_state_of_its_observation(
     make_config: Callable[..., RecordConfig], locations: Locations
 ) -> None:
     """Whenever it is read: as the policy was asked, not as things are by then."""
@@ -164,7 +164,7 @@ def test_a_picture_shows_what_was_when_it_was_told(
 
 
 @pytest.mark.parametrize("rig", ["single", "bimanual"])
-def test_the_state_is_told_to_who_asks(
+def test_privileged_state_reaches_policies_that_request_it(
     rig: str, make_config: Callable[..., RecordConfig], locations: Locations
 ) -> None:
     config = make_config({("rig",): rig})
@@ -188,7 +188,7 @@ def test_the_state_is_told_to_who_asks(
             assert said[:, joint].sum() == pytest.approx(moved[:, joint].sum(), rel=0.1)
 
 
-def test_the_state_is_told_to_nobody_else(config: RecordConfig, locations: Locations, tmp_path: Path) -> None:
+def test_privileged_state_reaches_no_other_policy(config: RecordConfig, locations: Locations, tmp_path: Path) -> None:
     (tmp_path / "plain.py").write_text(
         "class Plain:\n    images = ()\n    def reset(self):\n        pass\n"
         "    def __call__(self, observation):\n"

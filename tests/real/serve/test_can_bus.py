@@ -89,13 +89,13 @@ def test_random_bytes_do_no_harm_and_fill_no_memory(served: UnixBus) -> None:
     assert len(served.clients) == 1
 
 
-def test_no_more_programs_than_there_is_room_for(served: UnixBus) -> None:
+def test_programs_beyond_the_limit_are_disconnected(served: UnixBus) -> None:
     joined = [join(served) for _ in range(20)]
     assert len(served.clients) == 16
     assert joined[-1].recv(16) == b""
 
 
-def test_a_killed_servers_socket_is_in_nobodys_way(tmp_path: Path) -> None:
+def test_the_socket_of_a_killed_server_is_replaced(tmp_path: Path) -> None:
     left = UnixBus(tmp_path / "buses", "can0")
     with pytest.raises(ResourceError, match="another program serves this channel"):
         UnixBus(tmp_path / "buses", "can0")
@@ -121,7 +121,7 @@ def test_a_program_finds_the_buses_first(served: UnixBus, tmp_path: Path) -> Non
         program_environment({}, tmp_path)
 
 
-def test_frames_of_other_kinds_are_nobodys() -> None:
+def test_frames_of_other_kinds_are_ignored() -> None:
     for flag in (0x80000000, 0x40000000, 0x20000000):
         assert frames.parse_frame(struct.pack("=IB3x8s", 1 | flag, 8, bytes(8))) is None
     assert frames.parse_frame(struct.pack("=IB3x8s", 0x800, 8, bytes(8))) is None

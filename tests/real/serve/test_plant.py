@@ -174,7 +174,7 @@ def test_two_arms_are_on_two_buses(serve: Serve) -> None:
         ({"faults": [BusFault("stuck", channel="can9")]}, "no channel 'can9'; valid: can0"),
     ],
 )
-def test_what_is_not_there_is_named(serve: Serve, given: dict[str, object], says: str) -> None:
+def test_unknown_channels_and_motors_are_refused_by_name(serve: Serve, given: dict[str, object], says: str) -> None:
     with pytest.raises(UsageError) as caught:
         serve(**given)
     assert says in str(caught.value)

@@ -84,7 +84,7 @@ def test_it_goes_home_along_joints_and_by_its_hands_poses(driven: Driven) -> Non
     np.testing.assert_allclose(felt["follower_r_joint_pos"][6], 0.8, atol=0.02)
 
 
-def test_too_far_at_once_stops_it_until_the_next_reset(driven: Driven) -> None:
+def test_a_jump_stops_the_robot_until_the_next_reset(driven: Driven) -> None:
     far = HOME.copy()
     far[8] = 0.3
     driven.robot.act(far)
@@ -109,7 +109,7 @@ def test_actions_that_come_too_fast_are_discarded_and_counted(driven: Driven) ->
 
 
 @pytest.mark.parametrize("numbers", [np.ones(13), np.full(14, np.nan), np.full(20, np.inf), np.zeros(20)])
-def test_what_is_no_action_is_refused(driven: Driven, numbers: np.ndarray) -> None:
+def test_invalid_actions_are_refused(driven: Driven, numbers: np.ndarray) -> None:
     with pytest.raises(ValueError, match=r"an action has|give no rotation"):
         driven.robot.act(numbers)
     assert driven.robot.stopped == ""

@@ -87,7 +87,7 @@ def answered(one: socket.socket) -> tuple[int, int, Any]:
     return number, status, body[16:].decode() if status else unpack_tree(body[16:])
 
 
-def test_bytes_are_portals_own() -> None:
+def test_messages_have_the_bytes_of_portal() -> None:
     tree = {"joint_pos": np.arange(2.0), "n": 3}
     assert pack_tree(tree) == PACKED
     np.testing.assert_equal(unpack_tree(PACKED), tree)
@@ -153,7 +153,7 @@ def _packed(tree: Any, specs: Any, *buffers: bytes) -> bytes:
     ],
     ids=["shared-memory", "objects", "huge", "negative", "records", "missing", "surplus", "deep", "specs", "sizes"],
 )
-def test_what_is_not_taken_is_refused(data: bytes) -> None:
+def test_invalid_messages_are_refused(data: bytes) -> None:
     with pytest.raises(PortalError):
         unpack_tree(data)
 

@@ -355,7 +355,7 @@ def test_a_leader_that_turns_a_little_farther_is_believed(
     assert read_stream(write_stream(tmp_path / "stream.jsonl", lines), config)
 
 
-def test_both_arms_of_a_row_are_looked_at(
+def test_joints_of_both_arms_in_a_row_are_checked(
     tmp_path: Path, make_config: Callable[..., RecordConfig], locations: Locations
 ) -> None:
     russet = make_config({("rig",): "russet"})
@@ -457,7 +457,7 @@ def test_what_the_disk_refuses_is_raised_and_nothing_after_it_is_written(config:
 
 
 @pytest.mark.render
-def test_what_a_broken_line_said_is_lost_and_nothing_else(
+def test_a_damaged_ledger_line_loses_its_attempt_alone(
     config: RecordConfig, locations: Locations, tmp_path: Path
 ) -> None:
     """A demonstration cannot be made again; its line says so from then on."""
