@@ -117,7 +117,7 @@ def test_a_bowl_is_a_floor_and_rings_to_put_things_in() -> None:
     assert (signed_distance(made.fit.parts, hollow) > 0.005).all()
 
 
-def test_a_bowl_upside_down_is_not_a_bowl() -> None:
+def test_an_upside_down_bowl_is_imported_with_a_grasp() -> None:
     over = [(r, 0.05 - z) for r, z in reversed(BOWL)]
     assert "grasp" in build_ycb_config(THING, Scan.read(revolved(over))).data
 

@@ -196,7 +196,7 @@ def test_a_port_that_is_taken_is_told() -> None:
 
 
 @pytest.mark.parametrize(("error", "told"), [(ConnectionResetError(), False), (ZeroDivisionError(), True)])
-def test_a_client_that_disconnects_causes_no_output(
+def test_a_disconnect_is_not_printed_but_a_bug_is(
     error: Exception, told: bool, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with PolicyServer(object, port=0) as server:

@@ -334,7 +334,7 @@ def test_photos_show_the_same_markers_at_a_size_the_detector_needs(
 
 
 @pytest.mark.slow
-def test_a_board_in_a_real_photo_matches_its_true_pose(large_photo: np.ndarray) -> None:
+def test_boards_in_a_large_photo_match_their_true_poses(large_photo: np.ndarray) -> None:
     for sighting, (_, truth) in zip(locate_boards(large_photo, LARGE, [ONE, TWO])[0], LARGE_PLACED, strict=True):
         T = sighting.T_board_in_cam
         assert T is not None, sighting.reason

@@ -130,7 +130,7 @@ def test_the_report_has_what_is_promised(run: Runner, photo: Path) -> None:
     assert json.loads(json.dumps(plain)) == plain
 
 
-def test_wrong_joints_lower_the_scores(run: Runner, photo: Path, russet_shot: RigPhoto) -> None:
+def test_wrong_joints_raise_the_edge_residual(run: Runner, photo: Path, russet_shot: RigPhoto) -> None:
     joints = russet_shot.joints.copy()
     joints[0, 1] += 0.1
     arms = run("photo.png", stands=[standing(joints)]).results[0].arms
