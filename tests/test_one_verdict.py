@@ -240,7 +240,7 @@ def by_teleop(case: TrialCase, played: Played, end: End, folder: Path) -> Verdic
     tray = CollectingReceiver()
     driven = TeleopScene(case.session, tray, end=EndRule(end))
     driven.start()
-    driven._stage.arms = tuple(PlayedArm(played, k) for k in range(played.ctrl.shape[1]))  # type: ignore[assignment]
+    driven.attempt_scene.arms = tuple(PlayedArm(played, k) for k in range(played.ctrl.shape[1]))  # type: ignore[assignment]
     for _ in range(len(played)):
         if not tray.attempts:
             driven.tick()

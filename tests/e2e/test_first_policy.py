@@ -54,4 +54,4 @@ def test_its_mistake_is_told_as_it_says(folder: Path) -> None:
     run = yamsim("eval", "--policy", "first_policy.py", "--n", "1", "--workers", "1", cwd=folder)
     assert run.code == 6
     assert RAISED in run.out
-    assert run.err.splitlines()[-1].startswith("yamsim: no trial of first_policy.py came to its end (policy_raised 1)")
+    assert run.err.splitlines()[-1].startswith("yamsim: no trial of first_policy.py was completed (policy_raised 1)")

@@ -213,7 +213,7 @@ def test_a_page_that_is_closed_pauses_its_recording(
         time.sleep(1)
         assert driven.status.seconds == before
         browser.open(url)
-        wait_until(lambda: "nobody was watching" in browser.text())
+        wait_until(lambda: "no browser was connected" in browser.text())
         browser.click("Play")
         wait_until(lambda: driven.status.seconds > before)
 

@@ -105,7 +105,7 @@ def test_a_board_says_where_a_camera_stood_that_nobody_recorded(
     other = replace(photographed, name=str(episode))
     report, _ = _compare(other, locations, PhotoRequest(10, CAMERA))
     assert report["photos"] == 2 and report["outline_px"]["worst"] < 1
-    with pytest.raises(ConfigError, match="give the camera file of this image size"):
+    with pytest.raises(ConfigError, match="320 x 240"):
         _compare(other, locations, PhotoRequest(10, CameraModel.pinhole(320, 240, 300.0)))
 
 
@@ -115,7 +115,7 @@ def test_photos_that_do_not_say_where_they_were_taken_from(
 ) -> None:
     episode = tmp_path / "ep_000002"
     _write(episode, 0, np.full((480, 640, 3), 128, np.uint8), {})
-    with pytest.raises(ResourceError, match="no photo of camera 'scene_camera' shows where it stood"):
+    with pytest.raises(ResourceError, match="no photo of camera 'scene_camera' gives its pose"):
         _compare(replace(gap, name=str(episode)), locations, PhotoRequest(10, CAMERA))
 
 

@@ -78,7 +78,7 @@ def test_a_certificate_of_version_0_2_0_is_found_and_stale(
     assert find_certificate(tmp_path, item, lock).status is CertificateStatus.GOOD
 
 
-def test_a_damaged_certificate_is_none(bowl: ObjectConfig, tmp_path: Path, locations: Locations) -> None:
+def test_a_damaged_certificate_counts_as_missing(bowl: ObjectConfig, tmp_path: Path, locations: Locations) -> None:
     lock = load_lock(locations)
     store_certificate(tmp_path, bowl, lock, GOOD, {}).write_text("{")
     assert find_certificate(tmp_path, bowl, lock).status is CertificateStatus.NONE
@@ -94,7 +94,7 @@ def plate_of(job: Recording) -> ObjectConfig:
     return job.config.task.things["target"].of[0]
 
 
-def test_what_has_failed_is_not_recorded(
+def test_objects_that_failed_their_certificate_are_not_recorded(
     make_config: Callable[..., RecordConfig], tmp_path: Path, locations: Locations
 ) -> None:
     job = recording(make_config, tmp_path, locations)
@@ -106,7 +106,7 @@ def test_what_has_failed_is_not_recorded(
     job.run()
 
 
-def test_of_what_has_changed_a_recording_warns(
+def test_a_recording_warns_of_a_stale_certificate(
     make_config: Callable[..., RecordConfig], tmp_path: Path, locations: Locations
 ) -> None:
     job = recording(make_config, tmp_path, locations)

@@ -117,12 +117,12 @@ def test_a_bowl_is_a_floor_and_rings_to_put_things_in() -> None:
     assert (signed_distance(made.fit.parts, hollow) > 0.005).all()
 
 
-def test_a_bowl_upside_down_is_none() -> None:
+def test_an_upside_down_bowl_is_imported_with_a_grasp() -> None:
     over = [(r, 0.05 - z) for r, z in reversed(BOWL)]
     assert "grasp" in build_ycb_config(THING, Scan.read(revolved(over))).data
 
 
-def test_a_dimple_does_not_count() -> None:
+def test_a_dimple_is_not_an_interior() -> None:
     dented = [(0.03 * np.sin(a), 0.03 - 0.03 * np.cos(a)) for a in np.linspace(0, np.pi * 0.85, 50)] + [(1e-5, 0.04)]
     (part,) = fit_solid(Scan.read(revolved(dented)).points).parts
     assert isinstance(part, Sphere)

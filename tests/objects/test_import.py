@@ -76,14 +76,14 @@ MESH_LINK = '<robot name="a"><link name="a"><visual><geometry><mesh filename="{}
 @pytest.mark.parametrize(
     ("name", "content", "unit", "code", "message"),
     [
-        ("mm.stl", ball(30.0), None, 2, "60 x 60 x 60 m large*--unit mm makes it 0.06 m long [[]size]"),
-        ("cut.stl", ball(0.03)[:-20], None, 4, "as a binary STL it says * faces, * [[]damaged]"),
-        ("noise.glb", bytes(100), None, 4, "it does not begin as a GLB does [[]damaged]"),
-        ("bare.obj", TETRAHEDRON, None, 2, "give --unit cm * or --unit mm *, and --up z, y or x [[]unit]"),
-        ("bare.obj", TETRAHEDRON, "m", 2, "--unit mm makes it 0.06 m long [[]size]"),
+        ("mm.stl", ball(30.0), None, 2, "60 x 60 x 60 m*--unit mm*0.06 m*[[]size]"),
+        ("cut.stl", ball(0.03)[:-20], None, 4, "its header gives * faces, * [[]damaged]"),
+        ("noise.glb", bytes(100), None, 4, "it does not begin with the header of a GLB [[]damaged]"),
+        ("bare.obj", TETRAHEDRON, None, 2, "--unit cm * or --unit mm *--up z, y or x [[]unit]"),
+        ("bare.obj", TETRAHEDRON, "m", 2, "--unit mm*0.06 m*[[]size]"),
         ("gone.urdf", MESH_LINK.format("no.obj"), None, 4, "'no.obj' is not in its folder [[]missing]"),
         ("out.urdf", MESH_LINK.format("../a.obj"), None, 4, "'../a.obj', which * [[]outside]"),
-        ("thing.step", b"ISO-10303-21;", None, 4, "what ends in '.step' is not read; valid: * [[]unknown-kind]"),
+        ("thing.step", b"ISO-10303-21;", None, 4, "the suffix '.step' are not supported; valid: * [[]unknown-kind]"),
     ],
 )
 @needs_extra
@@ -99,7 +99,7 @@ def test_a_file_that_cannot_be_imported_is_one_line_with_what_to_do(
     assert not (tmp_path / "configs").exists() and not where.assets.exists()
 
 
-def test_what_cannot_be_imported_is_told(tmp_path: Path, locations: Locations) -> None:
+def test_imports_that_cannot_work_are_refused(tmp_path: Path, locations: Locations) -> None:
     where = own(tmp_path, locations)
     with pytest.raises(ResourceError, match=r"no\.stl: it cannot be read"):
         import_file(tmp_path / "no.stl", UnitOptions(), ImportOptions("ball"), where, None)
@@ -140,7 +140,7 @@ def test_objects_and_targets_are_named_by_number_or_without(locations: Locations
         ("013_apple", "013_apple", "the target may be called 'apple', as the object is"),
     ],
 )
-def test_what_cannot_be_done_is_told(item: str, target: str, said: str, locations: Locations) -> None:
+def test_unsuitable_objects_of_a_task_are_refused(item: str, target: str, said: str, locations: Locations) -> None:
     with pytest.raises(ConfigError) as caught:
         pickplace(item, target, locations)
     assert said in str(caught.value)

@@ -45,7 +45,7 @@ def mug_surface(segments: int = 32) -> Surface:
     return Surface(vertices, faces.astype(np.int32))
 
 
-def test_mass_follows_what_is_told() -> None:
+def test_mass_follows_from_the_given_mass_or_density() -> None:
     read = thing(mug_surface())
     volume = uniform_mass_properties(*mug_mesh(32)).volume
     kept = Path("unused")
@@ -63,11 +63,11 @@ def test_mass_follows_what_is_told() -> None:
 def test_a_plane_is_refused_since_it_has_no_volume(tilt: float) -> None:
     corners = np.array([[0, 0, 0], [0.1, 0, 0], [0.1, 0.1, tilt * 0.1], [0, 0.1, tilt * 0.1]])
     plane = Surface(corners, np.array([[0, 1, 2], [0, 2, 3]], np.int32))
-    with pytest.raises(ResourceError, match=r"^sheet: all 4 corners of its base lie in one plane: no volume"):
+    with pytest.raises(ResourceError, match=r"^sheet: all 4 vertices of its base lie in one plane"):
         build_object(thing(plane), ImportOptions("sheet", collision="hull"), Path("unused"))
 
 
-def test_an_open_surface_weighs_as_a_sheet() -> None:
+def test_an_open_surface_has_the_mass_of_a_sheet() -> None:
     vertices, faces = mug_mesh(32)
     held, closed = solid_or_sheet(vertices, faces[5:].astype(np.int32))
     assert not closed
@@ -103,14 +103,14 @@ def test_the_first_proposed_place_of_a_faceted_mug_keeps_the_fingers_off_its_han
     assert reachable_grasp_points(item, meshed) == item.grasp.friction.points
 
 
-def test_what_is_a_block_becomes_one() -> None:
+def test_a_block_becomes_a_box_primitive() -> None:
     block = visual_surface("box", np.array([0.05, 0.02, 0.03]), SurfaceMaterial())
     made = build_object(thing(block), ImportOptions("brick"), Path("unused"))
     assert made.collision[0].kind == "primitives" and made.data["collision"][0]["type"] == "box"
     assert made.collision[0].fit is not None and made.collision[0].fit.p99 < 1e-3
 
 
-def test_the_inside_of_a_mug_is_not_of_it() -> None:
+def test_the_interior_of_a_mug_adds_no_mass() -> None:
     vertices, faces = mug_mesh(32)
     body = PointBody.inside(vertices, faces.astype(np.int32))
     inner = np.hypot(body.points[:, 0], body.points[:, 1]) < RADIUS - WALL - 0.001
@@ -127,7 +127,7 @@ def test_columns_go_through_a_surface_an_even_number_of_times() -> None:
 
 
 @needs_extra
-def test_a_body_is_taken_apart_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_convex_decomposition_is_cached(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     import manifold3d as m
 
     corner = m.Manifold.cube((0.1, 0.1, 0.02)) + m.Manifold.cube((0.02, 0.1, 0.1))
@@ -147,7 +147,7 @@ def test_a_body_is_taken_apart_once(tmp_path: Path, monkeypatch: pytest.MonkeyPa
 
 @pytest.mark.slow
 @needs_extra
-def test_taking_apart_has_its_time(tmp_path: Path) -> None:
+def test_a_convex_decomposition_has_a_time_limit(tmp_path: Path) -> None:
     vertices, faces = mug_mesh(64)
     with pytest.raises(ResourceError, match=r"convex parts is not done after 0\.5 s: reduce the mesh first"):
         decompose((vertices, faces.astype(np.int32)), tmp_path, limit_s=0.5)
@@ -194,7 +194,7 @@ def subdivided(levels: int) -> tuple[np.ndarray, np.ndarray]:
 
 @needs_extra
 @pytest.mark.parametrize(("name", "text"), [("c.sdf", cabinet_sdf()), ("f.urdf", URDF), ("d.xml", MJCF)])
-def test_what_moves_in_a_file_moves_in_a_scene(tmp_path: Path, name: str, text: str) -> None:
+def test_joints_of_a_file_move_in_a_scene(tmp_path: Path, name: str, text: str) -> None:
     (tmp_path / name).write_text(text)
     made = build_object(read_file(tmp_path / name, tmp_path), ImportOptions("thing"), tmp_path)
     set_name = "own-thing-000000000000"
@@ -231,7 +231,7 @@ def test_a_file_stands_in_for_a_config(tmp_path: Path) -> None:
     assert first.config.handles == () and [h.name for h in first.config.links[0].handles] == ["handle_fin"]
 
 
-def test_things_are_called_after_their_file() -> None:
+def test_objects_are_named_after_their_file() -> None:
     assert object_name_of(Path("my mug.glb")) == "my_mug"
     assert object_name_of(Path("lab/banana/model.sdf")) == "banana"
     assert object_name_of(Path("3d.obj")) == "thing_3d"

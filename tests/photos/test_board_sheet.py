@@ -81,7 +81,7 @@ def extent(mark, size=0.75):
 
 @papers
 @pytest.mark.parametrize("board", [BOARD, UNEVEN], ids=lambda board: board.name)
-def test_the_layout(paper, board):
+def test_the_sheet_has_the_documented_layout(paper, board):
     sheet = board_sheet(board, "arm1", paper)
     boxes = np.array([extent(mark) for mark in sheet.marks])
     assert (
@@ -105,7 +105,7 @@ def test_the_layout(paper, board):
     ).any()
 
 
-def test_the_words():
+def test_the_sheet_has_the_documented_text():
     words = " ".join(mark.text for mark in board_sheet(BOARD, "arm1", PAPERS["A4"]).marks if isinstance(mark, PageText))
     for part in ("arm1: larger_coarse_board", "217 to 225", "DICT_6X6_250", "29.231 mm", "A4", "100 %", "100.0 mm"):
         assert part in words

@@ -43,7 +43,7 @@ def test_a_ray_projects_onto_the_pixel_it_came_from(camera: CameraModel) -> None
 
 
 @CAMERAS
-def test_the_ray_field_is_the_rays(camera: CameraModel) -> None:
+def test_the_ray_field_agrees_with_single_rays(camera: CameraModel) -> None:
     x, y = np.arange(camera.width * 2) / 2 - 0.25, np.arange(camera.height * 2) / 2 - 0.25
     field = viewing_ray_grid(camera, x, y)
     assert field.shape == (len(y), len(x), 2)
@@ -52,7 +52,7 @@ def test_the_ray_field_is_the_rays(camera: CameraModel) -> None:
     assert np.abs(field - exact).max() * camera.focal < 5e-4
 
 
-def test_nothing_in_nothing_out() -> None:
+def test_empty_arrays_give_empty_arrays() -> None:
     assert viewing_rays(WEBCAM, np.zeros((0, 2))).shape == project_points(WEBCAM, np.zeros((0, 3))).shape == (0, 2)
 
 
@@ -84,7 +84,7 @@ def test_points_of_an_ideal_picture_come_out_where_the_lens_has_them(camera: Cam
 
 
 @CAMERAS
-def test_labels_stay_labels(camera: CameraModel) -> None:
+def test_distorting_labels_creates_no_new_labels(camera: CameraModel) -> None:
     warp = LensWarp(camera, 2)
     rng = np.random.default_rng(0)
     ideal = rng.integers(0, 3, (warp.ideal.height // 8 + 1, warp.ideal.width // 8 + 1)).repeat(8, 0).repeat(8, 1)

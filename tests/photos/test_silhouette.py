@@ -133,7 +133,7 @@ def test_outlines_that_move_together_are_weighed_together() -> None:
     assert both[3] == pytest.approx(0.004, abs=0.001)
 
 
-def test_no_outline_no_step() -> None:
+def test_without_an_outline_the_pose_stays() -> None:
     nothing = edge_equations(mask_outline(np.zeros((9, 9), bool)), np.zeros(0), np.zeros(0), np.eye(3), np.zeros(3))
     assert solve_correction([nothing], np.zeros(3), np.eye(6), np.zeros(6)).size == 0.0
 

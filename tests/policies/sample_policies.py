@@ -189,9 +189,9 @@ class Chunked(Still):
     """Answers with a chunk of actions, each of two control ticks, that rotate the arm's base further and further."""
 
     def __init__(self, actions: int = 10, step: float = 0.01) -> None:
-        self._actions, self._step = actions, step
+        self._actions, self.step = actions, step
 
     def __call__(self, observation: Mapping[str, Any]) -> Mapping[str, Any]:
         rows = np.tile(HOME, (self._actions, 1))
-        rows[:, 0] = observation["joints"][0] + self._step * np.arange(1, self._actions + 1)
+        rows[:, 0] = observation["joints"][0] + self.step * np.arange(1, self._actions + 1)
         return {"ctrl": rows, "period": 0.064}

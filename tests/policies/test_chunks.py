@@ -121,6 +121,6 @@ def test_a_latency_is_read(text: str, seconds: float | None) -> None:
 
 
 @pytest.mark.parametrize("text", ["80", "-1ms", "nan", "61s", "1e9s", "measure", ""])
-def test_what_is_no_latency_is_told(text: str) -> None:
+def test_an_invalid_latency_is_refused(text: str) -> None:
     with pytest.raises(UsageError, match="give a time such as 80ms"):
         read_latency(text)

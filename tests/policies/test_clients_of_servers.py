@@ -81,7 +81,7 @@ def test_an_error_of_openpis_server_is_told_and_the_next_trial_connects_again() 
 
 
 @pytest.mark.parametrize("make", [ActClient, OpenpiClient])
-def test_where_nobody_answers_is_told(make: Callable[..., Any]) -> None:
+def test_an_address_without_a_server_is_refused(make: Callable[..., Any]) -> None:
     scheme = "act" if make is ActClient else "ws"
     with pytest.raises(ResourceError, match="no policy answers there"):
         make(f"{scheme}://127.0.0.1:9", 2.0)
@@ -97,33 +97,33 @@ def http_answer(body: bytes, length: int | None = None, status: str = "200 OK") 
 ARRAY = '{{"actions": {{"__numpy__": "{}", "dtype": {}, "shape": {}}}}}'
 LIES = [
     (b"nonsense", "BadStatusLine|nonsense"),
-    (http_answer(b"<html>"), "no JSON"),
-    (http_answer(b"[" * 100_000), "no JSON"),
-    (http_answer(b"1" * 10_000), "no JSON|answers 200"),
-    (http_answer(b"\xff\xfe\x00"), "no JSON"),
+    (http_answer(b"<html>"), "not JSON"),
+    (http_answer(b"[" * 100_000), "not JSON"),
+    (http_answer(b"1" * 10_000), "not JSON|answers 200"),
+    (http_answer(b"\xff\xfe\x00"), "not JSON"),
     (http_answer(b"[1]"), r"answers 200: \[1\]"),
     (http_answer(b"{}", status="500 Internal Server Error"), "answers 500"),
-    (http_answer(b"{", length=10**12), "no JSON"),
+    (http_answer(b"{", length=10**12), "not JSON"),
     (http_answer(b" " * (MAX_ANSWER_BYTES + 1)), "longer than"),
     (b"HTTP/1.1 200 OK\r\n" + b"X: y\r\n" * 1000, "headers"),
-    (b"", "gone"),
-    (http_answer(ARRAY.format("AAAA", '"|O8"', "[1]").encode()), "no dtype of plain numbers"),
-    (http_answer(ARRAY.format("AAAA", '"O"', "[1]").encode()), "no dtype of plain numbers"),
+    (b"", "connection is lost"),
+    (http_answer(ARRAY.format("AAAA", '"|O8"', "[1]").encode()), "not a dtype of plain numbers"),
+    (http_answer(ARRAY.format("AAAA", '"O"', "[1]").encode()), "not a dtype"),
     (http_answer(ARRAY.format("AAAA", '[["a", "<f8"]]', "[1]").encode()), "the name of a dtype"),
-    (http_answer(ARRAY.format("AAAA", '"f4,f4"', "[1]").encode()), "no dtype of plain numbers"),
-    (http_answer(ARRAY.format("AAAA", '"S1000000000"', "[1]").encode()), "no dtype of plain numbers"),
-    (http_answer(ARRAY.format("AAAA", '"M8[ns]"', "[1]").encode()), "no dtype of plain numbers"),
-    (http_answer(ARRAY.format("AAAA", '"<f4"', "[1000000, 1000000]").encode()), "no array of float32"),
-    (http_answer(ARRAY.format("AAAA", '"u1"', "[-3, -1]").encode()), "is no shape"),
-    (http_answer(ARRAY.format("AAAA", '"u1"', "[true, 3]").encode()), "is no shape"),
+    (http_answer(ARRAY.format("AAAA", '"f4,f4"', "[1]").encode()), "not a dtype"),
+    (http_answer(ARRAY.format("AAAA", '"S1000000000"', "[1]").encode()), "not a dtype"),
+    (http_answer(ARRAY.format("AAAA", '"M8[ns]"', "[1]").encode()), "not a dtype"),
+    (http_answer(ARRAY.format("AAAA", '"<f4"', "[1000000, 1000000]").encode()), "do not fit an array of float32"),
+    (http_answer(ARRAY.format("AAAA", '"u1"', "[-3, -1]").encode()), "is not a shape"),
+    (http_answer(ARRAY.format("AAAA", '"u1"', "[true, 3]").encode()), "is not a shape"),
     (http_answer(ARRAY.format("AAAA", '"u1"', "3").encode()), "a shape is a list"),
-    (http_answer(ARRAY.format("A!", '"u1"', "[1]").encode()), "no base64"),
-    (http_answer(b'{"a": {"__numpy__": 7}}'), "no base64"),
+    (http_answer(ARRAY.format("A!", '"u1"', "[1]").encode()), "not base64"),
+    (http_answer(b'{"a": {"__numpy__": 7}}'), "not base64"),
 ]
 
 
 @pytest.mark.parametrize(("said", "told"), LIES)
-def test_what_is_no_answer_of_act_is_told(said: bytes, told: str) -> None:
+def test_an_invalid_answer_of_an_act_server_is_refused(said: bytes, told: str) -> None:
     def answer(connection: socket.socket) -> None:
         read_request(connection)
         connection.sendall(said)
@@ -170,12 +170,12 @@ def handshake(connection: socket.socket) -> None:
 @pytest.mark.parametrize(
     ("said", "told"),
     [
-        (frame(b"\xc1"), "no msgpack"),
-        (frame(b"\x90"), "list in place of a mapping"),
-        (frame(b"\x91" * 100_000), "no msgpack"),
-        (frame(b"\xdd\xff\xff\xff\xff"), "no msgpack"),
-        (frame(b"\x81\x90\x01"), "no msgpack"),
-        (frame(b"\x81\xa1a\xc7\x01\x05\x00"), "ExtType|no msgpack|a"),
+        (frame(b"\xc1"), "not msgpack"),
+        (frame(b"\x90"), "list instead of a mapping"),
+        (frame(b"\x91" * 100_000), "not msgpack"),
+        (frame(b"\xdd\xff\xff\xff\xff"), "not msgpack"),
+        (frame(b"\x81\x90\x01"), "not msgpack"),
+        (frame(b"\x81\xa1a\xc7\x01\x05\x00"), "ExtType|not msgpack|a"),
         (frame(pack_openpi({"a": {b"__ndarray__": True, b"data": b"x" * 8, b"dtype": "|O8", b"shape": [1]}})), "dtype"),
         (frame(pack_openpi({"a": {b"__ndarray__": True, b"data": 5, b"dtype": "<f8", b"shape": [1]}})), "needs bytes"),
         (frame(pack_openpi({"a": {b"__ndarray__": True}})), "needs bytes"),
@@ -184,17 +184,17 @@ def handshake(connection: socket.socket) -> None:
             frame(b"x" * 3_000_000, last=False) + frame(b"x" * 3_000_000, code=0),
             "longer than 4000000 bytes",
         ),
-        (frame(b"", code=9) * 5000, "is gone"),
+        (frame(b"", code=9) * 5000, "connection is lost"),
         (frame(b"a", last=False) + frame(b"b"), "protocol error"),
         (frame(b"a", code=0), "protocol error"),
         (frame(b"a", code=5), "protocol error"),
         (frame(b"\x03\xe8bye", code=8), "bye"),
         (b"\xff\x00", "protocol error"),
-        (b"", "is gone: no close frame received"),
+        (b"", "no close frame received"),
         (frame(b"oops", code=1), "oops"),
     ],
 )
-def test_what_is_no_answer_of_openpi_is_told(said: bytes, told: str) -> None:
+def test_an_invalid_answer_of_an_openpi_server_is_refused(said: bytes, told: str) -> None:
     def answer(connection: socket.socket) -> None:
         handshake(connection)
         connection.recv(65536)
@@ -213,12 +213,12 @@ def test_what_is_no_answer_of_openpi_is_told(said: bytes, told: str) -> None:
 
 
 @pytest.mark.parametrize("said", [b"", b"HTTP/1.1 200 OK\r\n\r\n", b"x" * 20_000, http_answer(b"", status="101 Yes")])
-def test_what_speaks_no_websocket_is_told(said: bytes) -> None:
+def test_a_server_without_websocket_is_refused(said: bytes) -> None:
     def answer(connection: socket.socket) -> None:
         read_request(connection)
         connection.sendall(said)
 
-    with raw_server(answer) as port, pytest.raises(ResourceError, match="no policy answers there"):
+    with raw_server(answer) as port, pytest.raises(ResourceError):
         OpenpiClient(f"ws://127.0.0.1:{port}", 2.0)
 
 
@@ -248,13 +248,13 @@ def test_a_peer_that_says_nothing_is_not_waited_for(make: Callable[..., Any]) ->
         (np.zeros((1001, 14)), "holds 1001 actions"),
         (np.full((2, 14), np.nan), "is not finite, first in action 0"),
         ([[1.0] * 14, [1.0] * 13], "its rows differ in length"),
-        ([["a"] * 14], "is no array of numbers"),
-        ([[10**400] * 14], "is no array of numbers"),
-        (None, "is no array of numbers"),
-        ({"a": 1}, "is no array of numbers"),
+        ([["a"] * 14], "is of type list, not an array of numbers"),
+        ([[10**400] * 14], "is of type list, not an array of numbers"),
+        (None, "is of type NoneType, not an array of numbers"),
+        ({"a": 1}, "is of type dict, not an array of numbers"),
     ],
 )
-def test_what_is_no_row_of_actions_is_told(value: object, told: str) -> None:
+def test_invalid_rows_of_actions_are_refused(value: object, told: str) -> None:
     with pytest.raises(InvalidActionError, match=f"^actions {told}" if "its rows" not in told else told):
         action_rows(value, "actions", 14)
 
@@ -264,12 +264,12 @@ def test_a_row_alone_is_one_action_and_whole_numbers_do() -> None:
 
 
 @pytest.mark.parametrize("value", [-5, 0.5, 20_000, float("nan"), "20", True, [20]])
-def test_what_is_no_period_is_told(value: object) -> None:
+def test_an_invalid_period_is_refused(value: object) -> None:
     with pytest.raises(InvalidActionError, match=r"^dt_ms is "):
         action_period(value, "dt_ms")
 
 
-def test_no_period_is_the_configs() -> None:
+def test_without_a_period_in_the_answer_the_config_gives_it() -> None:
     assert (action_period(None, "dt_ms"), action_period(0, "dt_ms"), action_period(20, "dt_ms")) == (None, None, 0.02)
 
 
@@ -284,8 +284,8 @@ def test_arrays_survive_both_formats(dtype: str) -> None:
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_noise_is_refused_or_read_and_nothing_else(seed: int) -> None:
-    """A good message with changed bytes."""
+def test_random_bytes_are_refused_or_read_without_a_crash(seed: int) -> None:
+    """A good message with bytes that were changed."""
     rng = np.random.default_rng(seed)
     good = {"actions": np.zeros((3, 14)), "n": 1, "text": "t"}
     for load, data in ((load_json, dump_json(good)), (unpack_openpi, pack_openpi(good))):
@@ -337,7 +337,7 @@ def test_thousands_of_spoilt_answers_are_refused_or_read_and_memory_stays(make: 
 
 def test_an_array_is_no_larger_than_its_bytes() -> None:
     assert array_from_bytes(b"\0" * 8, b"<f8", [1]).shape == (1,)
-    with pytest.raises(DamagedMessageError, match="no array of float64"):
+    with pytest.raises(DamagedMessageError, match="float64"):
         array_from_bytes(b"", "<f8", [MAX_ANSWER_BYTES])
     assert array_from_bytes(b"", "<f8", [0, 5]).size == 0
 

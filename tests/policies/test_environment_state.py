@@ -101,7 +101,9 @@ def test_a_checkpoint_that_does_not_ask_is_not_told(config: RecordConfig, locati
 def test_a_checkpoint_of_another_task_is_told() -> None:
     asked = {"observation.state": (7,), "observation.environment_state": (27,)}
     message = {"observation.state": np.zeros(7), "observation.environment_state": np.zeros(18), "task": "do it"}
-    with pytest.raises(UsageError, match=r"environment_state has 18 numbers here, and 27 in what the policy was"):
+    with pytest.raises(
+        UsageError, match="environment_state has 18 numbers here, and 27 in the training data of the policy"
+    ):
         check_rows(message, asked)
     check_rows(message, asked | {"observation.environment_state": (18,)})
 

@@ -45,23 +45,23 @@ def test_several_actions_are_a_chunk() -> None:
         ({"ctrl": np.zeros((0, 7))}, "ctrl has the shape (0, 7), not (7,)"),
         ({"ctrl": np.zeros((1001, 7))}, "ctrl has the shape (1001, 7), not (7,)"),
         ({"ctrl": np.zeros((3, 7)), "magnet": [0, 1]}, "magnet is [0, 1], not true or false"),
-        ({"ctrl": np.zeros(7), "magnet": [[0], [1, 2]]}, "magnet is no array of truth values"),
+        ({"ctrl": np.zeros(7), "magnet": [[0], [1, 2]]}, "magnet is not an array of booleans"),
         ({"ctrl": np.zeros(7), "period": float("nan")}, "period is nan, not 0.001 to 10 s"),
         ({"ctrl": [0, 0, 0, float("nan"), 0, 0, 0]}, "ctrl is not finite"),
         ({"ctrl": [0, 0, 0, float("inf"), 0, 0, 0]}, "ctrl is not finite"),
-        ({"ctrl": ["a"] * 7}, "ctrl is no array of numbers"),
-        ({"ctrl": [[0], [1, 2]]}, "ctrl is no array of numbers"),
+        ({"ctrl": ["a"] * 7}, "ctrl is not an array of numbers"),
+        ({"ctrl": [[0], [1, 2]]}, "ctrl is not an array of numbers"),
         ({"ctrl": np.zeros(7), "magnet": 0.5}, "magnet is 0.5, not true or false"),
         ({"ctrl": np.zeros(7), "done": "yes"}, "done is 'yes', not true or false"),
-        ({"ctrl": np.zeros(7), "gripper": 1}, "and not gripper"),
+        ({"ctrl": np.zeros(7), "gripper": 1}, "and period, not gripper"),
     ],
 )
-def test_what_is_no_action_is_told(answer: object, told: str) -> None:
+def test_invalid_actions_are_refused_with_the_reason(answer: object, told: str) -> None:
     with pytest.raises(InvalidActionError, match=re.escape(told)):
         read_chunk(answer, 1, 7)
 
 
-def test_two_arms_have_two_of_everything() -> None:
+def test_actions_of_two_arms_have_values_for_both() -> None:
     action = read_chunk({"ctrl": (np.arange(14) / 10), "magnet": [False, True]}, 2, 7)
     np.testing.assert_array_equal(action.ctrl, [(np.arange(14) / 10).reshape(2, 7)])
     assert (action.magnet.tolist(), action.done) == ([[False, True]], False)
@@ -114,7 +114,7 @@ def test_a_file_with_one_policy_needs_no_class(tmp_path: Path) -> None:
         ("broken.py", "cannot be loaded: ZeroDivisionError: division by zero (broken.py:1, in <module>)"),
     ],
 )
-def test_what_cannot_be_loaded_is_told_in_a_line(name: str, told: str, tmp_path: Path) -> None:
+def test_policies_that_cannot_be_loaded_are_refused_in_one_line(name: str, told: str, tmp_path: Path) -> None:
     (tmp_path / "broken.py").write_text("1 / 0\n")
     (tmp_path / "sample_policies.py").write_text((HERE / "sample_policies.py").read_text())
     with pytest.raises(UsageError) as caught:
@@ -137,7 +137,7 @@ class UnprintableError(Exception):
         (UnprintableError(), "UnprintableError: its message cannot be shown"),
     ],
 )
-def test_whatever_is_raised_is_one_line(error: Exception, told: str) -> None:
+def test_any_exception_of_a_policy_is_described_in_one_line(error: Exception, told: str) -> None:
     fault = describe_fault(error, HERE)
     assert fault.text == told
     assert type(error).__name__ in fault.traceback
@@ -157,7 +157,7 @@ def test_messages_come_back_as_they_went() -> None:
 
 
 @pytest.mark.parametrize("data", [b"", b"\xc1", b"\x93\x01", pytest.param(b"\xd6\x02aaaa", id="other type")])
-def test_what_is_no_message_is_refused(data: bytes) -> None:
+def test_an_invalid_message_is_refused(data: bytes) -> None:
     pytest.importorskip("msgpack", reason="yamsim[remote] is not installed")
     with pytest.raises(MessageError):
         unpack_message(data)
@@ -184,6 +184,6 @@ def test_arguments_are_keywords_and_numbers_are_numbers() -> None:
     ("given", "told"),
     [(["a"], "'a' is not valid: give KEY=VALUE"), (["1=2"], "give KEY=VALUE"), (["a=1", "a=2"], "a is given twice")],
 )
-def test_what_is_no_argument_is_told(given: list[str], told: str) -> None:
+def test_an_invalid_policy_argument_is_refused(given: list[str], told: str) -> None:
     with pytest.raises(UsageError, match=f"--policy-arg .*{told}"):
         read_arguments(given)

@@ -138,11 +138,11 @@ def test_pictures_and_state_reach_a_policy_elsewhere(
     monkeypatch.setattr(render, lambda simulator, attempt, qpos, cameras: dict.fromkeys(cameras, picture))
     config = make_config({("episodes",): 1})
     with served("Remembering") as url, TrialRunner(Session(config, locations), PolicyChoice(url, HERE)) as runner:
-        assert runner._policy.images == ("scene",)  # type: ignore[attr-defined]
+        assert runner.policy.images == ("scene",)  # type: ignore[attr-defined]
         result = runner.run(AttemptJob(0, 0))
         assert (result.ended, result.error) == (TrialEnd.DONE, "")
     with served("Knowing") as url, TrialRunner(Session(config, locations), PolicyChoice(url, HERE)) as runner:
-        assert runner._policy.wants == ("objects", "velocities")  # type: ignore[attr-defined]
+        assert runner.policy.wants == ("objects", "velocities")  # type: ignore[attr-defined]
         assert runner.run(AttemptJob(0, 0)).ended is TrialEnd.DONE
 
 
@@ -158,7 +158,7 @@ def test_clients_do_not_share_a_policy() -> None:
         other.close()
 
 
-def test_where_nobody_answers_is_told() -> None:
+def test_an_address_without_a_server_is_refused() -> None:
     with pytest.raises(ResourceError, match="no policy answers there"):
         RemotePolicy("http://127.0.0.1:9", 2.0)
     for url in ("https://127.0.0.1:9", "http://", "http://host/path"):
@@ -166,15 +166,15 @@ def test_where_nobody_answers_is_told() -> None:
             RemotePolicy(url, 2.0)
 
 
-def test_a_server_that_is_gone_is_the_trials_fault() -> None:
+def test_a_lost_server_raises_a_remote_error() -> None:
     with served("Still") as url:
         policy = RemotePolicy(url, 5.0)
-    policy._connection.close()
-    with pytest.raises(RemoteError, match="is gone"):
+    policy.close()
+    with pytest.raises(RemoteError, match=r"^http://"):
         policy({})
 
 
-def test_what_is_no_message_does_not_stop_the_server() -> None:
+def test_an_invalid_message_does_not_stop_the_server() -> None:
     with served("Still") as url:
         connection = http.client.HTTPConnection(url.removeprefix("http://"), timeout=5)
         connection.request("POST", "/act", b"\xc1")
@@ -196,7 +196,7 @@ def test_a_port_that_is_taken_is_told() -> None:
 
 
 @pytest.mark.parametrize(("error", "told"), [(ConnectionResetError(), False), (ZeroDivisionError(), True)])
-def test_a_client_that_goes_without_a_word_is_no_news(
+def test_a_disconnect_is_not_printed_but_a_bug_is(
     error: Exception, told: bool, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with PolicyServer(object, port=0) as server:

@@ -34,9 +34,9 @@ def test_every_type_of_geom_is_shown() -> None:
     try:
         nodes = add_bodies(server.scene, model)
         assert (list(nodes.frames), nodes.colliders) == ([0], ())
-        shown = server.scene._handle_from_node_name
-        assert {f"/world/look/{model.geom(k).name}" for k in range(model.ngeom)} <= set(shown)
-        ball: Any = shown["/world/look/ellipsoid"]
+        shown = [server.scene.get_handle_by_name(f"/world/look/{model.geom(k).name}") for k in range(model.ngeom)]
+        assert None not in shown
+        ball: Any = server.scene.get_handle_by_name("/world/look/ellipsoid")
         assert np.allclose(np.abs(ball.vertices).max(axis=0), (0.1, 0.2, 0.3), atol=1e-3)
     finally:
         server.stop()

@@ -121,7 +121,7 @@ def test_a_number_that_has_come_but_is_not_told_of_yet_is_not_written_over(field
     assert page.place.value == (0.4, 0.0, 0.2)
 
 
-def test_what_was_typed_is_not_sent_back(fields: TargetFields, page: Page) -> None:
+def test_a_typed_number_is_not_sent_back(fields: TargetFields, page: Page) -> None:
     before = page.place.writes
     page.place.typed((0.4, 0.0, 0.2))
     fields.show(fields.take(T_HOME))

@@ -69,7 +69,7 @@ def photos_in_parts(gaps: Sequence[MotionGap], camera: str | None) -> tuple[str,
                     taken.append(RecordedPhoto(gap, frame, sample, path))
     if not taken:
         raise UsageError(
-            f"--pictures: camera {camera!r} has no photo of what was compared; choose another --from, --to"
+            f"--pictures: camera {camera!r} has no photo of the compared time; choose another --from, --to"
         )
     return camera, taken
 
@@ -185,8 +185,8 @@ def compare_photos(
         progress(len(chosen), len(chosen))
     if not figures:
         raise ResourceError(
-            f"no photo of camera {camera!r} shows where it stood, first {chosen[0].path}: its frames have no "
-            "extrinsics, and no board is in sight; give recordings with extrinsics, or leave --pictures out"
+            f"no photo of camera {camera!r} gives its pose, first {chosen[0].path}: its frames have no extrinsics, "
+            "and no board is in sight; give recordings with extrinsics, or leave --pictures out"
         )
     return _plain(camera, figures, len(chosen) - len(figures)), [_shown(one) for one in found]
 

@@ -68,8 +68,8 @@ class YamsimCamera(Camera):
         size = (self.config.width or form.width, self.config.height or form.height)
         if size != (form.width, form.height) or (self.config.fps or 0) > form.fps:
             raise ValueError(
-                f"{self}: {size[0]}x{size[1]} at {self.config.fps or form.fps:g} a second is asked for, and "
-                f"{form.width}x{form.height} at {form.fps:g} is served: give serve-robot --size and --camera-fps"
+                f"{self}: {size[0]}x{size[1]} at {self.config.fps or form.fps:g} frames per second are requested, but "
+                f"{form.width}x{form.height} at {form.fps:g} is served: set serve-robot --size and --camera-fps"
             )
         self.width, self.height = size
         self.fps = self.config.fps or round(form.fps)

@@ -78,7 +78,7 @@ class Menagerie:
         command = [sys.executable, "-P", "-m", "mujoco_menagerie", "path", assets.menagerie]
         result = run_child(command, scratch, limit_s=self.limit_s, idle_s=self.limit_s)
         if result.returncode != 0:
-            raise SourceError((result.stderr.strip().splitlines() or ["failed without a word"])[-1][:300])
+            raise SourceError((result.stderr.strip().splitlines() or ["failed without a message"])[-1][:300])
         found = _find_by_content(assets, Path(result.stdout.strip()))
         progress(label, assets.size, assets.size)
         return found

@@ -101,7 +101,7 @@ def build_object(
         ResourceError: the description does not suffice for a config.
     """
     if not thing.parts[0].looks:
-        raise ResourceError(f"{options.name}: its base {thing.parts[0].name!r} has nothing that can be seen")
+        raise ResourceError(f"{options.name}: its base {thing.parts[0].name!r} has no visible surface")
     base = merged_surface(thing.parts[0].looks)
     _require_volume(base[0], options.name)
     labels = _labels(thing)
@@ -159,9 +159,7 @@ def _report_part(share: Share, number: int, parts: int, done: float) -> None:
 def _require_volume(vertices: Array, name: str) -> None:
     spread = np.linalg.svd(vertices - vertices.mean(axis=0), compute_uv=False)
     if len(vertices) < 4 or spread[-1] <= _MIN_THICKNESS * spread[0]:
-        raise ResourceError(
-            f"{name}: all {len(vertices)} corners of its base lie in one plane: no volume; give it a thickness"
-        )
+        raise ResourceError(f"{name}: all {len(vertices)} vertices of its base lie in one plane; give it a thickness")
 
 
 def _labels(thing: ObjectDescription) -> list[str]:
@@ -183,7 +181,7 @@ def _mass_properties(
         if part.weight is not None and options.density is None:
             weights.append(part.weight)
         elif solid is None:
-            raise ResourceError(f"{options.name}: part {part.name!r} has neither a weight nor anything to be seen")
+            raise ResourceError(f"{options.name}: part {part.name!r} has neither a mass nor a visible surface")
         else:
             density = options.density or _DEFAULT_DENSITY
             weights.append(MassProperties(solid.volume * density, solid.centre, solid.inertia * density))

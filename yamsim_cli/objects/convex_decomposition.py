@@ -49,7 +49,9 @@ def decompose(body: Body, cache: Path, share: Share = lambda done: None, limit_s
         ResourceError: `coacd` is missing, the decomposition fails, or a limit of time or memory is reached.
     """
     if find_spec("coacd") is None:
-        raise ResourceError("taking a body apart needs coacd: pip install 'yamsim[import]', or --collision hull or sdf")
+        raise ResourceError(
+            "convex parts need coacd: run `pip install 'yamsim[import]'`, or choose --collision hull or sdf"
+        )
     vertices, faces = merge_vertices(*body)
     if is_closed(faces) and (fewer := simplified_mesh((vertices, faces), _FACES, _LIMIT_MM, closed=True)) is not None:
         vertices, faces = fewer
@@ -71,7 +73,7 @@ def decompose(body: Body, cache: Path, share: Share = lambda done: None, limit_s
         raise ResourceError(f"{file} cannot be written: {error.strerror}") from error
     parts = _read(file)
     if parts is None:
-        raise ResourceError("taking the body apart gave no parts: try --collision sdf")
+        raise ResourceError("the decomposition gave no convex parts: try --collision sdf")
     return parts
 
 
@@ -93,12 +95,12 @@ def _decompose_in_child(scratch: Path, share: Share, limit_s: float) -> bytes:
         result = run_child(call, scratch, limit_s=limit_s, idle_s=limit_s, watch=report_progress)
     except SourceError as error:
         raise ResourceError(
-            f"taking it apart into convex parts is {error}: reduce the mesh first, or take --collision sdf or hull"
+            f"the decomposition into convex parts is {error}: reduce the mesh first, or choose --collision sdf or hull"
         ) from error
     out = scratch / "parts.npz"
     if result.returncode != 0 or not out.is_file():
         last = (result.stderr.strip().splitlines() or [f"ended with {result.returncode}"])[-1][:200]
-        raise ResourceError(f"the body cannot be taken apart into convex parts ({last}): take --collision sdf or hull")
+        raise ResourceError(f"the mesh cannot be decomposed into convex parts ({last}): choose --collision sdf or hull")
     share(1.0)
     return out.read_bytes()
 

@@ -99,7 +99,8 @@ def plain_inertia(weight: MassProperties, what: str) -> dict[str, object]:
     # Files may omit inertia, or round small moments to 0.
     if moments.max() <= 0:
         raise ResourceError(
-            f"{what}: its inertia is {moments.tolist()} kg m2; correct the file, or leave the inertia out"
+            f"{what}: its moments of inertia are {moments.tolist()} kg m2, none above 0; "
+            "correct the file, or leave the inertia out"
         )
     moments = np.maximum(moments, max(_MIN_MOMENT_SHARE * float(moments.max()), 1e-11))
     axes[:, 2] *= np.sign(np.linalg.det(axes))

@@ -146,7 +146,7 @@ def _samples(source: Sequence[Surface]) -> tuple[Array, NDArray[np.uint8]]:
 def _texels(texture: bytes, uv: Array) -> NDArray[np.uint8]:
     image = decode_png(texture)
     if image is None:
-        raise ResourceError("a texture of the thing cannot be decoded")
+        raise ResourceError("a texture of the object cannot be decoded")
     height, width = image.shape[:2]
     columns = np.floor((uv[:, 0] % 1.0) * width).astype(int).clip(0, width - 1)
     rows = np.floor(((1 - uv[:, 1]) % 1.0) * height).astype(int).clip(0, height - 1)

@@ -102,8 +102,8 @@ class LensWarp:
         reach = np.abs(viewing_rays(camera, border)).max(axis=0) * 1.01
         if not np.isfinite(reach).all() or reach.max() > math.tan(_MAX_HALF_ANGLE):
             raise ConfigError(
-                f"the camera sees {math.degrees(math.atan(float(reach.max()))):.0f} degrees to a side, too wide for a "
-                f"pinhole model; at most {math.degrees(_MAX_HALF_ANGLE):.0f}: check K and distortion"
+                f"the camera sees {math.degrees(math.atan(float(reach.max()))):.0f} degrees off its axis, too wide for "
+                f"a pinhole model; at most {math.degrees(_MAX_HALF_ANGLE):.0f}: check K and distortion"
             )
         focal = camera.focal * supersample
         width, height = (2 * math.ceil(float(r) * focal) for r in reach)

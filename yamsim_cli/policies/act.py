@@ -59,7 +59,7 @@ class ActClient:
         try:
             answer = load_json(data)
         except DamagedMessageError as error:
-            raise RemoteError(f"{self._url} answers {status} and no message: {error}") from error
+            raise RemoteError(f"{self._url} answers {status} without a valid message: {error}") from error
         if status != http.client.OK or not isinstance(answer, dict):
             raise RemoteError(f"{self._url} answers {status}: {str(answer)[:300]}")
         return answer
@@ -92,7 +92,7 @@ def load_json(data: bytes) -> Any:
         check_json(data)
         return json.loads(data, object_hook=_decode)
     except (ValueError, RecursionError) as error:
-        text = str(error) if isinstance(error, DamagedMessageError) else f"no JSON: {str(error)[:100]}"
+        text = str(error) if isinstance(error, DamagedMessageError) else f"not JSON: {str(error)[:100]}"
         raise DamagedMessageError(text) from error
 
 
@@ -109,6 +109,6 @@ def _decode(found: dict[str, Any]) -> Any:
     try:
         content = base64.b64decode(found[_ARRAY_KEY], validate=True)
     except (TypeError, ValueError, binascii.Error) as error:
-        raise DamagedMessageError("an array whose content is no base64") from error
+        raise DamagedMessageError("the content of an array is not base64") from error
     whole = array_from_bytes(content, found.get("dtype"), found.get("shape"))
     return whole if whole.ndim else whole[()]

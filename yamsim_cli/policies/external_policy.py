@@ -76,16 +76,16 @@ class MappedPolicy:
         self.execute: int | None = getattr(client, "execute", None)
         sides = station.sides if config.arms == "all" else config.arms
         if missing := [side for side in sides if side not in station.sides]:
-            raise self._unfit("arms", f"there is no {missing[0]} arm; there is {' and '.join(station.sides)}")
+            raise self._unfit("arms", f"there is no {missing[0]} arm; valid: {', '.join(station.sides)}")
         if unused := [side for side in station.sides if side not in sides]:
-            raise self._unfit("arms", f"nobody drives the {unused[0]} arm")
+            raise self._unfit("arms", f"no output drives the {unused[0]} arm")
         # Indices that reorder arms from the station to the client, and back.
         self._to_client = [station.sides.index(side) for side in sides]
         self._to_station = [sides.index(side) for side in station.sides]
         self._scale = np.ones((len(sides), station.drives))
         if config.gripper == "share":
             if not all(station.openings):
-                raise self._unfit("gripper", "an arm has no fingers, so there are no shares")
+                raise self._unfit("gripper", "an arm has no gripper, so openings cannot be shares")
             self._scale[:, -1] = station.openings
         self._pictures = {
             key: (picture, station.cameras[camera])
@@ -143,7 +143,9 @@ class MappedPolicy:
     def _actions(self, answer: Mapping[str, Any]) -> Mapping[str, Any]:
         actions = self._config.actions
         if actions.key not in answer:
-            raise InvalidActionError(f"the answer has no {actions.key!r}, but {', '.join(map(str, answer))[:200]}")
+            raise InvalidActionError(
+                f"the answer has no {actions.key!r}; its keys are {', '.join(map(str, answer))[:200]}"
+            )
         arms, drives = self._scale.shape
         rows = action_rows(answer[actions.key], actions.key, arms * (drives + actions.weld))
         ctrl: Array = rows[:, : arms * drives].reshape(-1, arms, drives)[:, self._to_station] * self._scale

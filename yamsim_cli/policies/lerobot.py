@@ -11,7 +11,7 @@ from ..core.images.resize import resize_image
 
 SCHEME = "lerobot"
 
-_INSTALL = "LeRobot is not here: pip install lerobot (0.4 or newer) beside yamsim, into an environment with Python 3.12"
+_INSTALL = "LeRobot is not installed: run `pip install 'lerobot>=0.4'` in an environment with yamsim and Python 3.12"
 
 
 def check_rows(message: Mapping[str, Any], expected: Mapping[str, tuple[int, ...]]) -> None:
@@ -23,7 +23,7 @@ def check_rows(message: Mapping[str, Any], expected: Mapping[str, tuple[int, ...
     for key, shape in expected.items():
         if key in message and (found := np.shape(message[key])) != shape:
             raise UsageError(
-                f"{key} has {found[-1]} numbers here, and {shape[-1]} in what the policy was trained on: "
+                f"{key} has {found[-1]} numbers here, and {shape[-1]} in the training data of the policy: "
                 "give the --task and --rig of its demonstrations"
             )
 

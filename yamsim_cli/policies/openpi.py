@@ -57,7 +57,7 @@ class WebSocket:
                 max_size=MAX_ANSWER_BYTES,
             )
         except WebSocketException as error:
-            raise WebSocketError(f"it speaks no WebSocket: {error}") from error
+            raise WebSocketError(f"it does not speak WebSocket: {error}") from error
 
     def send(self, data: bytes) -> None:
         """Send a binary message. Raise WebSocketError if the server has closed the connection."""
@@ -78,7 +78,7 @@ class WebSocket:
                 raise WebSocketError(f"its message is longer than {MAX_ANSWER_BYTES} bytes") from error
             raise WebSocketError(str(error)) from error
         except UnicodeDecodeError as error:
-            raise WebSocketError(f"its text is none: {error}") from error
+            raise WebSocketError(f"its text is not UTF-8: {error}") from error
 
     def close(self) -> None:
         """Close the connection."""
@@ -140,7 +140,7 @@ class OpenpiClient:
             try:
                 return unpack_openpi(data)
             except DamagedMessageError as error:
-                raise RemoteError(f"{self._url} answers with no message: {error}") from error
+                raise RemoteError(f"{self._url} answers without a valid message: {error}") from error
 
 
 def pack_openpi(message: Mapping[str, Any]) -> bytes:
@@ -167,9 +167,9 @@ def unpack_openpi(data: bytes) -> dict[str, Any]:
         raise
     # RecursionError: thousands of nested containers. TypeError: keys that cannot be hashed.
     except (ValueError, TypeError, RecursionError, msgpack.exceptions.UnpackException) as error:
-        raise DamagedMessageError(f"no msgpack: {str(error)[:100]}") from error
+        raise DamagedMessageError(f"not msgpack: {str(error)[:100]}") from error
     if not isinstance(found, dict):
-        raise DamagedMessageError(f"{type(found).__name__} in place of a mapping")
+        raise DamagedMessageError(f"{type(found).__name__} instead of a mapping")
     return found
 
 

@@ -68,16 +68,16 @@ def plain_numbers(value: object, key: str) -> np.ndarray:
         level = [value]
         for _ in range(_MAX_AXES):
             if not all(isinstance(one, list | tuple | int | float | np.number | np.bool_) for one in level):
-                raise InvalidActionError(f"{key} is no array of numbers but {type(value).__name__}")
+                raise InvalidActionError(f"{key} is of type {type(value).__name__}, not an array of numbers")
             level = [inner for one in level if isinstance(one, list | tuple) for inner in one]
         if level:
             raise InvalidActionError(f"{key} has more than {_MAX_AXES} axes")
     try:
         rows = np.asarray(value)
     except ValueError as error:
-        raise InvalidActionError(f"{key} is no array: its rows differ in length") from error
+        raise InvalidActionError(f"{key} is not an array: its rows differ in length") from error
     if rows.dtype.kind not in _DTYPE_KINDS:
-        raise InvalidActionError(f"{key} is no array of numbers but {type(value).__name__}")
+        raise InvalidActionError(f"{key} is of type {type(value).__name__}, not an array of numbers")
     return rows
 
 
@@ -92,15 +92,15 @@ def array_from_bytes(content: object, dtype: object, shape: object) -> np.ndarra
     except (TypeError, ValueError, SyntaxError):
         kind = None
     if kind is None or kind.kind not in _DTYPE_KINDS or kind.itemsize > _MAX_ITEM_BYTES:
-        raise DamagedMessageError(f"{name[:40]!r} is no dtype of plain numbers")
+        raise DamagedMessageError(f"{name[:40]!r} is not a dtype of plain numbers")
     if not isinstance(shape, list | tuple) or len(shape) > _MAX_AXES:
         raise DamagedMessageError("a shape is a list of at most 8 whole numbers")
     if not all(
         isinstance(size, int) and not isinstance(size, bool) and 0 <= size <= MAX_ANSWER_BYTES for size in shape
     ):
-        raise DamagedMessageError(f"{str(shape)[:60]} is no shape")
+        raise DamagedMessageError(f"{str(shape)[:60]} is not a shape")
     if math.prod(shape) * kind.itemsize != len(content):
-        raise DamagedMessageError(f"{len(content)} bytes are no array of {kind} {tuple(shape)}")
+        raise DamagedMessageError(f"{len(content)} bytes do not fit an array of {kind} {tuple(shape)}")
     return np.frombuffer(bytes(content), kind).reshape(tuple(shape))
 
 
@@ -162,7 +162,7 @@ def request_context(url: str, hang_up: Callable[[], None]) -> Iterator[None]:
     except BaseException as error:
         hang_up()
         if isinstance(error, OSError | http.client.HTTPException) and not isinstance(error, TimeoutError):
-            raise RemoteError(f"{url} is gone: {str(error) or type(error).__name__}") from error
+            raise RemoteError(f"{url}: the connection is lost: {str(error) or type(error).__name__}") from error
         raise
 
 

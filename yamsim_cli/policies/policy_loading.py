@@ -137,7 +137,7 @@ def check_policy(policy: Any, name: str) -> Policy:
                 raise UsageError(f"--policy {name}: it asks for the {what} {one!r}; {suggest(str(one), valid)}")
     ticks = getattr(policy, "ticks", 1)
     if not isinstance(ticks, int) or ticks < 1:
-        raise UsageError(f"--policy {name}: ticks is {ticks!r}, and has to be a whole number from 1")
+        raise UsageError(f"--policy {name}: ticks is {ticks!r}; give a whole number, at least 1")
     made: Policy = policy
     return made
 

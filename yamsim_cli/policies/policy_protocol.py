@@ -102,7 +102,7 @@ def read_chunk(answer: object, arms: int, each: int) -> ActionChunk:
     if not isinstance(answer, Mapping):
         raise InvalidActionError(f"an action is a dictionary with ctrl, magnet and done, not {type(answer).__name__}")
     if unknown := sorted(map(str, answer.keys() - {"ctrl", "magnet", "done", "period"})):
-        raise InvalidActionError(f"an action holds ctrl, magnet, done and period, and not {', '.join(unknown)}")
+        raise InvalidActionError(f"an action holds ctrl, magnet, done and period, not {', '.join(unknown)}")
     ctrl = _ctrl(answer, arms * each)
     count = len(ctrl) if ctrl.ndim > 1 else 1
     _check_angles(ctrl.reshape(count, arms, each))
@@ -133,7 +133,7 @@ def _ctrl(answer: Mapping[str, Any], drives: int) -> Array:
     try:
         ctrl = np.asarray(answer["ctrl"], dtype=np.float64)
     except (TypeError, ValueError) as error:
-        raise InvalidActionError(f"ctrl is no array of numbers: {error}") from error
+        raise InvalidActionError(f"ctrl is not an array of numbers: {error}") from error
     if ctrl.shape != (drives,) and (ctrl.ndim != 2 or ctrl.shape[1] != drives or not 1 <= len(ctrl) <= MAX_ACTIONS):
         raise InvalidActionError(
             f"ctrl has the shape {ctrl.shape}, not ({drives},), or (1 to {MAX_ACTIONS} actions, {drives})"
@@ -167,4 +167,4 @@ def _values(value: object, key: str) -> np.ndarray:
     try:
         return np.asarray(value)
     except (TypeError, ValueError) as error:
-        raise InvalidActionError(f"{key} is no array of truth values: {error}") from error
+        raise InvalidActionError(f"{key} is not an array of booleans: {error}") from error

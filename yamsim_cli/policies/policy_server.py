@@ -59,7 +59,7 @@ class PolicyServer(ThreadingHTTPServer):
         try:
             super().__init__((host, port), _Handler)
         except OSError as error:
-            raise ResourceError(f"{host}:{port} cannot be listened on: {error.strerror}; try another --port") from error
+            raise ResourceError(f"cannot listen on {host}:{port}: {error.strerror}; try another --port") from error
 
     @property
     def url(self) -> str:
@@ -85,7 +85,7 @@ class PolicyServer(ThreadingHTTPServer):
     def _answer(self, what: str, message: Any) -> dict[str, Any]:
         if what == "session":
             if message["protocol"] != PROTOCOL:
-                raise MessageError(f"this server speaks version {PROTOCOL}, and not {message['protocol']}")
+                raise MessageError(f"this server speaks version {PROTOCOL} of the protocol, not {message['protocol']}")
             if len(self._sessions) >= _MAX_SESSIONS:
                 self._sessions.pop(next(iter(self._sessions)))
             policy = check_policy(self._make(), "of the server")

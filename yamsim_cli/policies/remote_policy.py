@@ -64,7 +64,7 @@ class RemotePolicy:
         answer = self._request("act", {"session": self._session, "observation": dict(observation)})
         action = answer.get("action")
         if not isinstance(action, dict):
-            raise RemoteError(f"{self._url} answers with no action")
+            raise RemoteError(f"{self._url} answers without an action")
         for key, value in action.items():
             if value is not None:
                 plain_numbers(value, str(key)[:40])
@@ -84,7 +84,7 @@ class RemotePolicy:
         try:
             answer = unpack_message(data)
         except MessageError as error:
-            raise RemoteError(f"{self._url} answers {response.status} and no message of this protocol") from error
+            raise RemoteError(f"{self._url} answers {response.status} without a message of this protocol") from error
         if not isinstance(answer, dict):
             raise RemoteError(f"{self._url} answers with {type(answer).__name__}")
         if answer.get("invalid"):
@@ -157,5 +157,5 @@ def _unpack_array(code: int, data: bytes) -> Any:
     kind, shape, content = msgpack.unpackb(data)
     dtype = np.dtype(str(kind))
     if dtype.kind not in _DTYPE_KINDS or math.prod(shape) * dtype.itemsize != len(content):
-        raise MessageError(f"{len(content)} bytes are no array of {dtype} {shape}")
+        raise MessageError(f"{len(content)} bytes do not fit an array of {dtype} {shape}")
     return np.frombuffer(content, dtype).reshape(shape).copy()

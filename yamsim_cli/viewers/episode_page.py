@@ -35,7 +35,7 @@ class EpisodePage(ScenePage):
         self._shown_frame: int | None = None
         self._slider_frame = 0
         self.slider = self._server.gui.add_slider("frame", 0, player.frames - 1, step=1, initial_value=0)
-        self.slider.on_update(self._seek)
+        self.slider.on_update(self.seek)
         self.pictures: dict[str, viser.GuiImageHandle] = {}
         self.update()
 
@@ -68,7 +68,8 @@ class EpisodePage(ScenePage):
             else:
                 self.pictures[camera] = self._server.gui.add_image(image, label=camera, format="jpeg", jpeg_quality=80)
 
-    async def _seek(self, event: Any) -> None:
+    async def seek(self, event: Any) -> None:
+        """Show the frame that a user has chosen with the slider."""
         # viser runs a coroutine immediately, but a thread often only after the player has moved the slider.
         # An event without a client comes from `update`, not from a user.
         if event.client is not None:

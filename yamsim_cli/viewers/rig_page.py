@@ -53,13 +53,13 @@ class RigPage(ScenePage):
         self.sliders = self._add_sliders()
         self.margin = self._add_margin()
         self._add_switches(boards=boards)
-        self._cameras = CamerasPanel(self._server, live, pictures)
+        self.cameras = CamerasPanel(self._server, live, pictures)
         self.update()
 
     def update(self) -> None:
         """Send scene, status and requested camera images to all browsers."""
         super().update()
-        self._cameras.update()
+        self.cameras.update()
         self._show_status()
 
     def _add_sliders(self) -> dict[tuple[str, str], viser.GuiSliderHandle[float]]:
@@ -89,13 +89,13 @@ class RigPage(ScenePage):
         return slider
 
     def _add_switches(self, *, boards: bool) -> None:
-        gui, bodies = self._server.gui, self._bodies
+        gui, bodies = self._server.gui, self.bodies
         model = self._live.model
         mocap = [frame for body, frame in bodies.frames.items() if model.body_mocapid[body] >= 0]
         with gui.add_folder("Shown"):
             for label, nodes, shown in (
                 ("boards", mocap, boards),
-                ("looks", bodies.visuals, True),
+                ("visual meshes", bodies.visuals, True),
                 ("collision primitives", bodies.colliders, False),
             ):
                 if nodes:
@@ -127,13 +127,17 @@ class RigPage(ScenePage):
 
 
 class CamerasPanel:
-    """Buttons that render camera images and move the view to a camera; absent without cameras."""
+    """Group of buttons that render camera images and move the view to a camera. The group is absent without cameras.
+
+    Attributes:
+        images: camera -> its image on the page, once rendered.
+    """
 
     def __init__(self, server: viser.ViserServer, live: LiveRig, pictures: CameraPictures | None) -> None:
         self._gui = server.gui
         self._live = live
         self._pictures = pictures
-        self._images: dict[str, viser.GuiImageHandle] = {}
+        self.images: dict[str, viser.GuiImageHandle] = {}
         self._requested = False
         self._cameras = tuple(live.model.cam(k).name for k in range(live.model.ncam))
         if not self._cameras:
@@ -142,7 +146,7 @@ class CamerasPanel:
         with self._folder:
             if pictures is not None:
                 self._button = server.gui.add_button("Take pictures", icon=viser.Icon.CAMERA)
-                self._button.on_click(self._request)
+                self._button.on_click(self.request)
             for camera in self._cameras:
                 self._add_view(camera)
 
@@ -160,13 +164,14 @@ class CamerasPanel:
                 with self._folder:
                     self._gui.add_markdown(f"No pictures: {error}")
                 return
-            if camera in self._images:
-                self._images[camera].image = image
+            if camera in self.images:
+                self.images[camera].image = image
                 continue
             with self._folder:
-                self._images[camera] = self._gui.add_image(image, label=camera)
+                self.images[camera] = self._gui.add_image(image, label=camera)
 
-    def _request(self, _: Any) -> None:
+    def request(self, _: Any = None) -> None:
+        """Request an image of each camera, which the next `update` renders."""
         self._requested = True
 
     def _add_view(self, camera: str) -> None:

@@ -176,13 +176,17 @@ def _texture(model: mujoco.MjModel, texture: int) -> Array:
 
 
 class ClothNodes:
-    """Cloths on a page, each in the mean colour of its texture. All points start at the origin."""
+    """Shows cloths on a page, each in the mean colour of its texture. All points start at the origin.
+
+    Attributes:
+        nodes: nodes of the cloths.
+    """
 
     def __init__(self, scene: viser.SceneApi, model: mujoco.MjModel) -> None:
         self._points = [
             slice(first, first + n) for first, n in zip(model.flex_vertadr, model.flex_vertnum, strict=True)
         ]
-        self._nodes = [
+        self.nodes = [
             scene.add_mesh_simple(
                 f"/cloth/{mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_FLEX, k)}",
                 np.zeros((int(model.flex_vertnum[k]), 3)),
@@ -194,13 +198,13 @@ class ClothNodes:
         ]
 
     def show(self, points: Array) -> None:
-        """Set the positions of all points (nflexvert, 3) in `world`, m."""
-        for node, own in zip(self._nodes, self._points, strict=True):
+        """Set the positions of all points (nflexvert, 3) in `world`, m. viser sends changes only."""
+        for node, own in zip(self.nodes, self._points, strict=True):
             node.vertices = points[own].astype(np.float32)
 
     def remove(self) -> None:
-        """Remove the cloths."""
-        for node in self._nodes:
+        """Remove the cloths from the page."""
+        for node in self.nodes:
             node.remove()
 
 

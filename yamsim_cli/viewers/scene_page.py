@@ -32,7 +32,14 @@ _START_LOCK = threading.Lock()
 
 
 class ScenePage:
-    """Shows the moving bodies and cloths of a scene. Closing the page frees its port."""
+    """A page that shows the moving bodies and cloths of a scene. Closing the page frees its port.
+
+    Attributes:
+        bodies, cloths: nodes of the bodies and the cloths.
+
+    Raises:
+        UsageError: the page cannot listen on the address.
+    """
 
     def __init__(self, shown: ViewedScene, viewpoint: Viewpoint, address: PageAddress) -> None:
         # Browsers drop connections at any time. Without a handler, each drop prints a traceback on stderr.
@@ -53,19 +60,19 @@ class ScenePage:
     def update(self) -> None:
         """Send changes of the scene to all browsers."""
         if self._model is not self._shown.model:
-            for node in self._bodies.frames.values():
+            for node in self.bodies.frames.values():
                 node.remove()
-            self._cloths.remove()
+            self.cloths.remove()
             self._show_bodies()
         positions, quaternions = (np.round(poses, _DECIMALS) for poses in self._shown.body_poses())
         points = np.round(self._shown.cloth_points(), _DECIMALS)
         with self._server.atomic():
             if len(positions) != self._model.nbody or len(points) != self._model.nflexvert:
-                return  # the next call shows the new model
-            for body, frame in self._bodies.frames.items():
+                return  # The model was replaced meanwhile; the next call shows the new model.
+            for body, frame in self.bodies.frames.items():
                 # viser sends changed poses only.
                 frame.position, frame.wxyz = positions[body], quaternions[body]
-            self._cloths.show(points)
+            self.cloths.show(points)
         if self._pause_button.label != (label := "Play" if self._shown.paused else "Pause"):
             self._pause_button.label = label
             self._pause_button.icon = viser.Icon.PLAYER_PLAY if self._shown.paused else viser.Icon.PLAYER_PAUSE
@@ -79,8 +86,8 @@ class ScenePage:
 
     def _show_bodies(self) -> None:
         self._model = self._shown.model
-        self._bodies = add_bodies(self._server.scene, self._model)
-        self._cloths = ClothNodes(self._server.scene, self._model)
+        self.bodies = add_bodies(self._server.scene, self._model)
+        self.cloths = ClothNodes(self._server.scene, self._model)
 
     def _toggle_pause(self, _: Any) -> None:
         self._shown.paused = not self._shown.paused

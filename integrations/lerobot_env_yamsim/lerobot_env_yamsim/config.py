@@ -61,12 +61,12 @@ class YamsimEnvConfig(EnvConfig):
         Raises:
             ValueError: a setting is not valid, or the tasks need different policies.
         """
-        forms = {task: read_settings(settings) for task, settings in self._settings().items()}
+        forms = {task: read_settings(settings) for task, settings in self.station_settings().items()}
         first, form = next(iter(forms.items()))
         for task, other in forms.items():
             if self._shown(other) != self._shown(form):
                 raise ValueError(
-                    f"--env.task={self.task}: one policy cannot do {first} and {task}: joints, cameras or things "
+                    f"--env.task={self.task}: one policy cannot do {first} and {task}: joints, cameras or objects "
                     "differ; give --env.rig and --env.cameras that suit both, or evaluate them one by one"
                 )
         numbers = {STATE: (FeatureType.STATE, form.state, OBS_STATE), ACTION: (FeatureType.ACTION, form.action, ACTION)}
@@ -92,7 +92,7 @@ class YamsimEnvConfig(EnvConfig):
         A task's processes start with its first trial, so that the processes of several tasks do not run at once.
         """
         made: dict[str, dict[int, VectorEnv]] = {}
-        for task, settings in self._settings().items():
+        for task, settings in self.station_settings().items():
             one = partial(
                 YamsimEnv,
                 settings,
@@ -117,7 +117,7 @@ class YamsimEnvConfig(EnvConfig):
             form.environment if self.environment_state else None,
         )
 
-    def _settings(self) -> dict[str, StationSettings]:
+    def station_settings(self) -> dict[str, StationSettings]:
         """Task -> settings of its station."""
         tasks = [task.strip() for task in (self.task or "").split(",") if task.strip()]
         if not tasks:

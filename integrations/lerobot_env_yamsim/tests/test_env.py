@@ -47,7 +47,7 @@ def test_observations_are_the_stations(envs: Any) -> None:
     assert set(preprocess_observation(seen)) == set(env_to_policy_features(YamsimEnvConfig(environment_state=True))) - {
         "action"
     }
-    with Station(YamsimEnvConfig(**SMALL)._settings()["pickplace"]) as station:
+    with Station(YamsimEnvConfig(**SMALL).station_settings()["pickplace"]) as station:
         for number in (0, 1):
             station.begin(trial=5 + number)
             np.testing.assert_array_equal(seen["agent_pos"][number], station.state())
@@ -78,7 +78,7 @@ def test_an_action_that_is_none_costs_the_trial_alone(envs: Any) -> None:
 
 
 def test_without_a_seed_the_next_trial_comes() -> None:
-    env = YamsimEnv(YamsimEnvConfig(**SMALL)._settings()["pickplace"], pictures=False)
+    env = YamsimEnv(YamsimEnvConfig(**SMALL).station_settings()["pickplace"], pictures=False)
     try:
         assert [env.reset(seed=seed)[1]["trial"] for seed in (None, 7, None)] == [0, 7, 8]
     finally:
@@ -89,7 +89,7 @@ def test_several_tasks_are_groups_of_their_own() -> None:
     made = make_env(YamsimEnvConfig(task="tower, set_upright", **SMALL), n_envs=1)
     assert {task: list(group) for task, group in made.items()} == {"tower": [0], "set_upright": [0]}
     assert made["tower"][0].call("task") == ("tower",)
-    with pytest.raises(ValueError, match="things differ"):
+    with pytest.raises(ValueError, match="objects differ"):
         YamsimEnvConfig(task="tower,set_upright", environment_state=True)
 
 

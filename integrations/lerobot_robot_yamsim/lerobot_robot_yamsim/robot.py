@@ -127,7 +127,7 @@ class YamsimRobot(Robot):
         station = self._connected_station()
         self._log_verdict(station)
         if station.lost_s:
-            _log.warning("the simulation could not keep up, and stood still for %.1f s in all", station.lost_s)
+            _log.warning("the simulation could not keep up, and paused for %.1f s in total", station.lost_s)
         station.close()
         self._station, self._link.action = None, None
 

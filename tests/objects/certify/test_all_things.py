@@ -22,7 +22,7 @@ CLOTH = ("soft_cloth", "soft_dish_towel", "soft_napkin")
 
 
 @pytest.mark.parametrize("name", [name for name in WHERE.config_names("objects") if name not in CLOTH])
-def test_it_passes(name: str) -> None:
+def test_shipped_objects_pass_their_checks(name: str) -> None:
     item = load_config(ObjectConfig, "objects", name, WHERE)
     meshes = SessionOpener(os.environ, lambda text: None, str).with_mesh_folders(WHERE, item.mesh_sets).meshes
     assert item.cloth is None
@@ -35,6 +35,6 @@ def test_it_passes(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", CLOTH)
-def test_cloth_has_none(name: str) -> None:
+def test_cloth_gets_no_certificate(name: str) -> None:
     with pytest.raises(UsageError, match="is cloth"):
         certify(load_config(ObjectConfig, "objects", name, WHERE), {}, WHERE)

@@ -53,6 +53,6 @@ def test_places_that_no_hand_can_take_are_left_out(locations: Locations) -> None
     assert reachable_grasp_points(item.with_grasp_points((in_table, in_cube)), locations) == ()
 
 
-def test_places_are_of_what_one_hand_lifts(locations: Locations) -> None:
+def test_no_grasps_are_proposed_for_a_cabinet(locations: Locations) -> None:
     cabinet = load("drawer_cabinet", locations)
     assert reachable_grasp_points(cabinet, locations) == ()

@@ -126,7 +126,7 @@ def test_a_fault_is_found_by_its_own_check_alone(
 
 
 @pytest.mark.parametrize("name", [BLOCK, CUP, "kitchen_produce_item"])
-def test_without_a_fault_all_pass(name: str, tmp_path: Path, locations: Locations) -> None:
+def test_all_checks_pass_without_a_fault(name: str, tmp_path: Path, locations: Locations) -> None:
     oks = found(name, lambda thing: None, tmp_path, locations)
     assert [code for code, ok in oks.items() if ok is False] == []
 

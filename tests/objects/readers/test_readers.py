@@ -48,7 +48,7 @@ def test_a_mug_is_the_same_in_every_format(mugs: dict[str, Path], kind: str) -> 
 
 
 @pytest.mark.parametrize("kind", ["glb", "obj", "sdf", "dae", "ply"])
-def test_its_print_is_where_it_was(mugs: dict[str, Path], kind: str) -> None:
+def test_the_texture_of_a_mug_stays_in_place(mugs: dict[str, Path], kind: str) -> None:
     (part,) = read_here(mugs[kind], told(kind)).parts
     for place, (u, v) in {"left": (0.25, 0.15), "right": (0.75, 0.9)}.items():
         angle = (u - 0.5) * 2 * math.pi
@@ -85,19 +85,21 @@ def test_a_file_is_read_in_a_child(mugs: dict[str, Path]) -> None:
     assert part.looks[0].uv is not None and np.array_equal(part.looks[0].uv, here.looks[0].uv)
 
 
-def test_what_the_file_does_not_say_is_asked_for(mugs: dict[str, Path]) -> None:
-    with pytest.raises(UsageError, match=r"give --unit m \(0.117 x .*\), and --up z, y or x \[unit\]"):
+def test_a_missing_unit_or_up_axis_is_requested(mugs: dict[str, Path]) -> None:
+    with pytest.raises(
+        UsageError, match=r"does not state its unit: add --unit m \(0.117 x .*\), and --up z, y or x \[unit\]"
+    ):
         read_object(mugs["obj"], UnitOptions())
-    with pytest.raises(UsageError, match=r"which way is up.* \[up\]"):
+    with pytest.raises(UsageError, match=r"--up z, --up y or --up x \[up\]"):
         read_object(mugs["obj"], UnitOptions(unit="m"))
 
 
-def test_an_absurd_size_is_refused_with_its_mend(mugs: dict[str, Path]) -> None:
+def test_an_absurd_size_is_refused_with_a_correction(mugs: dict[str, Path]) -> None:
     with pytest.raises(UsageError, match=r"117 x .* m large.*--unit mm makes it 0\.117 m long.* \[size\]"):
         read_object(mugs["stl"], UnitOptions("m", "z", scale=1000))
 
 
-def test_an_sdf_says_its_weight_and_where_it_is(mugs: dict[str, Path]) -> None:
+def test_the_mass_and_its_centre_come_from_the_sdf(mugs: dict[str, Path]) -> None:
     (part,) = read_here(mugs["sdf"]).parts
     assert part.weight is not None
     assert part.weight.mass == 0.3
@@ -121,11 +123,22 @@ def test_a_drawer_in_sdf(tmp_path: Path) -> None:
     assert all(isinstance(shape, dict) and shape["type"] == "box" for shape in base.shapes or ())
 
 
+def test_the_up_axis_rotates_the_handles_of_the_base(tmp_path: Path) -> None:
+    on_box = cabinet_sdf().replace(
+        'attached_to="drawer"><pose relative_to="drawer"', 'attached_to="box"><pose relative_to="box"'
+    )
+    (tmp_path / "c.sdf").write_text(on_box)
+    (handle,) = read_here(tmp_path / "c.sdf", UnitOptions(up="y")).parts[0].handles
+    assert handle["position"] == pytest.approx([-0.112, -0.035, 0], abs=1e-6)
+    assert handle["approach"] == pytest.approx([0, 1, 0], abs=1e-6)
+
+
 def test_an_include_of_no_file_is_refused(tmp_path: Path) -> None:
     (tmp_path / "mug" / "model.sdf").mkdir(parents=True)
     (tmp_path / "world.sdf").write_text('<sdf version="1.9"><include><uri>model://mug</uri></include></sdf>')
-    with pytest.raises(RefusedError, match="no regular file"):
+    with pytest.raises(RefusedError) as caught:
         read_here(tmp_path / "world.sdf")
+    assert caught.value.code == "not-a-file"
 
 
 def test_a_lid_in_urdf(tmp_path: Path) -> None:

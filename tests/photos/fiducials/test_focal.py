@@ -27,7 +27,7 @@ from yamsim_cli.photos.fiducials.focal_length.focal_estimate import (
 from yamsim_cli.photos.lens_distortion import project_points
 
 SIZE = (640, 480)
-ADVICE = "photograph the board from a slant, or give --camera"
+ADVICE = "photograph the board at a slant, or give --camera"
 
 
 def outline(camera: CameraModel, board: Board, T: Array, sigma: float, rng: np.random.Generator) -> BoardOutline:
@@ -64,8 +64,8 @@ def test_two_boards_from_a_slant() -> None:
 
 @pytest.mark.parametrize(("size", "focal"), [(SIZE, 600.0), (SIZE, 3425.0), ((1280, 960), 3425.0)])
 @pytest.mark.parametrize("tilt", [0.0, 0.02])
-def test_nearly_from_the_front_it_stays_open(size: tuple[int, int], focal: float, tilt: float) -> None:
-    """Any lens explains such a photo; a long lens was once taken for a usual one."""
+def test_a_photo_from_the_front_leaves_the_focal_length_open(size: tuple[int, int], focal: float, tilt: float) -> None:
+    """Any lens explains such a photo; a long one used to be taken for a usual one, twenty per cent of doubt or not."""
     camera, distance = CameraModel.pinhole(*size, focal), 0.45 * focal / size[0]
     photo = photograph(camera, [(ONE, facing(0.0, 0.0, distance, tilt, 0.01))])
     found = estimate_focal(find_outlines(photo, [ONE]), size)
@@ -74,21 +74,23 @@ def test_nearly_from_the_front_it_stays_open(size: tuple[int, int], focal: float
     assert found.camera.focal_sigma == 0.35
 
 
-def test_no_board_tells_nothing() -> None:
+def test_without_a_board_no_focal_length_is_estimated() -> None:
     found = estimate_focal(find_outlines(photograph(CameraModel.pinhole(*SIZE, 600.0), []), [ONE]), SIZE)
-    assert (found.low, found.high, found.reason) == (None, None, "no board tells the focal length")
+    assert (found.low, found.high, found.reason) == (None, None, "no board determines the focal length")
 
 
 @pytest.mark.parametrize(
     ("focal", "sigma", "tilt", "part"),
     [
         (600.0, 0.2, 0.0, "any focal length explains the photo equally well"),
-        (3000.0, 0.1, 0.5, "px up explains the photo"),
+        (3000.0, 0.1, 0.5, "px upwards explains the photo"),
         (600.0, 0.05, 0.1, "any focal length up to "),
         (600.0, 0.05, 0.35, "the focal length may be anything from "),
     ],
 )
-def test_what_is_left_open_is_told(focal: float, sigma: float, tilt: float, part: str) -> None:
+def test_the_reason_names_the_focal_lengths_that_remain_possible(
+    focal: float, sigma: float, tilt: float, part: str
+) -> None:
     camera, T = CameraModel.pinhole(*SIZE, focal), facing(0.0, 0.0, 0.9 * focal / 600, tilt, 0.0)
     found = estimate_focal(outlines(camera, [T], sigma), SIZE)
     assert part in found.reason
@@ -119,7 +121,7 @@ def test_photos_of_two_lenses_are_not_forced_into_one() -> None:
     long = outlines(CameraModel.pinhole(*SIZE, 900.0), slants)
     assert estimate_focal(short, SIZE).reason == ""
     found = estimate_focal([*short, *long], SIZE)
-    assert found.reason.startswith("no one focal length explains the boards")
+    assert found.reason.startswith("no single focal length explains the boards")
     assert "give --camera" in found.reason
 
 

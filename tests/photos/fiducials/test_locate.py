@@ -48,7 +48,7 @@ def assert_exact(sighting: BoardDetection, truth: Array) -> None:
 
 @pytest.mark.parametrize("camera", [CAMERA, WEBCAM], ids=["plain", "webcam"])
 @pytest.mark.parametrize("where", [(0, 0, 0.5), (-0.15, 0.1, 0.6), (0.1, -0.05, 0.45, -0.7, -0.3)])
-def test_a_board_is_where_it_is(camera: CameraModel, where: tuple[float, ...]) -> None:
+def test_a_located_board_matches_its_true_pose(camera: CameraModel, where: tuple[float, ...]) -> None:
     sighting = seen(photograph(camera, [(ONE, facing(*where))]), camera=camera)
     assert sighting.status is BoardStatus.OK
     assert sighting.markers == ONE.ids
@@ -79,7 +79,7 @@ def test_the_same_print_twice_is_refused() -> None:
     sighting = seen(photograph(CAMERA, [(ONE, LEFT), (ONE, RIGHT)]))
     assert sighting.status is BoardStatus.AMBIGUOUS
     assert sighting.T_board_in_cam is None
-    assert sighting.reason == "its markers are in 2 places: hide or remove the other prints"
+    assert sighting.reason == "its markers appear in 2 places: hide or remove the other prints"
 
 
 @pytest.mark.parametrize(
@@ -142,11 +142,11 @@ def test_what_is_hidden_makes_it_less_certain(hidden: int) -> None:
         (photograph(CAMERA, []), "none of its markers was found"),
         (photograph(CAMERA, [(ONE, facing(0, 0, 5.0))]), "none of its markers was found"),
         (photograph(CAMERA, [(ONE, facing(0, 0, 0.8))], blur=8.0), "none of its markers was found"),
-        (photograph(CAMERA, [(replace(ONE, columns=9, rows=1), facing(0, 0, 0.8))]), "markers are in 3 places"),
+        (photograph(CAMERA, [(replace(ONE, columns=9, rows=1), facing(0, 0, 0.8))]), "in 3 places"),
     ],
     ids=["empty", "far", "blurred", "another layout"],
 )
-def test_what_cannot_be_told_is_refused_with_its_reason(photo: np.ndarray, part: str) -> None:
+def test_unusable_photos_of_a_board_are_refused_with_a_reason(photo: np.ndarray, part: str) -> None:
     sighting = seen(photo)
     assert sighting.status is not BoardStatus.OK
     assert sighting.T_board_in_cam is None
@@ -232,8 +232,8 @@ def test_together_the_prints_size_is_found_rather_than_believed(larger: float) -
     assert_exact(joint[0], truth)
 
 
-def test_together_only_what_lies_together() -> None:
-    """Boards that are 2 % farther apart than stated are not forced onto each other."""
+def test_boards_that_do_not_lie_as_the_rig_says_have_no_common_pose() -> None:
+    """Boards that are 2 % farther apart than they are said to be are not forced onto each other."""
     truth = facing(-0.12, 0.0, 0.8)
     photo = photograph(CAMERA, [(ONE, truth), (TWO, truth @ pose((0.255, 0.0, 0.0)))])
     alone, _ = locate_boards(photo, CAMERA, [ONE, TWO])
@@ -277,7 +277,7 @@ def test_a_creased_print_is_uncertain_and_its_interval_holds_the_pose(seed: int)
     photo = with_noise(creased(np.random.default_rng(seed), picture(CAMERA, [(ONE, truth)]), CAMERA, ONE, truth))
     found = seen(photo)
     assert found.status is BoardStatus.UNCERTAIN
-    assert "a crease" in found.reason
+    assert "the print is creased or bent" in found.reason
     off = rotation_vector(found.T_board_in_cam[:3, :3] @ truth[:3, :3].T)
     assert off @ np.linalg.solve(found.covariance[:3, :3], off) < 7.815, "95 % of three degrees of freedom"
     wide = PoseLimits(turn=math.radians(10.0), shift=1.0)
@@ -320,15 +320,15 @@ def test_photos_show_the_same_markers_at_a_size_the_detector_needs(
     large_photo: np.ndarray, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     sizes = []
-    stretched = markers._stretch_contrast
+    stretched = markers.stretch_contrast
 
     def spy(grey: np.ndarray) -> np.ndarray:
         sizes.append(grey.shape)
         return stretched(grey)
 
-    monkeypatch.setattr(markers, "_stretch_contrast", spy)
+    monkeypatch.setattr(markers, "stretch_contrast", spy)
     found = {one.id: one.corners for one in find_markers(large_photo, ["DICT_6X6_250"])["DICT_6X6_250"]}
-    monkeypatch.setattr(markers, "_REDUCED_SIDE", 10**6)
+    monkeypatch.setattr(markers, "REDUCED_SIDE", 10**6)
     whole = {one.id: one.corners for one in find_markers(large_photo, ["DICT_6X6_250"])["DICT_6X6_250"]}
     assert sizes == [(3072, 4096), (5400, 7200)]
     assert set(found) >= set(whole) >= set(TWO.ids)
@@ -338,7 +338,7 @@ def test_photos_show_the_same_markers_at_a_size_the_detector_needs(
 
 
 @pytest.mark.slow
-def test_a_board_in_a_photo_is_where_it_is(large_photo: np.ndarray) -> None:
+def test_boards_in_a_large_photo_match_their_true_poses(large_photo: np.ndarray) -> None:
     for sighting, (_, truth) in zip(locate_boards(large_photo, LARGE, [ONE, TWO])[0], LARGE_PLACED, strict=True):
         T = sighting.T_board_in_cam
         assert T is not None, sighting.reason

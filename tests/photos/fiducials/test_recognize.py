@@ -146,7 +146,7 @@ def test_the_same_print_twice_is_refused_even_if_it_cannot_be_read() -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_strangers_are_no_board(kind: str) -> None:
+def test_unknown_prints_are_not_recognized_as_a_board(kind: str) -> None:
     for k in range(2):
         photo = stranger(np.random.default_rng([1, k]), kind, ONE)
         for seen in locate_boards(photo, CAMERA, [ONE, TWO], [np.eye(4), inverse(pose((0.3, 0, 0)))])[0]:
@@ -156,10 +156,10 @@ def test_strangers_are_no_board(kind: str) -> None:
 
 @pytest.mark.parametrize(
     ("spoil", "part"),
-    [({"light": 0.1}, "more light"), ({"blur": 9.0}, "focus"), ({}, "bring the whole board into the photo")],
+    [({"light": 0.1}, "add light"), ({"blur": 9.0}, "focus"), ({}, "bring the whole board into the photo")],
     ids=["dark", "blurred", "absent"],
 )
-def test_what_would_help_is_said(spoil: dict[str, float], part: str) -> None:
+def test_advice_is_given_for_dark_blurred_and_absent_boards(spoil: dict[str, float], part: str) -> None:
     boards = (
         [(ONE, facing(0, 0, 0.35))]
         if spoil

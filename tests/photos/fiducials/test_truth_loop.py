@@ -41,7 +41,7 @@ def photo_of(photographer: Photographer, rng: np.random.Generator, distance: flo
 
 
 @pytest.mark.parametrize(("distance", "mm", "deg"), [(0.4, 0.2, 0.2), (0.8, 0.5, 0.4), (1.0, 1.5, 0.8)])
-def test_boards_are_where_they_are(russet: Photographer, distance: float, mm: float, deg: float) -> None:
+def test_located_boards_match_their_true_poses(russet: Photographer, distance: float, mm: float, deg: float) -> None:
     rng = np.random.default_rng([1, round(distance * 10)])
     for k in range(4):
         image, truth = photo_of(russet, rng, distance, k % 2)

@@ -44,20 +44,20 @@ def pkl(path: Path, data: Any) -> Path:
     return path / "j.pkl"
 
 
-def test_home(single: RigConfig, russet: RigConfig) -> None:
+def test_without_joints_the_arms_are_at_home(single: RigConfig, russet: RigConfig) -> None:
     assert len(home_postures(single)) == 1
     assert as_rows(home_postures(russet)) == [[0, 1.047, 1.047, 0, 0, 0, 0]] * 2
 
 
 @pytest.mark.parametrize("dtype", [np.float64, np.float32])
-def test_one_row_of_one_arm(tmp_path: Path, single: RigConfig, dtype: type) -> None:
+def test_a_file_with_one_row_of_one_arm_is_read(tmp_path: Path, single: RigConfig, dtype: type) -> None:
     for values, gripper in ((ARM, 0.0), (RIGHT, 0.03), ([RIGHT], 0.03)):
         rows = load_joints(npy(tmp_path, np.array(values, dtype)), single)
         assert rows.shape == (1, 1, 7)
         assert rows[0, 0] == pytest.approx([*ARM, gripper], abs=1e-6)
 
 
-def test_a_row_for_each_photo(tmp_path: Path, single: RigConfig) -> None:
+def test_a_file_with_a_row_for_each_photo_is_read(tmp_path: Path, single: RigConfig) -> None:
     many = np.array([RIGHT, RIGHT, RIGHT])
     many[:, 0] = [0.1, 0.2, 0.3]
     rows = load_joints(npy(tmp_path, many), single)
@@ -65,7 +65,7 @@ def test_a_row_for_each_photo(tmp_path: Path, single: RigConfig) -> None:
     assert rows[:, 0, 0].tolist() == [0.1, 0.2, 0.3]
 
 
-def test_fourteen_are_the_left_arms_and_then_the_right_arms(
+def test_fourteen_joints_are_those_of_the_left_arm_then_the_right_arm(
     tmp_path: Path, single: RigConfig, russet: RigConfig, locations: Locations
 ) -> None:
     rows = load_joints(npy(tmp_path, LEFT + RIGHT), russet)
@@ -119,7 +119,7 @@ def test_a_wider_gripper_has_a_wider_full_opening(tmp_path: Path, locations: Loc
         assert load_joints(npy(tmp_path, [*ARM, given]), rig)[0, 0, 6] == pytest.approx(wanted)
 
 
-def test_a_joint_a_little_beyond_its_stop_is_believed(tmp_path: Path, single: RigConfig) -> None:
+def test_a_joint_slightly_beyond_its_limit_is_accepted(tmp_path: Path, single: RigConfig) -> None:
     assert load_joints(npy(tmp_path, [0, -0.04, 0, 0, 0, 0]), single)[0, 0, 1] == -0.04
 
 
@@ -142,8 +142,11 @@ class MaliciousPickle:
         (lambda p: npy(p, np.rad2deg(ARM)), "arm1.joint1: 17.19 rad lies outside -2.618..3.054; is it in degrees?"),
         (lambda p: npy(p, [0, -0.5, 0, 0, 0, 0]), "arm1.joint2: -0.5 rad lies outside 0..3.665"),
         (lambda p: npy(p, [0, np.nan, 0, 0, 0, 0]), "has values that are not finite"),
-        (lambda p: npy(p, [*ARM, 7.0]), "gripper 7 is no opening: give that of one finger, 0..0.0375 m, or a share"),
-        (lambda p: npy(p, [*ARM, -0.02]), "gripper -0.02 is no opening"),
+        (
+            lambda p: npy(p, [*ARM, 7.0]),
+            "gripper 7 is not an opening; valid: the opening of one finger, 0..0.0375 m, or a share",
+        ),
+        (lambda p: npy(p, [*ARM, -0.02]), "gripper -0.02"),
         (lambda p: npy(p, ARM[:5]), "joints have the shape (5,); rig 'single' needs 6 or 7 or 14 numbers a row"),
         (lambda p: npy(p, np.zeros((2, 3, 7))), "joints have the shape (2, 3, 7)"),
         (lambda p: npy(p, np.zeros((0, 7))), "holds no row of joints"),
@@ -195,7 +198,7 @@ def test_an_archive_of_arrays_is_no_array(tmp_path: Path, single: RigConfig) -> 
         load_joints(tmp_path / "j.npy", single)
 
 
-def test_six_numbers_do_not_do_for_two_arms(tmp_path: Path, russet: RigConfig) -> None:
+def test_six_joints_are_refused_for_two_arms(tmp_path: Path, russet: RigConfig) -> None:
     wanted = r"rig 'russet' needs 14 \(left 6, left gripper, right 6, right gripper\) numbers a row"
     with pytest.raises(ConfigError, match=wanted):
         load_joints(npy(tmp_path, ARM), russet)

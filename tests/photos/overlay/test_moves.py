@@ -72,7 +72,7 @@ def by(x: float = 0.0, y: float = 0.0, z: float = 0.0, turn_deg: float = 0.0) ->
     return pose((x, y, z), rotation_from_vector((0, 0, math.radians(turn_deg))))
 
 
-def test_nothing_moved(russet: RigConfig) -> None:
+def test_no_moves_are_found_where_nothing_moved(russet: RigConfig) -> None:
     for seed in range(20):
         stillness = Series().told(russet, seed)
         assert stillness.moves == ()
@@ -100,7 +100,7 @@ def test_a_camera_that_moved_is_told_once_by_its_own_motion(russet: RigConfig) -
     assert math.degrees(move.turn) == pytest.approx(0.3, abs=0.05)
 
 
-def test_camera_and_base_one_after_the_other(russet: RigConfig) -> None:
+def test_moves_of_camera_and_base_one_after_the_other_are_both_found(russet: RigConfig) -> None:
     stillness = Series(camera={12: by(x=0.01)}, bases={(28, 1): by(x=-0.005)}).told(russet)
     assert [(move.photo, move.what) for move in stillness.moves] == [(12, MovedBody.CAMERA), (28, MovedBody.BASE)]
 
@@ -127,12 +127,12 @@ def test_wrong_poses_and_photos_without_one_are_no_moves(russet: RigConfig) -> N
 
 
 @pytest.mark.parametrize("photos", [9, 40])
-def test_a_camera_in_a_hand_says_nothing_of_moves(russet: RigConfig, photos: int) -> None:
+def test_no_moves_are_reported_for_a_handheld_camera(russet: RigConfig, photos: int) -> None:
     carried = {number: by(x=0.02, turn_deg=1.0) for number in range(photos)}
     stillness = Series(photos, camera=carried).told(russet)
     assert stillness.moves == ()
     assert "not on a stand" in stillness.unknown
 
 
-def test_few_photos_say_nothing(russet: RigConfig) -> None:
+def test_no_moves_are_reported_for_few_photos(russet: RigConfig) -> None:
     assert "fewer than 8 photos" in Series(photos=7, camera={3: by(x=0.1)}).told(russet).unknown

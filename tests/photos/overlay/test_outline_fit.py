@@ -69,7 +69,7 @@ def test_a_pose_that_is_off_by_pixels_is_brought_back(
         assert after < before / 5
 
 
-def test_together_they_move_as_one(russet_shot: RigPhoto, renderer: ArmRenderer) -> None:
+def test_arms_with_a_trusted_margin_are_corrected_by_one_motion(russet_shot: RigPhoto, renderer: ArmRenderer) -> None:
     grey = to_grey(russet_shot.image)
     off = {k: moved(russet_shot.T_base_in_cam(k), (0.008, 0.0, 0.0), (0, 0, 0)) for k in (0, 1)}
     apart = inverse(off[0]) @ off[1]
@@ -112,7 +112,7 @@ def test_an_arm_in_front_of_the_other_is_not_blamed_for_it(russet_shot: RigPhoto
     assert (one[both == 1] == 1).all()
 
 
-def test_overlap() -> None:
+def test_overlap_is_the_intersection_over_the_union() -> None:
     one, other = np.zeros((10, 10), bool), np.zeros((10, 10), bool)
     assert mask_iou(one, other) == 1.0
     one[:5] = True

@@ -78,7 +78,7 @@ def nothing_but(folder: Path, *names: str) -> None:
     assert sorted(path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()) == sorted(names)
 
 
-def test_one_photo(run: Runner, photo: Path, russet_shot: RigPhoto) -> None:
+def test_one_photo_gives_an_overlay_a_mask_and_a_report(run: Runner, photo: Path, russet_shot: RigPhoto) -> None:
     save(photo.parent / "truth.png", np.dstack([russet_shot.mask * np.uint8(255)] * 3))
     report = run("photo.png", mask_images=Path("truth.png"))
     report.check()
@@ -130,7 +130,7 @@ def test_the_report_has_what_is_promised(run: Runner, photo: Path) -> None:
     assert json.loads(json.dumps(plain)) == plain
 
 
-def test_wrong_joints_show(run: Runner, photo: Path, russet_shot: RigPhoto) -> None:
+def test_wrong_joints_raise_the_edge_residual(run: Runner, photo: Path, russet_shot: RigPhoto) -> None:
     joints = russet_shot.joints.copy()
     joints[0, 1] += 0.1
     arms = run("photo.png", stands=[standing(joints)]).results[0].arms
@@ -235,8 +235,8 @@ def test_a_photo_without_boards(run: Runner, photo: Path) -> None:
     with pytest.raises(ResourceError) as caught:
         report.check()
     assert str(caught.value).startswith(
-        "empty.png: no board gives a pose: looked for ids 217-225 (DICT_6X6_250), 226-234 (DICT_6X6_250), saw none; "
-        "arm1: none of its markers was found; would help: more light or contrast"
+        "empty.png: no board gives a pose: looked for marker ids 217-225 (DICT_6X6_250), 226-234 (DICT_6X6_250), "
+        "saw none; arm1: none of its markers was found; advice: add light or contrast"
     )
     with pytest.raises(PartialJobError, match=r"1 of 2 photos give no pose, first empty\.png: no board gives"):
         run("empty.png", "photo.png").check()
@@ -265,14 +265,16 @@ def test_reprojection_above_the_limit(run: Runner, photo: Path, russet_shot: Rig
     run("photo.png", max_reprojection=0.1).check()
     report = run("photo.png", max_reprojection=0.003)
     assert len(report.failures) == 2
-    message = r"^photo\.png: arm1's reprojection of 0\.\d\d px is above 0\.003: check the camera file \(and 1 more\)$"
+    message = (
+        r"^photo\.png: arm1's reprojection error of 0\.\d\d px is above 0\.003: check the camera file \(and 1 more\)$"
+    )
     with pytest.raises(ResourceError, match=message):
         report.check()
     # An invisible board does not pass either.
     hidden = russet_shot.image.copy()
     hidden[240:300, 340:430] = 120
     save(Path("hidden.png"), hidden)
-    with pytest.raises(ResourceError, match=r"hidden\.png: arm2 is not located: none of its markers was found"):
+    with pytest.raises(ResourceError, match=r"hidden\.png: arm2 is not located"):
         run("hidden.png", max_reprojection=1.0).check()
 
 
@@ -308,12 +310,12 @@ def test_a_video_of_all_photos(run: Runner, photo: Path, russet_shot: RigPhoto) 
     shown = frames[1].to_ndarray(format="rgb24").astype(int)
     assert np.abs(shown - read_image(Path("out/p1_overlay.png"))).mean() < 4
     save(Path("small.png"), russet_shot.image[:240, :320])
-    with pytest.raises(UsageError, match=r"--video needs photos of one size, but small\.png has another"):
+    with pytest.raises(UsageError, match=r"--video needs photos of one size, but small\.png differs in size"):
         run("p0.png", "small.png", camera=None, video=Path("out/two.mp4"))
     assert not list(Path("out").glob("*two*"))
 
 
-def test_a_folder_that_cannot_be(run: Runner, photo: Path) -> None:
+def test_an_output_folder_that_cannot_be_made_is_refused(run: Runner, photo: Path) -> None:
     Path("file").write_text("in the way")
     for out in (Path("file"), Path("file/deeper")):
         with pytest.raises(ResourceError, match=r"cannot be made: (File exists|Not a directory); choose another --out"):

@@ -47,21 +47,25 @@ def test_what_in_a_folder_is_no_photo(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("name", "part"),
-    [("empty", "holds no photo; valid: .png, .jpg, .jpeg"), ("none.png", "does not exist"), ("a.txt", "is no photo")],
+    [
+        ("empty", "contains no photo; valid: .png, .jpg, .jpeg"),
+        ("none.png", "does not exist"),
+        ("a.txt", "is not a photo"),
+    ],
 )
-def test_nothing_to_look_at_is_one_line(tmp_path: Path, name: str, part: str) -> None:
+def test_missing_photos_are_refused_in_one_line(tmp_path: Path, name: str, part: str) -> None:
     (tmp_path / "empty").mkdir()
     touch(tmp_path / "empty" / "a_overlay.png", tmp_path / "a.txt")
     with pytest.raises(ResourceError, match=part):
         find_photos([tmp_path / name])
 
 
-def test_the_mask_of_a_photo(tmp_path: Path) -> None:
+def test_a_photos_mask_is_found_by_its_name(tmp_path: Path) -> None:
     photo = tmp_path / "photos" / "a.jpg"
     masks = tmp_path / "masks"
     touch(photo, masks / "b_mask.png")
     assert find_mask(masks / "b_mask.png", photo) == masks / "b_mask.png"
-    with pytest.raises(ResourceError, match=r"holds no mask for a\.jpg; valid: a_mask\.png or a\.png"):
+    with pytest.raises(ResourceError, match=r"contains no mask for a\.jpg; valid: a_mask\.png or a\.png"):
         find_mask(masks, photo)
     for name in ("a.jpg", "a.png", "a_mask.png"):
         touch(masks / name)
@@ -70,7 +74,7 @@ def test_the_mask_of_a_photo(tmp_path: Path) -> None:
 
 def test_a_photo_is_not_its_own_mask(tmp_path: Path) -> None:
     touch(tmp_path / "a.png")
-    with pytest.raises(ResourceError, match="holds no mask"):
+    with pytest.raises(ResourceError, match=r"a_mask\.png"):
         find_mask(tmp_path, tmp_path / "a.png")
 
 
@@ -131,8 +135,8 @@ def test_another_camera_of_the_episode(episode: Path, single: RigConfig) -> None
     [
         (b"\x80\x04", "not a whole pickle"),
         (pickle.dumps({"joints": print}), "print"),
-        (dump_frame(frame(joints=np.zeros(5))), "joints have the shape (5,)"),
-        (dump_frame(frame(extrinsics={})), "has no 'scene_camera' of camera scene_camera: without them"),
+        (dump_frame(frame(joints=np.zeros(5))), "(5,)"),
+        (dump_frame(frame(extrinsics={})), "has no 'scene_camera' of camera scene_camera; to use the images alone"),
         (dump_frame(frame(intrinsics={"scene_camera": np.eye(4)})), "shape (4, 4) or is not finite; valid: (3, 3)"),
         (dump_frame(frame(extrinsics={"scene_camera": np.full((4, 4), np.nan)})), "not finite"),
         (dump_frame(frame(extrinsics=3)), "cannot be used"),
@@ -147,18 +151,18 @@ def test_a_damaged_frame_is_one_line(episode: Path, single: RigConfig, data: byt
     assert "\n" not in str(caught.value)
 
 
-def test_what_is_no_episode(episode: Path, single: RigConfig, tmp_path: Path) -> None:
-    with pytest.raises(DatasetError, match="is no episode: it needs rgb/ and lowdim/; give DATASET/ep_NNNNNN"):
+def test_folders_that_are_not_episodes_are_refused(episode: Path, single: RigConfig, tmp_path: Path) -> None:
+    with pytest.raises(DatasetError, match="is not an episode: it needs rgb/ and lowdim/; give DATASET/ep_NNNNNN"):
         episode_photos(tmp_path, None, single)
     (episode / "lowdim" / "000002.pkl").unlink()
     with pytest.raises(DatasetError, match=r"000002\.pkl: cannot be read: No such file"):
         episode_photos(episode, None, single)
     for path in (episode / "rgb" / "scene_camera").iterdir():
         path.unlink()
-    with pytest.raises(DatasetError, match="holds no frame"):
+    with pytest.raises(DatasetError, match="scene_camera contains no image"):
         episode_photos(episode, None, single)
 
 
 def test_an_episode_of_one_arm_does_not_show_two(episode: Path, russet: RigConfig) -> None:
-    with pytest.raises(ConfigError, match=r"000000\.pkl: joints have the shape \(7,\); rig 'russet' needs 14"):
+    with pytest.raises(ConfigError, match=r"000000\.pkl: .*\(7,\).*'russet'"):
         episode_photos(episode, None, russet)

@@ -72,7 +72,7 @@ def test_a_copy_is_a_dictionary_of_everything(make: Callable[[LazyObservation], 
     assert sorted(source.rendered) == sorted(CAMERAS.values())
 
 
-def test_what_can_no_longer_be_drawn_is_told() -> None:
+def test_images_cannot_be_read_after_the_trial_or_in_another_thread() -> None:
     source = CountingRenderer()
     seen = source.observe()
     errors: list[Exception] = []
@@ -116,16 +116,21 @@ def test_the_clock_stands_still_while_a_policy_waits_for_yamsim() -> None:
     assert time.monotonic() - began < 3
 
 
+RENDER = "yamsim_cli.policies.evaluate.policy_trial.render_cameras"
+
+
 @contextmanager
 def trial(name: str, config: RecordConfig, locations: Locations) -> Iterator[TrialRunner]:
     with TrialRunner(Session(config, locations), PolicyChoice(f"sample_policies.py:{name}", SAMPLES)) as runner:
         yield runner
 
 
-def test_who_does_not_look_needs_no_renderer(config: RecordConfig, locations: Locations) -> None:
+def test_nothing_is_rendered_for_a_policy_without_images(
+    config: RecordConfig, locations: Locations, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(RENDER, lambda *_: pytest.fail("rendered"))
     with trial("Blind", config, locations) as runner:
         assert runner.run(AttemptJob(0, 0)).ended is TrialEnd.TIME_LIMIT
-        assert runner._simulators.get(AttemptJob(0, 0))._renderer is None
 
 
 def test_a_picture_that_cannot_be_drawn_is_not_the_policys_fault(
@@ -134,13 +139,13 @@ def test_a_picture_that_cannot_be_drawn_is_not_the_policys_fault(
     def refuse(*_: object) -> None:
         raise ResourceError("no OpenGL here")
 
-    monkeypatch.setattr("yamsim_cli.policies.evaluate.policy_trial.render_cameras", refuse)
+    monkeypatch.setattr(RENDER, refuse)
     with trial("Swallows", config, locations) as runner, pytest.raises(ResourceError, match="no OpenGL here"):
         runner.run(AttemptJob(0, 0))
 
 
 @pytest.mark.render
-def test_a_picture_shows_what_was_when_it_was_told(
+def test_an_image_shows_the_state_of_its_observation(
     make_config: Callable[..., RecordConfig], locations: Locations
 ) -> None:
     """The picture shows the time of the observation, whenever it is read."""
@@ -148,24 +153,24 @@ def test_a_picture_shows_what_was_when_it_was_told(
     with trial("Remembering", config, locations) as runner:
         result = runner.run(AttemptJob(0, 0))
         assert (result.ended, result.error) == (TrialEnd.DONE, "")
-        seen = type(runner._policy).seen  # type: ignore[attr-defined]
+        seen = type(runner.policy).seen  # type: ignore[attr-defined]
         assert result.attempt.start is not None
         rendered = render_cameras(
-            runner._simulators.get(AttemptJob(0, 0)), result.attempt, result.attempt.start, ("scene_camera",)
+            runner.simulators.get(AttemptJob(0, 0)), result.attempt, result.attempt.start, ("scene_camera",)
         )["scene_camera"]
     np.testing.assert_array_equal(seen[0]["scene_rgb"], rendered)
-    with pytest.raises(RuntimeError, match="once its trial is over"):
+    with pytest.raises(RuntimeError, match="scene_rgb"):
         seen[8]["scene_rgb"]
 
 
 @pytest.mark.parametrize("rig", ["single", "bimanual"])
-def test_the_state_is_told_to_who_asks(
+def test_privileged_state_reaches_policies_that_request_it(
     rig: str, make_config: Callable[..., RecordConfig], locations: Locations
 ) -> None:
     config = make_config({("rig",): rig})
     with trial("Knowing", config, locations) as runner:
         assert runner.run(AttemptJob(0, 0)).ended is TrialEnd.DONE
-        seen = list(type(runner._policy).seen)  # type: ignore[attr-defined]
+        seen = list(type(runner.policy).seen)  # type: ignore[attr-defined]
     with Simulator(Session(config, locations)) as simulator:
         done = planned(simulator, 0)
         frame = frame_records(simulator, done.attempt, done.states[:1])[0]
@@ -183,7 +188,7 @@ def test_the_state_is_told_to_who_asks(
             assert said[:, joint].sum() == pytest.approx(moved[:, joint].sum(), rel=0.1)
 
 
-def test_the_state_is_told_to_nobody_else(config: RecordConfig, locations: Locations, tmp_path: Path) -> None:
+def test_privileged_state_reaches_no_other_policy(config: RecordConfig, locations: Locations, tmp_path: Path) -> None:
     (tmp_path / "plain.py").write_text(
         "class Plain:\n    images = ()\n    def reset(self):\n        pass\n"
         "    def __call__(self, observation):\n"

@@ -82,7 +82,7 @@ def test_joints_known_at_some_samples_only_are_enough(made: RecordedMotion) -> N
     assert _off(made, simulate_commands(rig_scene(), _changed(made, joints=sparse))) < 1e-12
 
 
-def test_a_command_that_was_not_told_again_goes_on(made: RecordedMotion) -> None:
+def test_a_command_holds_until_the_next_one(made: RecordedMotion) -> None:
     commands = made.arms[0].commands
     assert commands is not None
     every = commands[np.arange(len(commands)) // 3 * 3]
@@ -158,21 +158,23 @@ def test_hands_are_where_their_joints_put_them(made: RecordedMotion) -> None:
 @pytest.mark.parametrize(
     ("values", "said"),
     [
-        ({"commands": None}, "plant: holds no commands for its joints"),
+        ({"commands": None}, "plant: has no commands for its joints"),
         ({"joints": np.full((len(TIMES), 6), np.nan)}, "plant: a joint was never measured"),
         (
             {"joints": np.zeros((len(TIMES), 7)), "commands": np.zeros((len(TIMES), 7)), "velocities": None},
-            "plant: has 7 joints, and the rig's arm 6; choose another --rig",
+            "plant: has 7 joints, and the rig's arm has 6; choose another --rig",
         ),
     ],
 )
-def test_what_cannot_be_followed_says_why(made: RecordedMotion, values: dict[str, object], said: str) -> None:
+def test_motions_that_cannot_be_simulated_are_refused_with_the_reason(
+    made: RecordedMotion, values: dict[str, object], said: str
+) -> None:
     with pytest.raises(DatasetError, match=said):
         simulate_commands(rig_scene(), _changed(made, **values))
 
 
-def test_another_number_of_arms_is_another_rig(made: RecordedMotion) -> None:
-    with pytest.raises(DatasetError, match="plant has 1 arm, and the rig 2"):
+def test_a_rig_with_another_number_of_arms_is_refused(made: RecordedMotion) -> None:
+    with pytest.raises(DatasetError, match="plant has 1 arm, and the rig has 2"):
         simulate_commands(rig_scene("bimanual"), made)
 
 

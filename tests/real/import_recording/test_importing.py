@@ -132,7 +132,7 @@ def _commands_upside_down(motion: RecordedMotion, full: float) -> RecordedMotion
         (swapped, "--swap-arms", Corrections(swap_arms=True)),
         (_shares, "--gripper share", Corrections(gripper="share")),
         (upside_down, "--mirror-gripper measured", Corrections(mirrored="measured")),
-        (_commands_upside_down, "or commanded", Corrections(mirrored="commanded")),
+        (_commands_upside_down, "or --mirror-gripper commanded", Corrections(mirrored="commanded")),
     ],
 )
 def test_a_refused_recording_is_imported_with_its_correction(

@@ -219,12 +219,12 @@ def test_a_fault_by_its_flag() -> None:
     ("text", "says"),
     [
         ("broken", "unknown fault 'broken'; valid: lost, hot, drop, stuck"),
-        ("lost", "say which motor"),
+        ("lost", "give a motor, as in lost:motor=3"),
         ("lost:motor=x", "motor 'x' is not valid; it must lie in 1..15"),
         ("lost:motor=1.5", "motor '1.5' is not valid"),
         ("drop:motor=1", "a drop fault has no 'motor'; valid: share, channel, at, for"),
         ("drop:share=2", "it must lie in 0..1"),
-        ("drop:share=0.1,share=0.2", "share is there twice"),
+        ("drop:share=0.1,share=0.2", "share is given twice"),
     ],
 )
 def test_the_error_for_a_wrong_flag_names_valid_values(text: str, says: str) -> None:

@@ -133,8 +133,8 @@ def test_a_gripper_that_stalls_only_while_opening_is_mirrored(
 FAULTS: Mapping[str, tuple[Callable[[RecordedMotion, float], RecordedMotion], str, bool]] = {
     "gap": (with_gap, "nothing was recorded for 0.71 s from 0.59 s on", False),
     "froze": (froze, "right_joint3 was measured at exactly", False),
-    "swapped": (swapped, "are the arms swapped? If so, say --swap-arms", True),
-    "degrees": (in_degrees, "are these degrees? If so, say --degrees", True),
+    "swapped": (swapped, "are the arms swapped? If so, add --swap-arms", True),
+    "degrees": (in_degrees, "are these degrees? If so, add --degrees", True),
     "upside_down": (upside_down, "closes while commanded to open", True),
 }
 

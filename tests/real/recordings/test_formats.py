@@ -114,7 +114,7 @@ def test_lerobot_with_a_picture_in_each_row(station: RigConfig, locations: Locat
     pictures[4] = pictures[4][:-20]
     held = table.append_column("observation.images.top", [[{"bytes": data, "path": None} for data in pictures]])
     pyarrow.parquet.write_table(held, file)
-    with pytest.raises(DatasetError, match=r"observation\.images\.top: row 4 holds no whole picture"):
+    with pytest.raises(DatasetError, match=r"observation\.images\.top: row 4 has no complete image"):
         list(only(folder, station, locations).pictures["top"].read())
 
 

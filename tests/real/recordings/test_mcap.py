@@ -65,6 +65,6 @@ def test_a_topic_that_ends_early_and_a_camera_that_paused_are_reported(
     request = ImportRequest([path], station, out=tmp_path / "real")
     report = import_recordings(request, locations, lambda done, total: None)
     (problems,) = report.problems.values()
-    early, paused = (next(line for line in problems if word in line) for word in ("-action ends", "saw nothing"))
+    early, paused = (next(line for line in problems if word in line) for word in ("-action ends", "has no image"))
     assert "/left-arm-action ends 1.5 s before the arm's state" in early
-    assert "top_camera saw nothing for 1.00 s from 1.00 s on" in paused
+    assert "top_camera has no image for 1.00 s from 1.00 s on" in paused

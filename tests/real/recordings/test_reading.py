@@ -65,7 +65,7 @@ def test_columns_that_were_not_recorded_are_none(single: RigConfig, tmp_path: Pa
     [
         (lambda lines: [lines[0].replace("t,", "time,"), *lines[1:]], "line 1: has no column 't'"),
         (lambda lines: [lines[0].replace("position_joint3", "joint3"), *lines[1:]], "no column 'position_joint3'"),
-        (lambda lines: [lines[0].replace("joint2", "joint1"), *lines[1:]], "'command_joint1' is there twice"),
+        (lambda lines: [lines[0].replace("joint2", "joint1"), *lines[1:]], "'command_joint1' appears twice"),
         (lambda lines: [*lines[:-1], lines[-1][:40]], "cut off"),
         (
             lambda lines: [*lines[:3], lines[3].replace(",", ",nan,", 1).rsplit(",", 1)[0], *lines[4:]],
@@ -86,7 +86,10 @@ def test_errors_of_a_csv_name_its_line(single: RigConfig, tmp_path: Path, change
 
 def test_missing_and_unknown_files_are_refused(single: RigConfig, locations: Locations, tmp_path: Path) -> None:
     (tmp_path / "log.txt").write_text("")
-    for path, message in ((tmp_path / "log.txt", "is no recording"), (tmp_path / "no.csv", "does not exist")):
+    for path, message in (
+        (tmp_path / "log.txt", "is not a known kind of recording"),
+        (tmp_path / "no.csv", "does not exist"),
+    ):
         with pytest.raises(DatasetError, match=message):
             read_motions([path], single, locations)
     with pytest.raises(UsageError, match="no recording"):

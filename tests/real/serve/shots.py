@@ -21,10 +21,10 @@ class FakeRenderProcess:
 
     def __init__(self, joints: tuple[Any, ...] = ()) -> None:
         self.newest_frames: CameraFrames | None = None
-        self._joints = joints
+        self.joints = joints
 
     def take(self, number: int, sim_time: float = 0.0) -> None:
         width, height = self.size
         pictures = {name: np.full((height, width, 3), number, np.uint8) for name in self.cameras}
         poses = dict.fromkeys(self.cameras, np.eye(4))
-        self.newest_frames = CameraFrames(number, 1_000_000_000 + number, sim_time, self._joints, poses, pictures)
+        self.newest_frames = CameraFrames(number, 1_000_000_000 + number, sim_time, self.joints, poses, pictures)

@@ -113,7 +113,7 @@ def test_a_wrong_question_is_told_and_the_next_is_answered(server: CameraServer,
 
 
 @pytest.mark.parametrize("noise", [(2**31).to_bytes(4, "little"), said(b"[" * 4000), said(b"\xff\xfe"), said([1])])
-def test_what_is_no_message_is_hung_up_on(server: CameraServer, noise: bytes) -> None:
+def test_a_client_with_an_invalid_message_is_dropped(server: CameraServer, noise: bytes) -> None:
     one = join(server)
     one.sendall(noise)
     for _ in range(3):
@@ -121,7 +121,7 @@ def test_what_is_no_message_is_hung_up_on(server: CameraServer, noise: bytes) ->
     assert one.recv(8) == b""
 
 
-def test_one_that_reads_nothing_waits_and_fills_no_memory(server: CameraServer, shots: FakeRenderProcess) -> None:
+def test_a_client_that_reads_nothing_waits_and_fills_no_memory(server: CameraServer, shots: FakeRenderProcess) -> None:
     shots.size = (640, 480)
     shots.take(0)
     one = join(server)

@@ -89,24 +89,25 @@ def test_random_bytes_do_no_harm_and_fill_no_memory(served: UnixBus) -> None:
     assert len(served.clients) == 1
 
 
-def test_no_more_programs_than_there_is_room_for(served: UnixBus) -> None:
+def test_programs_beyond_the_limit_are_disconnected(served: UnixBus) -> None:
     joined = [join(served) for _ in range(20)]
     assert len(served.clients) == 16
     assert joined[-1].recv(16) == b""
 
 
-def test_a_killed_servers_socket_is_in_nobodys_way(tmp_path: Path) -> None:
+def test_the_socket_of_a_killed_server_is_replaced(tmp_path: Path) -> None:
     left = UnixBus(tmp_path / "buses", "can0")
     with pytest.raises(ResourceError, match="another program serves this channel"):
         UnixBus(tmp_path / "buses", "can0")
-    left._listener.close()
+    for one in left.readers:
+        one.close()
     UnixBus(tmp_path / "buses", "can0").close()
 
 
 def test_a_folder_that_others_can_reach_is_refused(tmp_path: Path) -> None:
     (tmp_path / "open").mkdir()
     (tmp_path / "open").chmod(0o755)
-    with pytest.raises(ResourceError, match="is not a folder that is yours alone"):
+    with pytest.raises(ResourceError, match="other users can access this folder"):
         UnixBus(tmp_path / "open", "can0")
 
 
@@ -116,11 +117,11 @@ def test_a_program_finds_the_buses_first(served: UnixBus, tmp_path: Path) -> Non
     entry = next(Path(site).glob("*.dist-info/entry_points.txt")).read_text()
     assert "socketcan = yamsim_can:Bus" in entry and Path(site, "yamsim_can.py").exists()
     assert own == "/own" and environ.keys() == {"PYTHONPATH", "YAMSIM_CAN_FOLDER"}
-    with pytest.raises(ResourceError, match="nothing is served there"):
+    with pytest.raises(ResourceError, match="no server runs there"):
         program_environment({}, tmp_path)
 
 
-def test_frames_of_other_kinds_are_nobodys() -> None:
+def test_frames_of_other_kinds_are_ignored() -> None:
     for flag in (0x80000000, 0x40000000, 0x20000000):
         assert frames.parse_frame(struct.pack("=IB3x8s", 1 | flag, 8, bytes(8))) is None
     assert frames.parse_frame(struct.pack("=IB3x8s", 0x800, 8, bytes(8))) is None
@@ -185,7 +186,7 @@ def test_an_interface_of_the_kernels_carries_the_same_frames(kernel: list[CanSoc
 
 
 def test_a_flood_on_an_interface_is_read_in_parts(kernel: list[CanSocket], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(can_bus, "_READ_FRAMES", 5)
+    monkeypatch.setattr(can_bus, "READ_FRAMES", 5)
     bus = KernelBus("can0")
     for _ in range(8):
         kernel[0].other.send(ENABLE)

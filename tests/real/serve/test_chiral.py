@@ -189,7 +189,7 @@ def test_actions_are_taken_and_the_arms_stop_when_who_sent_them_goes(
     assert "has gone" in robot.stopped
 
 
-def test_one_that_only_looks_may_go(server: ChiralServer, robot: Robot) -> None:
+def test_a_client_without_actions_may_disconnect(server: ChiralServer, robot: Robot) -> None:
     robot.shots.take(0)
     one = Client(server)
     one.send(packed({"type": "obs_request"}))
@@ -216,7 +216,7 @@ def test_one_that_only_looks_may_go(server: ChiralServer, robot: Robot) -> None:
         packed({"type": "apply_action", "shape": [257], "dtype": "float32"}, bytes(4 * 257)),
     ],
 )
-def test_what_is_not_taken_is_refused(wrong: bytes) -> None:
+def test_invalid_messages_are_refused(wrong: bytes) -> None:
     with pytest.raises(ChiralError):
         read_message(wrong)
 
@@ -236,7 +236,7 @@ def test_a_wrong_message_costs_the_connection_alone(server: ChiralServer, robot:
     assert robot.told == []
 
 
-def test_a_message_that_is_too_long_is_hung_up_on(server: ChiralServer) -> None:
+def test_a_client_with_too_long_a_message_is_dropped(server: ChiralServer) -> None:
     one = Client(server)
     one.send(bytes(chiral.MAX_MESSAGE_BYTES + 1))
     turn(server)
@@ -253,8 +253,8 @@ def test_web_pages_are_refused(server: ChiralServer, foreign: dict[str, str]) ->
     assert not select.select([page.socket], [], [], 0)[0] or page.socket.recv(1) == b""
 
 
-def test_one_that_never_greets_is_hung_up_on(server: ChiralServer, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(chiral, "_HANDSHAKE_S", 0.05)
+def test_a_client_without_a_handshake_is_dropped(server: ChiralServer, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(chiral, "HANDSHAKE_SECONDS", 0.05)
     one = socket.create_connection(("127.0.0.1", server.port), timeout=5)
     one.sendall(b"GET / HTTP/1.1\r\n")
     turn(server)
@@ -263,7 +263,7 @@ def test_one_that_never_greets_is_hung_up_on(server: ChiralServer, monkeypatch: 
     assert one.recv(1) == b""
 
 
-def test_one_that_reads_nothing_waits_and_fills_no_memory(server: ChiralServer, robot: Robot) -> None:
+def test_a_client_that_reads_nothing_waits_and_fills_no_memory(server: ChiralServer, robot: Robot) -> None:
     robot.shots.size = (640, 480)
     robot.shots.take(0)
     one = Client(server)
@@ -274,10 +274,10 @@ def test_one_that_reads_nothing_waits_and_fills_no_memory(server: ChiralServer, 
     assert waits and max(waits) < 2 * 3 * 640 * 480
 
 
-def test_a_flood_is_hung_up_on(server: ChiralServer, robot: Robot) -> None:
+def test_a_flooding_client_is_dropped(server: ChiralServer, robot: Robot) -> None:
     one = Client(server)
-    # Without pictures, the first request is never answered.
-    for _ in range(chiral._MAX_QUEUED + 50):
+    # No picture comes, so that the first of them is never answered.
+    for _ in range(chiral.MAX_QUEUED + 50):
         one.send(packed({"type": "obs_request"}))
     turn(server, times=20)
     one.heard()

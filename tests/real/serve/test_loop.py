@@ -41,8 +41,8 @@ def beside(loop: RealtimeLoop, seconds: float, work: Callable[[socket.socket], N
 
     thread = threading.Thread(target=program)
     thread.start()
-    # Until all its messages are read, and it is gone.
-    loop.run(lambda: not thread.is_alive() and not loop._sockets[0].clients, seconds)
+    # Until all that it said has been heard, and it is gone.
+    loop.run(lambda: not thread.is_alive() and not loop.sockets[0].clients, seconds)
     thread.join()
 
 
@@ -69,5 +69,5 @@ def test_a_flood_fills_no_queue_and_stops_no_physics(loop: RealtimeLoop, tmp_pat
 
     beside(loop, 20, flood, tmp_path)
     assert loop.pace.dropped > 10_000
-    assert len(loop._answers) <= 64
+    assert len(loop.answers) <= 64
     assert loop.pace.steps > 0

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import itertools
-import os
+import multiprocessing
 import select
-import signal
 import time
 from collections.abc import Callable, Iterator
 
@@ -53,7 +52,7 @@ def next_shot(source: RenderProcess, after: int = -1) -> CameraFrames:
     raise AssertionError("no shot came")
 
 
-def test_it_draws_what_is_there_now(source: RenderProcess, served: ServedArms, session: Session) -> None:
+def test_images_show_the_current_state(source: RenderProcess, served: ServedArms, session: Session) -> None:
     first = next_shot(source)
     assert (first.number, first.time_ns, first.sim_time) == (0, 1, 0.0)
     np.testing.assert_equal(first.joints[0], served.followers[0].joint_pos())
@@ -74,11 +73,11 @@ def test_it_draws_what_is_there_now(source: RenderProcess, served: ServedArms, s
     assert (later.pictures["left"] != before).any()
 
 
-def test_its_death_is_told(source: RenderProcess) -> None:
+def test_the_death_of_the_rendering_process_is_reported(source: RenderProcess) -> None:
     next_shot(source)
-    assert source._process.pid
-    os.kill(source._process.pid, signal.SIGKILL)
-    with pytest.raises(SimulationError, match="the process that draws pictures has ended"):
+    (process,) = (one for one in multiprocessing.active_children() if one.name == "yamsim-pictures")
+    process.kill()
+    with pytest.raises(SimulationError, match="the rendering process has ended"):
         next_shot(source, after=10**6)
 
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,6 +13,7 @@ from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.session import Session
 from yamsim_cli.core.errors import UsageError
 from yamsim_cli.core.files.resources import Locations
+from yamsim_cli.real.motors.can_config import CanConfig, load_can_config
 from yamsim_cli.real.motors.can_frames import MitCommand
 from yamsim_cli.real.motors.motor import Motor, Status
 from yamsim_cli.real.motors.motor_bus import BusFault
@@ -46,6 +49,22 @@ def test_without_power_it_rests_on_its_stops_and_falls_from_elsewhere(serve: Ser
     before = positions(served.motor_simulation.buses[0].motors)
     run(served.motor_simulation, 1)
     assert np.abs(positions(served.motor_simulation.buses[0].motors) - before).max() > 0.5
+
+
+def test_joints_with_load_zero_do_not_fall(
+    make_config: Callable[..., RecordConfig], locations: Locations, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def weightless(*given: Any) -> CanConfig:
+        found = load_can_config(*given)
+        motors = tuple(motor.model_copy(update={"load": 0.0}) for motor in found.arm.motors)
+        return replace(found, arm=found.arm.model_copy(update={"motors": motors}))
+
+    monkeypatch.setattr("yamsim_cli.real.serve.served_arms.load_can_config", weightless)
+    session = Session(make_config({("rig",): "yam_v1+linear_4310"}), locations)
+    plant = serve_arms(session, start="home").motor_simulation
+    before = positions(plant.buses[0].motors)
+    run(plant, 1)
+    assert np.abs(positions(plant.buses[0].motors) - before)[:6].max() < 0.01
 
 
 def test_it_floats_on_the_torques_that_hold_it(serve: Serve) -> None:
@@ -151,11 +170,11 @@ def test_two_arms_are_on_two_buses(serve: Serve) -> None:
     [
         ({"channels": ["a", "b"]}, "give 1 different names"),
         ({"channels": ["a/b"]}, "up to 15 letters"),
-        ({"faults": [BusFault("lost", motor=9)]}, "no motor 9; there: 1, 2, 3, 4, 5, 6, 7"),
-        ({"faults": [BusFault("stuck", channel="can9")]}, "no channel 'can9'; there: can0"),
+        ({"faults": [BusFault("lost", motor=9)]}, "no motor 9; valid: 1, 2, 3, 4, 5, 6, 7"),
+        ({"faults": [BusFault("stuck", channel="can9")]}, "no channel 'can9'; valid: can0"),
     ],
 )
-def test_what_is_not_there_is_named(serve: Serve, given: dict[str, object], says: str) -> None:
+def test_unknown_channels_and_motors_are_refused_by_name(serve: Serve, given: dict[str, object], says: str) -> None:
     with pytest.raises(UsageError) as caught:
         serve(**given)
     assert says in str(caught.value)

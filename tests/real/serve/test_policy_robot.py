@@ -42,7 +42,7 @@ class Driven:
         return np.concatenate([follower.joint_pos() for follower in self.served.followers])
 
     def see(self, number: int = 0) -> dict[str, np.ndarray]:
-        self.shots._joints = tuple(follower.joint_pos() for follower in self.served.followers)
+        self.shots.joints = tuple(follower.joint_pos() for follower in self.served.followers)
         self.shots.take(number)
         assert self.shots.newest_frames is not None
         return dict(self.robot.observe(self.shots.newest_frames).proprios)
@@ -84,11 +84,11 @@ def test_it_goes_home_along_joints_and_by_its_hands_poses(driven: Driven) -> Non
     np.testing.assert_allclose(felt["follower_r_joint_pos"][6], 0.8, atol=0.02)
 
 
-def test_too_far_at_once_stops_it_until_the_next_reset(driven: Driven) -> None:
+def test_a_jump_stops_the_robot_until_the_next_reset(driven: Driven) -> None:
     far = HOME.copy()
     far[8] = 0.3
     driven.robot.act(far)
-    assert "joint 2 of the right arm to go 0.3" in driven.robot.stopped
+    assert "joint 2 of the right arm to move by 0.3" in driven.robot.stopped
     before = driven.row()
     driven.robot.act(HOME)
     driven.run(0.3)
@@ -109,8 +109,8 @@ def test_actions_that_come_too_fast_are_discarded_and_counted(driven: Driven) ->
 
 
 @pytest.mark.parametrize("numbers", [np.ones(13), np.full(14, np.nan), np.full(20, np.inf), np.zeros(20)])
-def test_what_is_no_action_is_refused(driven: Driven, numbers: np.ndarray) -> None:
-    with pytest.raises(ValueError, match=r"an action has|name none"):
+def test_invalid_actions_are_refused(driven: Driven, numbers: np.ndarray) -> None:
+    with pytest.raises(ValueError, match=r"an action has|give no rotation"):
         driven.robot.act(numbers)
     assert driven.robot.stopped == ""
 

@@ -181,7 +181,7 @@ def test_actions_are_repeated_where_there_are_any(dataset: Path, locations: Loca
 
 def test_states_of_another_scene_are_not_shown(dataset: Path, simulator: Simulator) -> None:
     change_frame(dataset / "ep_000001", 9, rehash=True, sim_qpos=np.zeros(5))
-    with pytest.raises(DatasetError, match="frame 9 has 5 positions, and its scene 22"):
+    with pytest.raises(DatasetError, match="frame 9 has 5 positions, and its scene has 22"):
         episode_positions(open_episode(dataset / "ep_000001"), simulator)
     change_frame(dataset / "ep_000000", 9, rehash=True, sim_qpos=None, sim_ctrl=None, sim_magnet=None)
     with pytest.raises(DatasetError, match="holds no sim_qpos"):
@@ -235,7 +235,7 @@ def test_a_page_does_not_undo_what_a_user_does_with_its_slider(player: EpisodePl
         page.slider.value = 30
         page.update()
         assert page.slider.value == 30
-        asyncio.run(page._seek(SimpleNamespace(client=object())))
+        asyncio.run(page.seek(SimpleNamespace(client=object())))
         page.update()
         assert (player.frame, page.slider.value) == (30, 30)
     finally:

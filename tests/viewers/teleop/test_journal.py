@@ -112,7 +112,7 @@ def test_a_file_that_is_cut_off_is_read_as_far_as_it_goes(
     assert len(left.ticks) == ticks
 
 
-def test_one_without_a_beginning_is_removed(tmp_path: Path) -> None:
+def test_a_journal_without_a_beginning_is_removed(tmp_path: Path) -> None:
     (tmp_path / ".recordings").mkdir()
     (tmp_path / ".recordings" / "000000.jsonl").write_bytes(b'{"seed": 0')
     assert RecordingJournal(tmp_path).unfinished() == []
@@ -131,7 +131,9 @@ def test_a_recording_ends_at_its_limit(config: RecordConfig, locations: Location
     assert not driven.recording
 
 
-def test_who_leaves_a_recording_pauses_it(config: RecordConfig, locations: Locations, tmp_path: Path) -> None:
+def test_a_recording_is_paused_when_its_page_is_closed(
+    config: RecordConfig, locations: Locations, tmp_path: Path
+) -> None:
     driven, _ = driven_in(tmp_path, config, locations)
     driven.pause_unattended()
     assert not driven.paused, "nothing is recorded that could go on unseen"
@@ -141,7 +143,7 @@ def test_who_leaves_a_recording_pauses_it(config: RecordConfig, locations: Locat
     before = driven.status.seconds
     run(driven, 1.0)
     assert driven.status.seconds == before
-    assert "nobody was watching" in driven.status.message
+    assert driven.status.message == "paused, because no browser was connected: Play continues"
     driven.paused = False
     run(driven, 0.32)
     assert driven.status.seconds > before

@@ -111,13 +111,13 @@ def test_a_stop_lets_nothing_go_and_waits_as_long_as_the_goal_has_to_hold(sessio
     assert len(actions.ctrl) == 20 + task.timing.settle_ticks + task.hold_ticks
 
 
-def test_a_magnet_is_told_not_to_be_there(session: Session, tmp_path: Path) -> None:
+def test_a_magnet_command_without_welds_is_refused(session: Session, tmp_path: Path) -> None:
     stream = write_stream(tmp_path / "stream.jsonl", [{"t": 0, "magnet": True}])
     with pytest.raises(ConfigError, match=r"stream.jsonl:1: magnet: task 'small' with grasp 'contact' has none"):
         read_stream(stream, session.config)
 
 
-def test_things_without_room_are_told(tmp_path: Path) -> None:
+def test_objects_without_room_are_refused(tmp_path: Path) -> None:
     tight = changed({("starts", "cube", "x"): [0.40, 0.40], ("starts", "cube", "y"): [-0.15, -0.15]})
     with pytest.raises(SimulationError, match="task 'small': no free place for the cube where it is to start"):
         TeleopScene(session_of(tmp_path, tight), CollectingReceiver())

@@ -12,7 +12,6 @@ import sys
 import time
 import urllib.request
 from collections.abc import Callable
-from concurrent.futures import wait
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -66,7 +65,7 @@ def run(driven: TeleopScene, seconds: float) -> None:
 
 def player_of(driven: TeleopScene, lines: list[dict[str, Any]], folder: Path) -> StreamPlayer:
     stream = write_stream(folder / "stream.jsonl", lines)
-    return StreamPlayer(read_stream(stream, driven._config))
+    return StreamPlayer(read_stream(stream, driven.config))
 
 
 def play(driven: TeleopScene, lines: list[dict[str, Any]], folder: Path) -> None:
@@ -223,13 +222,14 @@ def test_a_wider_gripper_opens_as_wide_as_it_goes(
     driven = TeleopScene(Session(config, locations), tray)
     driven.set_gripper(0.0475)
     run(driven, 1.0)
-    fingers = driven._stage.scene.arm.fingers.qpos
+    fingers = driven.attempt_scene.scene.arm.fingers.qpos
     assert np.abs(driven.data.qpos[fingers]) == pytest.approx(0.0475, abs=0.001)
     assert driven.status.gripper_open
-    driven.toggle_gripper()
-    assert (driven._arm.opening, driven.status.gripper_open) == (grasp.opening, False)
-    driven.toggle_gripper()
-    assert (driven._arm.opening, driven.status.gripper_open) == (0.0475, True)
+    for opening, is_open in ((grasp.opening, False), (0.0475, True)):
+        driven.toggle_gripper()
+        run(driven, 1.0)
+        assert np.abs(driven.data.qpos[fingers]) == pytest.approx(opening, abs=0.001)
+        assert driven.status.gripper_open is is_open
 
 
 def test_a_stream_takes_what_is_wide(
@@ -322,11 +322,11 @@ def test_an_end_effector_stream_is_the_frames_own_ee_pose(driven: TeleopScene, t
         ([{"t": 2}, {"t": 1}], "t 1 is before 2 of the line above"),
         ([{"t": 0, "event": "pause"}], "stream.jsonl:1: event"),
         ([{"t": 0, "joints": [0] * 6, "ee": np.eye(4).tolist()}], "give joints or ee, not both"),
-        ([{"t": 0, "ee": np.zeros((4, 4)).tolist()}], "no rotation"),
+        ([{"t": 0, "ee": np.zeros((4, 4)).tolist()}], "is not a rotation"),
         ([{"t": 0, "joints": [float("nan")] * 6}], "stream.jsonl:1: joints"),
         ([{"t": 0, "joints": [0] * 7}], "joints: 7 numbers; give 6 of the right arm$"),
         ([{"t": 0, "joints": [0] * 14}], "joints: 14 numbers; give 6 of the right arm$"),
-        ([{"t": 0, "arm": "left"}], "stream.jsonl:1: arm: there is only a right one"),
+        ([{"t": 0, "arm": "left"}], "stream.jsonl:1: arm: the rig has only a right arm"),
         (
             [{"t": 0}, {"t": 1, "joints": [0, 106, 109, -78, 0, 0]}],
             r"stream.jsonl:2: joints: arm1.joint2: 106 rad lies outside 0..3.665; is it in degrees\? Then give 1.85",
@@ -355,7 +355,7 @@ def test_a_leader_that_turns_a_little_farther_is_believed(
     assert read_stream(write_stream(tmp_path / "stream.jsonl", lines), config)
 
 
-def test_both_arms_of_a_row_are_looked_at(
+def test_joints_of_both_arms_in_a_row_are_checked(
     tmp_path: Path, make_config: Callable[..., RecordConfig], locations: Locations
 ) -> None:
     russet = make_config({("rig",): "russet"})
@@ -450,14 +450,14 @@ def test_what_the_disk_refuses_is_raised_and_nothing_after_it_is_written(config:
             writer.submit(
                 SimulatedAttempt(Attempt(AttemptJob(0, number)), Outcome(False, FailureCause.OFF_TARGET), None)
             )
-        wait(list(writer._futures))
         with pytest.raises(TimeoutError, match="does not answer"):
-            writer.next_written()
+            writer.next_written(timeout=5)
+        time.sleep(0.1)  # s, in which the writer's thread reaches the second attempt
     assert sink.asked == [0]
 
 
 @pytest.mark.render
-def test_what_a_broken_line_said_is_lost_and_nothing_else(
+def test_a_damaged_ledger_line_loses_its_attempt_alone(
     config: RecordConfig, locations: Locations, tmp_path: Path
 ) -> None:
     """A demonstration cannot be repeated; its line states so."""

@@ -37,8 +37,8 @@ def certificate_page(
     skipped = sum(check["ok"] is None for check in checks)
     figures = [
         (f"{found['mass_kg'] * 1000:g} g", "mass"),
-        (f"{found['collision']['parts']:,}", f"parts that touch: {found['collision']['kind']}"),
-        (f"{len(checks) - failed - skipped} of {len(checks)}", f"checks passed; {skipped} not made"),
+        (f"{found['collision']['parts']:,}", f"collision parts: {found['collision']['kind']}"),
+        (f"{len(checks) - failed - skipped} of {len(checks)}", f"checks passed; {skipped} skipped"),
     ]
     sections = [_section(check, titles[check["code"]], pictures.get(check["code"], ())) for check in checks]
     thing = str(found["thing"])
@@ -48,10 +48,10 @@ def certificate_page(
 
 def _verdict(failed: int, skipped: int) -> Markup:
     if failed:
-        return verdict(f"{failed} of its checks failed: not to be recorded with as it is.", "error")
+        return verdict(f"{failed} of its checks failed: correct the object before you record with it.", "error")
     if skipped:
-        return verdict("Nothing was found wrong; what could not be checked is said below.", "fine")
-    return verdict("Nothing was found wrong.", "fine")
+        return verdict("No check failed, but some could not run; each gives its reason below.", "fine")
+    return verdict("All checks passed.", "fine")
 
 
 def _section(check: Mapping[str, Any], texts: tuple[str, str], pictures: Pictures) -> Markup:

@@ -43,30 +43,31 @@ _SURFACES = ("size.implausible", "mesh.open", "mesh.inverted")
 _MASS = ("size.implausible", "mass.density", "mass.centre", "inertia.impossible")
 
 _ALL = (
-    ObjectCheck("size.implausible", "it is not as large as things are", "give the unit that its file is in",
+    ObjectCheck("size.implausible", "its size is not plausible for an object", "give the unit of its file",
                static.check_size),
-    ObjectCheck("mesh.open", "a surface has holes", "close it in the program that made it", static.check_closed,
+    ObjectCheck("mesh.open", "a surface has holes", "close the holes in the program that made it", static.check_closed,
                _SURFACES[:1]),
-    ObjectCheck("mesh.inverted", "a surface is inside out", "turn its faces round where it was made",
+    ObjectCheck("mesh.inverted", "a surface is inside out", "flip its faces in the program that made it",
                static.check_normals, _SURFACES[:2]),
-    ObjectCheck("mass.density", "nothing is so heavy, or so light", "give its mass in kg", static.check_density,
+    ObjectCheck("mass.density", "its density is not plausible", "give its mass in kg", static.check_density,
                _SURFACES),
-    ObjectCheck("mass.centre", "its centre of mass is outside of it", "mend `inertia.centre`, m",
+    ObjectCheck("mass.centre", "its centre of mass is outside its surface", "correct `inertia.centre`, m",
                static.check_centre_of_mass, _SURFACES[:1]),
-    ObjectCheck("inertia.impossible", "no body has such moments of inertia", "leave them out when it is imported, or "
-               "mend `inertia.diagonal`, kg m2", static.check_inertia,
+    ObjectCheck("inertia.impossible", "its moments of inertia are impossible", "import it without them, or correct "
+               "`inertia.diagonal`, kg m2", static.check_inertia,
                ("size.implausible", "mass.density", "mass.centre")),
-    ObjectCheck("collision.differs", "what touches is not what is seen", "import it with another `--collision`",
+    ObjectCheck("collision.differs", "its collision parts differ from its visible surface",
+               "import it with another `--collision`",
                static.check_collision_geometry, _SURFACES),
-    ObjectCheck("rest.moves", "it does not lie still", "flatten what it stands on, or give it rolling friction",
+    ObjectCheck("rest.moves", "it does not come to rest", "flatten its underside, or give it rolling friction",
                physics.check_rest, _MASS),
-    ObjectCheck("drop.breaks", "it goes through the ground, or blows up", "thicken its collision parts",
+    ObjectCheck("drop.breaks", "it falls through the ground, or physics breaks down", "thicken its collision parts",
                physics.check_drop, _MASS),
     ObjectCheck("hollow.filled", "a ball dropped into it does not stay in", "import it with `--collision decompose`",
                physics.check_hollow, (*_MASS, "mesh.open", "mesh.inverted")),
-    ObjectCheck("joint.jams", "a joint does not move from stop to stop", "look what its parts touch on their way",
+    ObjectCheck("joint.jams", "a joint does not move from limit to limit", "check what its parts touch on their way",
                physics.check_articulation, _MASS),
-    ObjectCheck("grasp.slips", "a hand does not take it from a table and hold it", "mend `grasp`, or leave it out",
+    ObjectCheck("grasp.slips", "a gripper cannot pick it up and hold it", "correct `grasp`, or leave it out",
                grasp.check_grasp, _MASS),
 )  # fmt: skip
 
@@ -131,7 +132,7 @@ def certify(
         progress(number, len(CHECKS), code)
         failed = [other for other in check.needs if outcomes[other].ok is False]
         if failed:
-            outcomes[code] = skipped_check(f"means nothing before {', '.join(failed)} is mended")
+            outcomes[code] = skipped_check(f"needs {', '.join(failed)} to pass first")
         else:
             outcomes[code] = check.make(subject)
     return CertificationResult(subject, outcomes)

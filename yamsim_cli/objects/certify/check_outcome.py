@@ -60,8 +60,8 @@ def object_view(tested_object: TestedObject, caption: str, *, steep: float = 0.7
 
 
 def collision_view(tested_object: TestedObject) -> CheckView:
-    """View the collision geoms."""
-    view = _view(_spec(tested_object, 0.75), "what touches")
+    """Return a view of the collision geoms."""
+    view = _view(_spec(tested_object, 0.75), "collision parts")
     touches = (view.model.geom_contype > 0) | (view.model.geom_conaffinity > 0)
     view.model.geom_group[:] = np.where(touches, SEEN_GROUP, HIDDEN_GROUP)
     return view
@@ -83,7 +83,7 @@ def inertia_view(tested_object: TestedObject, *, block: bool) -> CheckView:
     )  # fmt: skip
     for material in spec.materials:
         material.rgba = (*material.rgba[:3], _OBJECT_OPACITY)
-    return _view(spec, "as hard to turn as this block" if block else "its centre of mass")
+    return _view(spec, "box of equal inertia" if block else "centre of mass")
 
 
 def _spec(tested_object: TestedObject, steep: float) -> mujoco.MjSpec:

@@ -48,16 +48,16 @@ def check_grasp(tested_object: TestedObject) -> CheckOutcome:
     """Run `pick`, and check that two finger pads hold the object by the resulting grasp."""
     item = tested_object.item
     if item.links or item.base == "fixed":
-        return skipped_check("it is opened rather than lifted: its handles are for that")
+        return skipped_check("it is not lifted but opened, by its handles")
     if item.grasp is None or item.grasp.friction is None:
-        return skipped_check("it says nowhere how friction could hold it")
+        return skipped_check("its config has no grasp by friction")
     friction = item.grasp.friction
     if friction.hands > 1:
-        return skipped_check("it takes two hands, and one alone was to try")
+        return skipped_check("its grasp needs two hands, and this check has one")
     widest = _full_opening(tested_object.locations)
     if all(point.opening >= widest for point in friction.points):
         return skipped_check(
-            f"{2000 * item.grasp.opening:.4g} mm wide: more than the hand opens, {2000 * widest:.4g} mm"
+            f"{2000 * item.grasp.opening:.4g} mm wide, but the gripper opens by at most {2000 * widest:.4g} mm"
         )
     try:
         taken = simulate_pick(item, replace(tested_object.locations, meshes=tested_object.meshes))

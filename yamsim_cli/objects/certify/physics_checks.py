@@ -17,14 +17,15 @@ from .check_outcome import CheckOutcome, CheckView, round_significant, skipped_c
 from .static_checks import NO_MESHES
 from .tested_object import TestedObject, compile_or_raise, object_on_ground_spec, object_spec, step_seconds, with_camera
 
-_MAX_SETTLE_TIME, _SETTLE_INTERVAL = 6.0, 0.2  # s, longest wait for rest, and time between tests
-_STILL_TIME, _DROP_TIME = 2.0, 1.5  # s, of rest that follows; duration of a drop
-_TILT, _DRIFT, _SINK = np.radians(3.0), 0.003, 0.0015  # rad, m, m, allowed at rest
-_DROP_HEIGHT, _DROPS = 0.10, 8  # m; number of falls
-_MAX_PENETRATION = 0.05  # m at impact, half the slab; deeper objects come out on its underside
-_MAX_ENERGY_GAIN, _MIN_FALL_ENERGY = 0.02, 1e-4  # share of the fall's energy; J, least energy of a fall
-_REST_SPEED = 0.0002  # m/s; the limit for turns is ten times this number, rad/s
-_FIXED = "its base is fixed: it lies nowhere else"
+# Checks of rest and of drops.
+_MAX_SETTLE_TIME, _SETTLE_INTERVAL = 6.0, 0.2  # s, longest time to come to rest, and interval between tests
+_STILL_TIME, _DROP_TIME = 2.0, 1.5  # s, time for which the object must then stay at rest; duration of a drop
+_TILT, _DRIFT, _SINK = np.radians(3.0), 0.003, 0.0015  # rad, m, m: tilt, drift, penetration allowed at rest
+_DROP_HEIGHT, _DROPS = 0.10, 8  # m, height from which the object falls; number of falls
+_MAX_PENETRATION = 0.05  # m, limit at impact: half the slab's thickness; deeper objects come out on its underside
+_MAX_ENERGY_GAIN, _MIN_FALL_ENERGY = 0.02, 1e-4  # limit, as a share of the fall's energy; J, least value of that energy
+_REST_SPEED = 0.0002  # m/s; slower objects are at rest, if they also turn at less than ten times this number in rad/s
+_FIXED = "its base is fixed, so it has no other pose"
 
 _CELLS = 56  # columns of the height map along the longer side
 _MIN_DEPTH, _MIN_ROOM = 0.010, 0.0045  # m, of a hollow: depth, and distance to its walls
@@ -76,7 +77,7 @@ class _TestScene:
                 deep = max(deep, -float(self.data.contact.dist.min()))
             energy = max(energy, float(self.data.energy.sum()))
         if (fault := physics_failure(self.data)) is not None or not np.isfinite(self.data.qpos).all():
-            raise ArithmeticError(fault or "a pose is no number")
+            raise ArithmeticError(fault or "a pose is not finite")
         return deep, energy
 
     @property
@@ -163,7 +164,7 @@ def check_drop(tested_object: TestedObject) -> CheckOutcome:
             views.append(world.view(f"drop {number}"))
         lowest = float((tested_object.collision_points @ world.T[:3, :3].T + world.T[:3, 3])[:, 2].min())
         if lowest < -_SINK and abs(world.T[:2, 3]).max() < 0.9:
-            note = f"drop {number}: it ends {-lowest * 1000:.3g} mm under the ground"
+            note = f"drop {number}: it ends {-lowest * 1000:.3g} mm below the ground"
             return CheckOutcome(False, {"drops": _DROPS}, note, tuple(views))
     figures = {
         "drops": _DROPS,
@@ -234,7 +235,7 @@ def check_hollow(tested_object: TestedObject) -> CheckOutcome:
         return skipped_check(NO_MESHES)
     found = find_hollow(tested_object)
     if found is None:
-        return skipped_check("nothing would stay in it: it has no hollow")
+        return skipped_check("it has no interior that can hold a ball")
     radius = min(0.7 * found.wall_distance, _MAX_BALL_RADIUS)
     spec = with_camera(
         object_on_ground_spec(tested_object), (0, 0, tested_object.size * 0.2), tested_object.size, steep=1.2
@@ -267,9 +268,9 @@ def check_hollow(tested_object: TestedObject) -> CheckOutcome:
     limit = _MAX_BALL_HEIGHT * (found.water_height - found.floor_height)
     figures |= {"over_floor_mm": round_significant(over * 1000, 3), "aside_mm": round_significant(offset * 1000, 3)}
     if offset > 2 * radius + 0.002:
-        return CheckOutcome(False, figures, "the ball lies beside it", views)
+        return CheckOutcome(False, figures, "the ball lies beside the interior", views)
     if over > limit:
-        note = f"the ball stays {over * 1000:.3g} mm over its floor: what is seen hollow is not"
+        note = f"the ball stays {over * 1000:.3g} mm above its floor: collision parts fill the visible interior"
         return CheckOutcome(False, figures, note, views)
     if over < -0.25 * radius - 0.004:
         return CheckOutcome(False, figures, f"the ball went through its floor by {-over * 1000:.3g} mm", views)
@@ -280,7 +281,7 @@ def check_articulation(tested_object: TestedObject) -> CheckOutcome:
     """Check that joints move from limit to limit, and come to rest."""
     links = tested_object.item.links
     if not links:
-        return skipped_check("nothing moves on it")
+        return skipped_check("it has no joint")
     spec = object_spec(tested_object.item, tested_object.meshes, fixed=True)
     model = compile_or_raise(with_camera(spec, (0, 0, tested_object.size * 0.2), tested_object.size))
     data = mujoco.MjData(model)
@@ -293,15 +294,15 @@ def check_articulation(tested_object: TestedObject) -> CheckOutcome:
             which = "upper" if end else "lower"
             reached[f"{link.name}_{which}_missing"] = round_significant(missing, 3)
             if end:
-                views.append(CheckView(model, data.qpos.copy(), f"{link.name} at its upper end"))
+                views.append(CheckView(model, data.qpos.copy(), f"{link.name} at its upper limit"))
             if missing > _END_TOLERANCE:
-                faults.append(f"{link.name} stops {missing * 100:.3g} % of its way before its {which} end")
+                faults.append(f"{link.name} stops {missing * 100:.3g} % of its range before its {which} limit")
         data.qfrc_applied[:] = 0
         step_seconds(model, data, _REST_TIME)
         speed = abs(float(data.joint(name).qvel[0])) / float(np.ptp(model.joint(name).range))
         fastest = max(fastest, speed)
         if speed > _JOINT_REST_SPEED:
-            faults.append(f"{link.name} does not come to rest: {speed:.3g} of its way a second")
+            faults.append(f"{link.name} does not come to rest: {speed:.3g} of its range per second")
     figures = {"joints": len(links), "last_speed_1_s": round_significant(fastest, 3), **reached}
     return CheckOutcome(not faults, figures, "; ".join(faults), tuple(views))
 

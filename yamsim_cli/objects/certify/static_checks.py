@@ -17,7 +17,7 @@ from ..primitives import signed_distance
 from .check_outcome import CheckOutcome, collision_view, inertia_view, object_view, round_significant, skipped_check
 from .tested_object import TestedObject
 
-NO_MESHES = "its meshes are not here: run `yamsim assets fetch`"
+NO_MESHES = "its meshes are not installed: run `yamsim assets fetch`"
 
 _PLAUSIBLE_SIZES = (0.002, 1.5)  # m, length of an object on a table
 _MAX_OPEN_SHARE = 1e-3  # of all edges; scans have some where patches meet
@@ -52,7 +52,7 @@ def check_closed(tested_object: TestedObject) -> CheckOutcome:
     edges = sum(3 * len(faces) // 2 for _, faces in tested_object.visual_surfaces)
     open_ = sum(open_edges(faces) for _, faces in tested_object.visual_surfaces)
     allowed = _MAX_OPEN_SHARE * edges
-    note = "" if open_ <= allowed else f"{open_} of {edges} edges are open: there are holes in it"
+    note = "" if open_ <= allowed else f"{open_} of {edges} edges are open: the surface has holes"
     views = (object_view(tested_object, "from below", steep=-0.9),)
     return CheckOutcome(open_ <= allowed, {"open_edges": open_, "edges": edges}, note, views)
 
@@ -89,7 +89,7 @@ def check_density(tested_object: TestedObject) -> CheckOutcome:
 def check_centre_of_mass(tested_object: TestedObject) -> CheckOutcome:
     """Check that the centre of mass lies in the convex hull."""
     deep = float(depth_in_hull(np.array([tested_object.item.inertia.centre]), tested_object.outline)[0])
-    note = "" if deep >= -_ROUNDING else f"{-deep * 1000:.4g} mm outside of it"
+    note = "" if deep >= -_ROUNDING else f"{-deep * 1000:.4g} mm outside its surface"
     return CheckOutcome(
         deep >= -_ROUNDING,
         {"inside_mm": round_significant(deep * 1000)},
@@ -119,17 +119,17 @@ def check_inertia(tested_object: TestedObject) -> CheckOutcome:
     views = (inertia_view(tested_object, block=True),)
     if a + b < c * (1 - _SLACK):
         return CheckOutcome(
-            False, figures, f"{a:.3g} and {b:.3g} together are less than {c:.3g} kg m2: no body has that"
+            False, figures, f"the sum of {a:.3g} and {b:.3g} is less than {c:.3g} kg m2, which no body has"
         )
     if (moments > most).any():
         axis = int((moments / most).argmax())
-        note = f"{moments[axis]:.3g} kg m2 is more than its mass at its farthest point has, {most[axis]:.3g}"
+        note = f"{moments[axis]:.3g} kg m2 is more than {most[axis]:.3g}, that of its whole mass at its farthest point"
         return CheckOutcome(False, figures, note, views)
     if (moments < _MIN_BOX_SHARE * filled).any():
         axis = int((moments / filled).argmin())
         note = (
-            f"{moments[axis]:.3g} kg m2 is less than {_MIN_BOX_SHARE:.0%} of what its mass has, spread evenly in its "
-            f"bounding box, {filled[axis]:.3g}"
+            f"{moments[axis]:.3g} kg m2 is less than {_MIN_BOX_SHARE:.0%} of {filled[axis]:.3g}, that of its mass "
+            "spread evenly over its bounding box"
         )
         return CheckOutcome(False, figures, note, views)
     return CheckOutcome(True, figures, views=views)
@@ -141,7 +141,7 @@ def check_collision_geometry(tested_object: TestedObject) -> CheckOutcome:
         return skipped_check(NO_MESHES)
     parts = tested_object.item.collision
     if any(isinstance(part, SdfPart) for part in parts):
-        return skipped_check("it collides by the distance to its own surface")
+        return skipped_check("it collides by a distance field of its own surface")
     surface = tested_object.surface
     points = np.concatenate([surface[0], tested_object.collision_points])
     low, high = points.min(axis=0), points.max(axis=0)
@@ -166,11 +166,15 @@ def check_collision_geometry(tested_object: TestedObject) -> CheckOutcome:
     }
     views = (collision_view(tested_object),)
     if volume > _MAX_HULL_SHARE * hull:
-        return CheckOutcome(False, figures, f"what touches is {volume / hull:.2f} times its hull", views)
+        return CheckOutcome(
+            False, figures, f"the collision parts have {volume / hull:.2f} times the volume of its hull", views
+        )
     if volume < _MIN_MESH_SHARE * mesh:
-        return CheckOutcome(False, figures, f"what touches is {volume / mesh:.2f} of what is seen", views)
+        return CheckOutcome(
+            False, figures, f"the collision parts have {volume / mesh:.2f} times the visible volume", views
+        )
     if most > allowed:
-        return CheckOutcome(False, figures, f"it sticks out of what touches by {most * 1000:.3g} mm", views)
+        return CheckOutcome(False, figures, f"it sticks out of its collision parts by {most * 1000:.3g} mm", views)
     return CheckOutcome(True, figures, views=views)
 
 

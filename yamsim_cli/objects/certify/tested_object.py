@@ -67,7 +67,7 @@ def read_tested_object(item: ObjectConfig, meshes: Mapping[str, Path | None], lo
         UsageError: the object is cloth.
     """
     if item.cloth is not None:
-        raise UsageError(f"{item.name} is cloth, and certificates are of stiff things; give another object")
+        raise UsageError(f"{item.name} is cloth, and only rigid objects can be certified; give another object")
     model = compile_or_raise(object_spec(item, meshes))
     looks, points = [], []
     here = all(meshes.get(name) is not None for name in item.mesh_sets)

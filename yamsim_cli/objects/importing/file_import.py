@@ -56,7 +56,7 @@ def import_file(
         ResourceError: the file is refused or does not allow a valid config, or a file cannot be written.
     """
     if not re.fullmatch("[A-Za-z][A-Za-z0-9_]*", options.name):
-        raise UsageError(f"--name {options.name!r} is not valid: letters, digits and underscores, a letter first")
+        raise UsageError(f"--name {options.name!r} is not valid; valid: a letter, then letters, digits and underscores")
     path = config_path(locations, options.name, out)
     config, made, yaml = _build_and_publish(file, units, options, locations, share)
     write_config(path, yaml)
@@ -131,7 +131,7 @@ def _with_reachable_grasps(config: ObjectConfig, locations: Locations) -> Object
 
 def _comment(file: Path, made: BuiltObject, units: UnitOptions, sha256: str) -> str:
     kinds = ", ".join(dict.fromkeys(geometry.kind for geometry in made.collision))
-    guess = " (a guess: nobody said)" if made.mass_is_guessed else ""
+    guess = " (a guess: neither mass nor density was given)" if made.mass_is_guessed else ""
     given = [(key, value) for key, value in asdict(units).items() if value is not None and value != 1.0]
     flags = "".join(f" --{key} {value:g}" if key == "scale" else f" --{key} {value}" for key, value in given)
     return (

@@ -29,7 +29,7 @@ def import_if_file(name: str, locations: Locations, notify: Callable[[str], None
     imported = import_directly(Path(name), locations)
     if imported.built_object.mass_is_guessed:
         notify(
-            f"{name}: {imported.built_object.mass * 1000:.3g} g is a guess: "
-            f"`yamsim assets import {name} --mass KG` says more."
+            f"{name}: its mass of {imported.built_object.mass * 1000:.3g} g is a guess; "
+            f"to give the mass, run `yamsim assets import {name} --mass KG`."
         )
     return str(imported.path)

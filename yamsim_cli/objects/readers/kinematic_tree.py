@@ -98,24 +98,24 @@ def _find_root(
     for joint in joints:
         for name in (joint.child, *((joint.parent,) if joint.parent is not None else ())):
             if name not in by_name:
-                raise RefusedError("damaged", f"joint {joint.name!r} names link {name!r}, which is not there")
+                raise RefusedError("damaged", f"joint {joint.name!r} names link {name!r}, which does not exist")
         if joint.child in above:
-            raise RefusedError("damaged", f"link {joint.child!r} has two parent joints: loops are not read")
+            raise RefusedError("damaged", f"link {joint.child!r} has two parent joints: loops are not supported")
         above[joint.child] = joint
     for link in links:
         at, steps = link.name, 0
         while at in above and above[at].parent is not None:
             at, steps = above[at].parent or "", steps + 1
             if steps > len(links):
-                raise RefusedError("cycle", "its joints form a circle")
+                raise RefusedError("cycle", "its joints form a loop")
     roots = [link for link in links if link.name not in above or above[link.name].parent is None]
     if len(roots) > 1:
         names = ", ".join(link.name for link in roots[:5])
-        raise RefusedError("several-things", f"it holds {len(roots)} things that nothing joins ({names}): keep one")
+        raise RefusedError("several-things", f"it has {len(roots)} objects that no joint connects ({names}): keep one")
     root = roots[0]
     fixed = root.name in above
     if fixed and above[root.name].moves is not None:
-        raise RefusedError("joint-kind", f"link {root.name!r} moves on the world: give it a base link")
+        raise RefusedError("joint-kind", f"link {root.name!r} moves relative to the world: give it a base link")
     return by_name, root, fixed
 
 
@@ -133,13 +133,14 @@ def _merge(parent: LinkDescription, link: LinkDescription) -> None:
     T = inverse(parent.T) @ link.T
     parent.visual_surfaces += [surface.transform(T) for surface in link.visual_surfaces]
     parent.shapes += [transform_shape(shape, T) for shape in link.shapes]
-    parent.handles += [_moved_handle(handle, T) for handle in link.handles]
+    parent.handles += [transform_handle(handle, T) for handle in link.handles]
     if link.weight is not None:
         moved = transform_mass_properties(link.weight, T)
         parent.weight = moved if parent.weight is None else _add_mass_properties(parent.weight, moved)
 
 
-def _moved_handle(handle: Mapping[str, Any], T: Array) -> Mapping[str, Any]:
+def transform_handle(handle: Mapping[str, Any], T: Array) -> Mapping[str, Any]:
+    """Return a handle in the frame in which the handle's present frame has the pose T (4, 4)."""
     moved = {key: (T[:3, :3] @ handle[key]).tolist() for key in ("approach", "axis")}
     return {**handle, **moved, "position": (T @ [*handle["position"], 1.0])[:3].tolist()}
 
@@ -191,7 +192,7 @@ def make_mass_properties(mass: float, centre: Array, tensor: Array) -> MassPrope
     if mass == 0:
         return None
     if not 0 < mass <= 1e4:
-        raise RefusedError("impossible", f"it says a mass of {mass:g} kg")
+        raise RefusedError("impossible", f"its mass is {mass:g} kg")
     return MassProperties(mass, np.asarray(centre, np.float64), np.asarray(tensor, np.float64))
 
 

@@ -49,11 +49,13 @@ def _stl(data: bytes, maximum: int) -> None:
             raise _too_many_faces(maximum)
         return
     if not data.lstrip()[:5].lower() == b"solid":
-        raise RefusedError("damaged", f"as a binary STL it says {count:,} faces, and has bytes for {len(data) // 50:,}")
+        raise RefusedError(
+            "damaged", f"its header gives {count:,} faces, but its bytes hold {max(0, len(data) - 84) // 50:,}"
+        )
     if data.count(b"facet normal") > maximum:
         raise _too_many_faces(maximum)
     if b"endsolid" not in data:
-        raise RefusedError("damaged", "the text of this STL is cut off: no endsolid")
+        raise RefusedError("damaged", "the text is cut off: it has no endsolid")
 
 
 def _ply(data: bytes, maximum: int) -> None:
@@ -65,25 +67,27 @@ def _ply(data: bytes, maximum: int) -> None:
         words = line.split()
         if words[:1] == ["element"]:
             if len(words) != 3 or not words[2].isdecimal():
-                raise RefusedError("damaged", f"its header says {line.strip()[:60]!r}")
+                raise RefusedError("damaged", f"its header has the line {line.strip()[:60]!r}")
             count = int(words[2])
             if words[1] == "face" and count > maximum:
                 raise _too_many_faces(maximum)
         elif words[:1] == ["property"] and len(words) >= 3:
             least += count * (_PLY_BYTES.get(words[1] if words[1] != "list" else words[2], 1) if binary else 2)
     if least > len(data) - end:
-        raise RefusedError("damaged", f"its header promises {least:,} bytes or more, and {len(data) - end:,} follow")
+        raise RefusedError("damaged", f"its header needs {least:,} bytes or more, but {len(data) - end:,} follow")
 
 
 def _glb(data: bytes, maximum: int) -> None:
     if data[:4] != b"glTF" or len(data) < 20:
-        raise RefusedError("damaged", "it does not begin as a GLB does")
+        raise RefusedError("damaged", "it does not begin with the header of a GLB")
     version, total = (int.from_bytes(data[k : k + 4], "little") for k in (4, 8))
     if version != 2 or total > len(data):
-        raise RefusedError("damaged", f"it says glTF {version}, {total:,} bytes, and has {len(data):,}")
+        raise RefusedError(
+            "damaged", f"its header gives glTF {version} and {total:,} bytes; it has {len(data):,} bytes"
+        )
     length = int.from_bytes(data[12:16], "little")
     if data[16:20] != b"JSON" or 20 + length > len(data):
-        raise RefusedError("damaged", "its first chunk is no JSON, or cut off")
+        raise RefusedError("damaged", "its first chunk is not JSON, or is cut off")
     start = 20 + length
     binary = int.from_bytes(data[start : start + 4], "little") if len(data) >= start + 8 else 0
     if start + 8 + binary > len(data) and binary:
@@ -97,7 +101,7 @@ def _json(text: bytes) -> Any:
     except (ValueError, RecursionError) as error:
         raise RefusedError("damaged", f"its JSON cannot be read: {str(error)[:100]}") from error
     if not isinstance(tree, dict):
-        raise RefusedError("damaged", "its JSON is no mapping")
+        raise RefusedError("damaged", "its JSON is not an object")
     return tree
 
 
@@ -113,11 +117,11 @@ def _accessors(tree: Any, binary: int | None, maximum: int) -> None:
     views = tree.get("bufferViews", [])
     for view in views:
         if min(view.get("byteOffset", 0), view["byteLength"], view["buffer"]) < 0:
-            raise RefusedError("damaged", "it has a view of negative size")
+            raise RefusedError("damaged", "it has a buffer view of negative size")
         size = tree["buffers"][view["buffer"]].get("byteLength", 0)
         own = binary if binary is not None and view["buffer"] == 0 and "uri" not in tree["buffers"][0] else size
         if view.get("byteOffset", 0) + view["byteLength"] > min(size, own + 3):
-            raise RefusedError("damaged", "it has a view beyond its buffer")
+            raise RefusedError("damaged", "it has a buffer view beyond its buffer")
     for accessor in tree.get("accessors", []):
         count, width = accessor["count"], _WIDTHS[accessor["type"]] * _COMPONENTS[accessor["componentType"]]
         if count < 0 or count > 3 * maximum:
@@ -126,29 +130,29 @@ def _accessors(tree: Any, binary: int | None, maximum: int) -> None:
             view = views[accessor["bufferView"]]
             stride = view.get("byteStride", width)
             if accessor.get("byteOffset", 0) + (count - 1) * stride + width > view["byteLength"]:
-                raise RefusedError("damaged", f"an accessor of {count:,} elements reaches beyond its view")
+                raise RefusedError("damaged", f"an accessor of {count:,} elements reaches beyond its buffer view")
         elif count * width > 3 * maximum:
-            raise RefusedError("damaged", "an accessor without a view is too long")
+            raise RefusedError("damaged", "an accessor without a buffer view is too long")
 
 
 def _nodes(tree: Any) -> None:
     nodes = tree.get("nodes", [])
     if len(nodes) > 10_000:
-        raise RefusedError("too-many-faces", f"it has {len(nodes):,} nodes; a thing needs no more than 10,000")
+        raise RefusedError("too-many-faces", f"it has {len(nodes):,} nodes; at most 10,000")
     parents: dict[int, int] = {}
     for number, node in enumerate(nodes):
         for child in node.get("children", []):
             if not 0 <= child < len(nodes):
-                raise RefusedError("damaged", f"node {number} has a child that is not there")
+                raise RefusedError("damaged", f"node {number} has a child that does not exist")
             if child in parents:
                 raise RefusedError("cycle", f"node {child} has two parents")
             parents[child] = number
         for key in ("matrix", "translation", "rotation", "scale"):
             if not all(math.isfinite(value) for value in node.get(key, ())):
-                raise RefusedError("no-numbers", f"node {number} has a {key} of no numbers")
+                raise RefusedError("no-numbers", f"node {number} has a {key} that is not a list of numbers")
     for number in range(len(nodes)):
         at, steps = number, 0
         while at in parents:
             at, steps = parents[at], steps + 1
             if steps > len(nodes):
-                raise RefusedError("cycle", "its nodes form a circle")
+                raise RefusedError("cycle", "its nodes form a loop")

@@ -89,7 +89,7 @@ def read_mesh(data: bytes, suffix: str, folder: ConfinedFolder, base: Path) -> M
         RefusedError: the file is damaged or too large, or names a file outside `folder`.
     """
     if suffix not in FORMATS:
-        raise RefusedError("unknown-kind", f"{suffix or 'no ending'} is none of {', '.join(FORMATS)}")
+        raise RefusedError("unknown-kind", f"{suffix or 'no suffix'} is not supported; valid: {', '.join(FORMATS)}")
     check_header(data, suffix, MAX_FACES)
     kind, unit, up = FORMATS[suffix]
     if suffix == ".stl" and is_binary_stl(data):
@@ -97,7 +97,7 @@ def read_mesh(data: bytes, suffix: str, folder: ConfinedFolder, base: Path) -> M
     try:
         import trimesh
     except ImportError:
-        raise RefusedError("unknown-kind", "an STL of text needs the extra: pip install 'yamsim[import]'") from None
+        raise RefusedError("unknown-kind", "a text STL needs trimesh: run `pip install 'yamsim[import]'`") from None
     if suffix == ".dae":
         from .untrusted_xml import collada_asset
 
@@ -130,7 +130,7 @@ def _binary_stl(data: bytes) -> Surface:
     try:
         vertices, faces = read_stl(data)
     except ResourceError as error:
-        raise RefusedError("no-numbers", "it has coordinates that are no numbers") from error
+        raise RefusedError("no-numbers", "it has coordinates that are not finite numbers") from error
     if not len(faces):
         raise RefusedError("empty", "it has no triangles")
     return Surface(vertices, faces)
@@ -161,9 +161,9 @@ def _surface(mesh: Any, T: Array) -> Surface | None:
     vertices = np.asarray(mesh.vertices, np.float64)
     faces = np.asarray(mesh.faces, np.int64)
     if not np.isfinite(vertices).all() or not np.isfinite(T).all():
-        raise RefusedError("no-numbers", "it has coordinates that are no numbers")
+        raise RefusedError("no-numbers", "it has coordinates that are not finite numbers")
     if faces.min() < 0 or faces.max() >= len(vertices):
-        raise RefusedError("damaged", "it has triangles over vertices that are not there")
+        raise RefusedError("damaged", "it has triangles with vertices that do not exist")
     triangles: Faces = faces.astype(np.int32)
     material, uv, colours = GREY, None, None
     texture = None
@@ -173,7 +173,7 @@ def _surface(mesh: Any, T: Array) -> Surface | None:
         if image is not None and visual.uv is not None and len(visual.uv) == len(vertices):
             corners = np.asarray(visual.uv, np.float64)[triangles]
             if not np.isfinite(corners).all():
-                raise RefusedError("no-numbers", "it has texture coordinates that are no numbers")
+                raise RefusedError("no-numbers", "it has texture coordinates that are not finite numbers")
             uv, texture = corners, encode_png_texture(image, "of a material")
         colour = visual.vertex_attributes.get("color") if uv is None and hasattr(visual, "vertex_attributes") else None
         if colour is not None and len(colour) == len(vertices):
@@ -250,7 +250,9 @@ def mesh_surfaces(
     if not uri:
         raise RefusedError("damaged", "it has a mesh without a name")
     if not all(1e-6 <= abs(factor) <= 1e6 for factor in scale):
-        raise RefusedError("impossible", f"it scales a mesh by {' '.join(f'{factor:g}' for factor in scale)}")
+        raise RefusedError(
+            "impossible", f"it scales a mesh by {' '.join(f'{factor:g}' for factor in scale)}; valid: 1e-6 to 1e6"
+        )
     path = folder.find(uri, base)
     mesh = read_mesh(folder.read(uri, base), path.suffix.lower(), folder, path.parent)
     T = np.diag([*(np.array(scale) * (mesh.unit_m or 1.0)), 1.0])

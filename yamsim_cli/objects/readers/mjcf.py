@@ -69,7 +69,7 @@ def read_mjcf(data: bytes, folder: ConfinedFolder, base: Path) -> ObjectDescript
         raise RefusedError("too-much-memory", "reading it takes too much memory for a file of its size") from None
     except (ValueError, TypeError, RuntimeError) as error:
         reason = " ".join(str(error).split())[:200]
-        raise RefusedError("damaged", f"MuJoCo does not read it: {reason}") from error
+        raise RefusedError("damaged", f"MuJoCo cannot read it: {reason}") from error
     return _read(model, name)
 
 
@@ -83,7 +83,7 @@ def _take_files(root: Element, folder: ConfinedFolder, base: Path) -> dict[str, 
     assets: dict[str, bytes] = {}
     for element in root.iter():
         if element.tag in _REFUSED_TAGS:
-            raise RefusedError("damaged", f"<{element.tag}> is not read here")
+            raise RefusedError("damaged", f"<{element.tag}> is not supported")
         for key in [key for key in element.attrib if key.startswith("file")]:
             named = element.attrib[key]
             where = next((compiler[k] for k in _FOLDERS.get(element.tag, ()) if k in compiler), "")
@@ -93,7 +93,9 @@ def _take_files(root: Element, folder: ConfinedFolder, base: Path) -> dict[str, 
             suffix = PurePosixPath(named).suffix.lower()
             if element.tag == "mesh":
                 if suffix not in (".stl", ".obj", ".msh"):
-                    raise RefusedError("unknown-kind", f"MuJoCo reads no mesh that ends in {suffix!r}: {named}")
+                    raise RefusedError(
+                        "unknown-kind", f"mesh {named}: MuJoCo cannot read {suffix!r}; valid: .stl, .obj, .msh"
+                    )
                 check_header(data, suffix, MAX_FACES)
                 element.attrib.setdefault("name", PurePosixPath(named).stem)
             elif element.tag == "texture":
@@ -105,7 +107,9 @@ def _take_files(root: Element, folder: ConfinedFolder, base: Path) -> dict[str, 
             for key in ("width", "height"):
                 text = element.get(key, "0")
                 if not text.strip().isdecimal() or int(text) > _MAX_BUILTIN:
-                    raise RefusedError("texture-too-large", f"a texture is {text} pixels wide or high")
+                    raise RefusedError(
+                        "texture-too-large", f"a texture is {text} pixels wide or high; at most {_MAX_BUILTIN}"
+                    )
     return assets
 
 
@@ -116,11 +120,11 @@ def _read(model: mujoco.MjModel, name: str) -> ObjectDescription:
         links, joints = [_link(model, 0, "base", notes)], []
     else:
         if world:
-            notes.append("left out: what belongs to the world itself")
+            notes.append("left out: geometry of the world body")
         links = [_link(model, body, _body_name(model, body), notes) for body in range(1, model.nbody)]
         joints = [joint for body in range(1, model.nbody) if (joint := _joint(model, body, notes)) is not None]
     if model.neq:
-        notes.append("left out: equalities")
+        notes.append("left out: equality constraints")
     parts, _ = build_parts(links, joints)
     touching_geoms = [geom for geom in range(model.ngeom) if model.geom_contype[geom] or model.geom_conaffinity[geom]]
     friction = float(np.median(model.geom_friction[touching_geoms, 0])) if touching_geoms else None
@@ -146,7 +150,7 @@ def _link(model: mujoco.MjModel, body: int, name: str, notes: list[str]) -> Link
         T = pose_from_quat(model.geom_pos[geom], model.geom_quat[geom])
         kind = _SHAPE_KINDS.get(mujoco.mjtGeom(model.geom_type[geom]))
         if kind is None and model.geom_dataid[geom] < 0:
-            notes.append("left out: planes and what else is no body")
+            notes.append("left out: planes and other unbounded geometry")
             continue
         size = model.geom_size[geom, : _SIZES[kind]].copy() if kind else np.zeros(0)
         if geom in only_seen or not only_seen:
@@ -176,7 +180,7 @@ def _joint(model: mujoco.MjModel, body: int, notes: list[str]) -> JointDescripti
     if parent == 0:
         free = count == 1 and model.jnt_type[first] == mujoco.mjtJoint.mjJNT_FREE
         if count and not free:
-            raise RefusedError("joint-kind", f"body {name!r} moves on the world: give it a base body")
+            raise RefusedError("joint-kind", f"body {name!r} moves relative to the world: give it a base body")
         return None
     above = _body_name(model, parent)
     if count == 0:

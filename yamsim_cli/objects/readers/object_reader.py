@@ -59,13 +59,15 @@ def _read_as_is(path: Path) -> ObjectDescription:
     if missing and path.suffix.lower() != ".stl":
         raise ResourceError(f"reading {path.name} needs {' and '.join(missing)}: pip install 'yamsim[import]'")
     if path.suffix.lower() not in ENDINGS:
-        raise RefusedError("unknown-kind", f"what ends in {path.suffix!r} is not read; valid: {', '.join(ENDINGS)}")
+        raise RefusedError(
+            "unknown-kind", f"files with the suffix {path.suffix!r} are not supported; valid: {', '.join(ENDINGS)}"
+        )
     try:
         status = path.stat()
     except OSError as error:
         raise RefusedError("missing", f"it cannot be read: {error.strerror}") from error
     if not stat.S_ISREG(status.st_mode):
-        raise RefusedError("not-a-file", "it is no regular file")
+        raise RefusedError("not-a-file", "it is not a regular file")
     if status.st_size > MAX_BYTES:
         raise RefusedError("too-large", f"it has {status.st_size / 1e6:.0f} MB; at most {MAX_BYTES // 10**6}")
     seconds = _CPU_SECONDS + _CPU_SECONDS_PER_MB * status.st_size / 1e6
@@ -96,7 +98,7 @@ def _read_in_child(path: Path, scratch: Path, seconds: float) -> ObjectDescripti
     if "MemoryError" in last or "Cannot allocate" in result.stderr or "bad_alloc" in result.stderr:
         raise RefusedError("too-much-memory", "reading it takes too much memory for a file of its size")
     if result.returncode in (-24, -9):
-        raise RefusedError("too-slow", f"reading it takes more than {seconds:.0f} s of a core: reduce it first")
+        raise RefusedError("too-slow", f"reading it takes more than {seconds:.0f} s of CPU time: reduce it first")
     raise RefusedError("crashed", f"the reader crashed on it ({result.returncode}: {last[:160]})")
 
 
@@ -109,9 +111,9 @@ def convert_to_metres(thing: ObjectDescription, units: UnitOptions) -> ObjectDes
         likely = [unit for unit, lengths in sizes.items() if _LIKELY[0] <= lengths.max() <= _LIKELY[1]]
         shown = " or ".join(f"--unit {unit} ({_format_size(sizes[unit])})" for unit in likely or UNITS)
         also = ", and --up z, y or x" if no_up else ""
-        raise RefusedError("unit", f"it does not say its unit: give {shown}{also}")
+        raise RefusedError("unit", f"it does not state its unit: add {shown}{also}")
     if no_up:
-        raise RefusedError("up", "it does not say which way is up: give --up z, --up y or --up x")
+        raise RefusedError("up", "it does not state its up axis: add --up z, --up y or --up x")
     metre = (UNITS[units.unit] if units.unit else thing.unit_m or 1.0) * units.scale
     _check_size(size * metre, units)
     return _convert_units(thing, metre, _rotation_to_z(units.up or thing.up or "z"))
@@ -129,7 +131,8 @@ def _check_size(size: Array, units: UnitOptions) -> None:
     mend = "; ".join(fitting) or "give --scale"
     raise RefusedError(
         "size",
-        f"it would be {_format_size(size)} large, and a thing is {_MIN_SIZE * 1000:g} mm to {_MAX_SIZE:g} m: {mend}",
+        f"it would be {_format_size(size)} large; valid for the longest side: "
+        f"{_MIN_SIZE * 1000:g} mm to {_MAX_SIZE:g} m; {mend}",
     )
 
 
@@ -159,12 +162,12 @@ def _convert_units(thing: ObjectDescription, metre: float, turn: Array) -> Objec
     if metre == 1.0 and np.array_equal(turn, np.eye(3)):
         return thing
     base, *others = thing.parts
-    if not others and not base.shapes and not base.weight:
+    if not others and not base.shapes and not base.weight and not base.handles:
         looks = tuple(surface.transform(pose(rotation=metre * turn)) for surface in base.looks)
         return replace(thing, parts=(replace(base, looks=looks),), unit_m=1.0, up="z")
     if metre != 1.0:
-        raise RefusedError("size", "a description says its own lengths: --unit and --scale are for mesh files")
-    from .kinematic_tree import transform_mass_properties, transform_shape
+        raise RefusedError("size", "a description is in metres: --unit and --scale are for mesh files only")
+    from .kinematic_tree import transform_handle, transform_mass_properties, transform_shape
 
     T = pose(rotation=turn)
     turned = replace(
@@ -172,6 +175,7 @@ def _convert_units(thing: ObjectDescription, metre: float, turn: Array) -> Objec
         looks=tuple(surface.transform(T) for surface in base.looks),
         shapes=None if base.shapes is None else tuple(transform_shape(shape, T) for shape in base.shapes),
         weight=None if base.weight is None else transform_mass_properties(base.weight, T),
+        handles=tuple(transform_handle(handle, T) for handle in base.handles),
     )
     hung = (replace(part, T_in_parent=T @ part.T_in_parent) if part.parent == 0 else part for part in others)
     return replace(thing, parts=(turned, *hung))

@@ -70,7 +70,7 @@ def collision_shape(kind: str, size: Array, T: Array) -> Mapping[str, Any] | Sur
 def visual_surface(kind: str, size: Array, material: SurfaceMaterial) -> Surface:
     """Return a centred primitive's surface. Raises `RefusedError` for absurd sizes."""
     if not all(1e-6 <= length <= 1e4 for length in size):
-        raise RefusedError("impossible", f"it has a body of size {' x '.join(f'{length:g}' for length in size)}")
+        raise RefusedError("impossible", f"it has a primitive of size {' x '.join(f'{length:g}' for length in size)}")
     match kind:
         case "box":
             return _box(size, material)

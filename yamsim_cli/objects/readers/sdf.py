@@ -69,7 +69,9 @@ def _included(
             raise
         path = folder.find(f"{uri}/model.sdf", base)
     if path in seen_files or len(seen_files) >= _MAX_INCLUDE_DEPTH:
-        raise RefusedError("cycle", f"{uri!r} includes itself, or more than {_MAX_INCLUDE_DEPTH} levels deep")
+        raise RefusedError(
+            "cycle", f"{uri!r} includes itself, or is included more than {_MAX_INCLUDE_DEPTH} levels deep"
+        )
     return _model(folder.read(path.name, path.parent), folder, path.parent, (*seen_files, path))
 
 
@@ -83,7 +85,9 @@ class _Reader:
         for tag in ("include", "model"):
             if model.find(tag) is not None:
                 name = model.get("name")
-                raise RefusedError("several-things", f"model {name!r} holds another <{tag}>: put it into one")
+                raise RefusedError(
+                    "several-things", f"model {name!r} contains another <{tag}>: merge them into one model"
+                )
         frames = _Frames(model)
         links = [self._link(element, frames) for element in model.findall("link")]
         by_name = {link.name: link for link in links}
@@ -122,7 +126,7 @@ class _Reader:
     def _mesh(self, mesh: Element, material: SurfaceMaterial | None) -> list[Surface]:
         scale = numbers(mesh.findtext("scale"), 3, (1.0, 1.0, 1.0))
         if mesh.find("submesh") is not None:
-            self.notes.append("submesh: the whole mesh was taken")
+            self.notes.append("submesh is not supported: the whole mesh is used")
         uri = (mesh.findtext("uri") or mesh.findtext("filename") or "").strip()
         return mesh_surfaces(self._folder, uri, self._base, scale, material)
 
@@ -174,7 +178,7 @@ class _Reader:
         if element is None:
             return None
         if element.find("script") is not None:
-            self.notes.append("material scripts are not read: colours may be missing")
+            self.notes.append("material scripts are not supported: colours may be missing")
         albedo = (element.findtext("pbr/metal/albedo_map") or element.findtext("pbr/specular/albedo_map") or "").strip()
         diffuse = element.findtext("diffuse")
         if not albedo and diffuse is None:
@@ -250,7 +254,7 @@ class _Frames:
     def _add(self, element: Element, default: str) -> None:
         name, pose_element = _name_of(element), element.find("pose")
         if name in self._frames:
-            raise RefusedError("damaged", f"two things are called {name!r}")
+            raise RefusedError("damaged", f"two elements have the name {name!r}")
         if pose_element is not None:
             default = pose_element.get("relative_to") or pose_element.get("frame") or default
         self._frames[name] = _pose_of(element), default
@@ -263,7 +267,7 @@ class _Frames:
         if name in ("", "__model__"):
             return np.eye(4)
         if name not in self._frames:
-            raise RefusedError("damaged", f"a pose is relative to {name!r}, which is not there")
+            raise RefusedError("damaged", f"a pose is relative to {name!r}, which does not exist")
         if name in path:
             raise RefusedError("cycle", f"the poses of {' and '.join(path[:4])} are relative to each other")
         if name not in self._known:
@@ -278,7 +282,7 @@ class _Frames:
             if name in ("world", "__model__", ""):
                 return None
             if name not in self._attached:
-                raise RefusedError("damaged", f"a joint names {name!r}, which is not there")
+                raise RefusedError("damaged", f"a joint names {name!r}, which does not exist")
             name, steps = self._attached[name], steps + 1
             if steps > len(self._attached):
                 raise RefusedError("cycle", f"frames are attached to each other around {name!r}")
@@ -299,7 +303,7 @@ def _pose_of(element: Element) -> Array:
     if found.get("rotation_format") == "quat_xyzw":
         x, y, z, qx, qy, qz, qw = numbers(found.text, 7, (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0))
         if math.hypot(qx, qy, qz, qw) < 1e-9:
-            raise RefusedError("impossible", "it has a rotation of zeros")
+            raise RefusedError("impossible", "it has a quaternion of zeros")
         return pose_from_quat((x, y, z), (qw, qx, qy, qz))
     x, y, z, roll, pitch, yaw = numbers(found.text, 6, (0.0,) * 6)
     factor = math.pi / 180 if found.get("degrees") in ("true", "1") else 1.0

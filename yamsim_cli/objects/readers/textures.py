@@ -25,7 +25,7 @@ def open_image(data: bytes, name: str) -> Any:
     try:
         return _checked(Image.open(io.BytesIO(data), formats=("PNG", "JPEG")), name)
     except (UnidentifiedImageError, OSError, SyntaxError, ValueError) as error:
-        raise RefusedError("texture-unreadable", f"the texture {name} is no PNG or JPEG") from error
+        raise RefusedError("texture-unreadable", f"the texture {name} is not a PNG or JPEG") from error
     except (Image.DecompressionBombError, Image.DecompressionBombWarning) as error:
         raise RefusedError("texture-too-large", f"the texture {name} is too large to be decoded: {error}") from error
 
@@ -35,8 +35,8 @@ def _checked(image: Any, name: str) -> Any:
     if width * height > _MAX_PIXELS:
         raise RefusedError(
             "texture-too-large",
-            f"the texture {name} has {width} x {height} pixels; at most {_MAX_PIXELS // 10**6} million: make it "
-            f"{_MAX_SIDE} wide, more is never drawn",
+            f"the texture {name} has {width} x {height} pixels; at most {_MAX_PIXELS // 10**6} million: reduce "
+            f"it to a width of {_MAX_SIDE}, the most that is rendered",
         )
     return image
 

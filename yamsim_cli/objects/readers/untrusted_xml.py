@@ -27,9 +27,9 @@ def parse_untrusted_xml(data: bytes) -> Element:
     try:
         root: Element = defusedxml.ElementTree.fromstring(data, forbid_dtd=True)
     except DefusedXmlException as error:
-        raise RefusedError("xml-entities", "it defines entities or a document type") from error
+        raise RefusedError("xml-entities", "it defines entities or a document type, which are not allowed") from error
     except (ElementTree.ParseError, ValueError, LookupError, RecursionError) as error:
-        raise RefusedError("damaged", f"it is no XML: {error}") from error
+        raise RefusedError("damaged", f"it is not valid XML: {error}") from error
     _check_shape(root)
     return root
 
@@ -54,11 +54,11 @@ def numbers(text: str | None, count: int, default: tuple[float, ...] | None = No
     try:
         values = [float(word) for word in words]
     except ValueError:
-        raise RefusedError("damaged", f"{' '.join(words)[:60]!r} are no numbers") from None
+        raise RefusedError("damaged", f"{' '.join(words)[:60]!r} is not a list of numbers") from None
     if len(values) != count:
-        raise RefusedError("damaged", f"{' '.join(words)[:60]!r} are not {count} numbers")
+        raise RefusedError("damaged", f"{' '.join(words)[:60]!r} is not a list of {count} numbers")
     if not all(math.isfinite(value) for value in values):
-        raise RefusedError("no-numbers", f"{' '.join(words)[:60]!r} are not finite")
+        raise RefusedError("no-numbers", f"{' '.join(words)[:60]!r} has a number that is not finite")
     return values
 
 
@@ -74,7 +74,7 @@ def collada_asset(data: bytes) -> tuple[float, str]:
     axis = "" if up is None else (up.text or "").strip()
     metre = number(None if unit is None else unit.get("meter"), 1.0)
     if not 1e-6 <= metre <= 1e4:
-        raise RefusedError("impossible", f"its unit is {metre:g} m")
+        raise RefusedError("impossible", f"its unit is {metre:g} m; valid: 1e-6 to 1e4 m")
     return metre, {"X_UP": "x", "Y_UP": "y", "Z_UP": "z"}.get(axis, "y")
 
 

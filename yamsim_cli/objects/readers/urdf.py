@@ -31,7 +31,7 @@ def read_urdf(data: bytes, folder: ConfinedFolder, base: Path) -> ObjectDescript
     if root.tag != "robot":
         raise RefusedError("damaged", f"its root is <{root.tag}>, not <robot>")
     palette = {m.get("name", ""): found for m in root.findall("material") if (found := _colour(m, folder, base))}
-    notes = ["<mimic> is not read: the joint moves by itself"] if root.find("joint/mimic") is not None else []
+    notes = ["<mimic> is not supported: the joint moves independently"] if root.find("joint/mimic") is not None else []
     links = {name: element for element in root.findall("link") if (name := element.get("name", ""))}
     joints = root.findall("joint")
     poses = _poses(links, joints)
@@ -57,7 +57,7 @@ def _poses(links: dict[str, Element], joints: list[Element]) -> dict[str, Array]
             chain.append(at)
             at = above[at][0]
             if len(chain) > len(links):
-                raise RefusedError("cycle", "its joints form a circle")
+                raise RefusedError("cycle", "its joints form a loop")
         T = known.get(at, np.eye(4))
         for link in reversed(chain):
             T = T @ _origin(above[link][1])

@@ -90,8 +90,8 @@ class BoardDetection:
 
     @property
     def explanation(self) -> str:
-        """Reason and advice, for users."""
-        return f"{self.reason}; would help: {', '.join(self.advice)}" if self.advice else self.reason
+        """The reason and the advice, for users; empty for OK."""
+        return f"{self.reason}; advice: {', '.join(self.advice)}" if self.advice else self.reason
 
     @property
     def position_sigma(self) -> float | None:
@@ -152,7 +152,7 @@ def judge_detection(
         apart = math.degrees(angle_between(fit.T, rival.T))
         reason = (
             f"two poses, {apart:.0f} degrees apart, explain the {len(ids)} markers about equally well: take the photo "
-            "from nearer by or from a slant"
+            "from closer or at a slant"
         )
         kernel = fit.alignment.blur
         return BoardDetection(
@@ -173,8 +173,8 @@ def judge_detection(
         "too few, too small or too blurred markers"
         if shaped.flat_probability > _MIN_FLAT_PROBABILITY
         else (
-            f"its markers lie {rms:.2f} px off a flat print's: a crease, a bent plate, another lens, or other "
-            "measures than the rig's"
+            f"its markers lie {rms:.2f} px off those of a flat print: the print is creased or bent, or the lens or "
+            "the rig's marker_length_mm or gap_mm is wrong"
         )
     )
     reason = f"its pose is uncertain by {math.degrees(turn):.1f} degrees and {shift * 1000:.0f} mm: {why}"
@@ -247,14 +247,14 @@ def suggest_improvements(looks: BoardAppearance) -> tuple[str, ...]:
     """Return advice for better photos, if any."""
     found = []
     if looks.motion > _MAX_MOTION_PX:
-        found.append(f"hold still (it is smeared by {looks.motion:.0f} px)")
+        found.append(f"hold the camera still (motion blurs the board by {looks.motion:.0f} px)")
     if looks.blur > _MAX_BLUR_PX:
-        found.append(f"focus (its blur is {looks.blur:.1f} px)")
+        found.append(f"focus the camera (the blur is {looks.blur:.1f} px)")
     if looks.contrast < _MIN_CONTRAST_RATIO * looks.noise:
-        found.append(f"more light (its contrast is {looks.contrast:.0f} of 255, the noise {looks.noise:.0f})")
+        found.append(f"add light (the contrast is {looks.contrast:.0f} of 255, the noise {looks.noise:.0f})")
     if looks.cell < _MIN_CELL_PX:
         found.append(
-            f"come closer, look from less of a slant or use a higher resolution (a cell is {looks.cell:.1f} px)"
+            f"move closer, slant the camera less or use a higher resolution (a marker cell is {looks.cell:.1f} px)"
         )
     return tuple(found)
 
@@ -264,10 +264,10 @@ def suggest_photo_improvements(grey: Grey) -> tuple[str, ...]:
     low, high = np.percentile(grey[::2, ::2], _RANGE_PERCENTILES)
     found = []
     if high - low < _MIN_GREY_RANGE:
-        found.append(f"more light or contrast (grey levels are {low:.0f} to {high:.0f} of 255)")
+        found.append(f"add light or contrast (grey levels are {low:.0f} to {high:.0f} of 255)")
     if (blur := _min_blur(grey, float(high - low))) > _MAX_EDGE_SIGMA:
-        found.append(f"focus or hold still (no edge is sharper than {blur:.1f} px)")
-    return tuple(found) or ("bring the whole board into the photo, or come closer",)
+        found.append(f"focus the camera or hold it still (no edge is sharper than {blur:.1f} px)")
+    return tuple(found) or ("bring the whole board into the photo, or move closer",)
 
 
 def _min_blur(grey: Grey, contrast: float) -> float:

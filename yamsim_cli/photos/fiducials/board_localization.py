@@ -134,7 +134,7 @@ def _locate_read_board(
     best = found[0]
     ids = tuple(sorted(board.ids[k] for k in best.places))
     if len(found) > 1 and 2 * len(found[1].places) > len(best.places):
-        reason = f"its markers are in {len(found)} places: hide or remove the other prints"
+        reason = f"its markers appear in {len(found)} places: hide or remove the other prints"
         return BoardDetection(board, ids, BoardStatus.AMBIGUOUS, reason, is_duplicated=True)
     fits: list[PoseFit] = []
     for T in initial_poses(best, board, camera):
@@ -145,7 +145,10 @@ def _locate_read_board(
                 break
     if not fits:
         return BoardDetection(
-            board, ids, BoardStatus.POOR_FIT, "no pose explains its markers' print: blurred, bent or not this board"
+            board,
+            ids,
+            BoardStatus.POOR_FIT,
+            "no pose of the board explains its markers: the print is blurred or bent, or shows another board",
         )
     fit = max(fits, key=lambda one: (len(one.agreeing), -one.mean_square))
     return judge_detection(photo, camera, board, fit, fits, limits=limits)

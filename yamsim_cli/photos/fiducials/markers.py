@@ -20,10 +20,10 @@ Grey = NDArray[np.uint8]
 
 _ENLARGED_SIDE = 1920  # px, longer side of enlarged small photos: the detector suits markers of 30 px and more
 _MAX_ENLARGEMENT = 3
-# px, longer side to which large photos are reduced. The detector ignores edges below 0.0075 of the longer side
-# (`minMarkerPerimeterRate`), here 30 px.
-_REDUCED_SIDE = 4096
-# The detector suits photos that use all grey levels.
+# px, longer side to which larger photos are reduced. The detector ignores markers with an edge below 0.0075 of the
+# longer side (`minMarkerPerimeterRate`), which is 30 px after the reduction.
+REDUCED_SIDE = 4096
+# The detector's thresholds suit photos that use all grey levels.
 _STRETCHED_PERCENTILES = (0.1, 99.9)  # percentiles that are stretched to the whole range
 _MIN_UNSTRETCHED_RANGE = 128.0  # grey levels; photos with a larger range are not stretched
 _MAX_CENTRE_DISTANCE = 0.8  # marker edges, between the board centres that two markers predict
@@ -70,18 +70,19 @@ def find_markers(grey: Grey, dictionaries: Sequence[str]) -> dict[str, list[Dete
 
 def _resize_for_detector(grey: Grey) -> tuple[Grey, Array]:
     longer = max(grey.shape)
-    if longer > _REDUCED_SIDE:
-        size = tuple(round(side * _REDUCED_SIDE / longer) for side in grey.shape[::-1])
+    if longer > REDUCED_SIDE:
+        size = tuple(round(side * REDUCED_SIDE / longer) for side in grey.shape[::-1])
         shrunk = np.asarray(cv2.resize(grey, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
-        return _stretch_contrast(shrunk), np.array(size) / grey.shape[::-1]
+        return stretch_contrast(shrunk), np.array(size) / grey.shape[::-1]
     factor = min(_MAX_ENLARGEMENT, max(1, round(_ENLARGED_SIDE / longer)))
-    grey = _stretch_contrast(grey)
+    grey = stretch_contrast(grey)
     if factor > 1:
         grey = np.asarray(cv2.resize(grey, None, fx=factor, fy=factor, interpolation=cv2.INTER_CUBIC), dtype=np.uint8)
     return grey, np.array([factor, factor], dtype=np.float64)
 
 
-def _stretch_contrast(grey: Grey) -> Grey:
+def stretch_contrast(grey: Grey) -> Grey:
+    """Return the photo (height, width) with grey levels spread over 0..255; unchanged if its contrast suffices."""
     low, high = np.percentile(grey, _STRETCHED_PERCENTILES)
     if high - low >= _MIN_UNSTRETCHED_RANGE or high - low < 1:
         return grey

@@ -81,7 +81,7 @@ def _in_metres(values: list[Array], rig: RigConfig, path: Path) -> list[Array]:
         if shares.min() < -0.15 or shares.max() > _MAX_OPENING_SHARE:
             worst = given[np.abs(shares - 0.5).argmax()]
             raise ConfigError(
-                f"--joints {path}: gripper {worst:.4g} is no opening: give that of one finger, "
+                f"--joints {path}: gripper {worst:.4g} is not an opening; valid: the opening of one finger, "
                 f"0..{full} m, or a share of it, 0..1"
             )
         values[k][:, -1] = np.clip(shares, 0.0, 1.0) * full

@@ -87,11 +87,11 @@ def describe_move(move: DetectedMove) -> str:
     what = {
         MovedBody.CAMERA: "the camera was moved",
         MovedBody.BASE: f"the base of {move.arm} was moved",
-        MovedBody.EITHER: f"the camera or the base of {move.arm} was moved (one board alone does not tell which)",
-        MovedBody.SEVERAL: f"the base of {move.arm} was moved against the camera, and the others otherwise",
+        MovedBody.EITHER: f"the camera or the base of {move.arm} was moved (one board alone cannot show which)",
+        MovedBody.SEVERAL: f"the base of {move.arm} was moved relative to the camera, and the other bases differently",
     }[move.what]
     when = f", {move.time:.2f} s" if move.time is not None else ""
-    return f"{move.path} (number {move.photo}{when}): before it {what} by {by}"
+    return f"{move.path} (number {move.photo}{when}): before this photo, {what} by {by}"
 
 
 def find_moves(results: Sequence[RigInPhoto]) -> MoveReport:
@@ -104,7 +104,7 @@ def find_moves(results: Sequence[RigInPhoto]) -> MoveReport:
     if not tracks:
         return MoveReport(unknown=f"fewer than {2 * _MIN_SAMPLES} photos have a pose from a board")
     if any(track.camera_never_rests for track in tracks):
-        return MoveReport(unknown="the camera is not on a stand: it moves all along")
+        return MoveReport(unknown="the camera is not on a stand: it moves between all photos")
     moves: list[DetectedMove] = []
     for event in _events([(track, step) for track in tracks for step in track.steps]):
         moves += _classify_event(results, tracks, event)

@@ -81,7 +81,7 @@ def captions(result: RigInPhoto) -> list[str]:
             text += f", outline {arm.edge_residual:.1f} px"
         lines.append(text)
     if result.joints_source == "home" and result.bases:
-        lines.append("joints not given: shown at home")
+        lines.append("joints not given: arms shown at home")
     focal = result.lens.focal
     if result.lens.source == "estimated" and not focal.reason:
         within = f"within {focal.low:.0f} to {focal.high:.0f} px"
@@ -110,7 +110,7 @@ def _nothing_found(results: Sequence[RigInPhoto], rig: RigConfig) -> str:
     # All arms share the lens, so its problem is named once.
     why = f"; {focal if focal else '; '.join(refused)}" if refused else ""
     more = f" (and {len(results) - 1} more photos)" if len(results) > 1 else ""
-    return f"{first.path}{more}: no board gives a pose: looked for ids {wanted or 'none'}, saw {seen}{why}"
+    return f"{first.path}{more}: no board gives a pose: looked for marker ids {wanted or 'none'}, saw {seen}{why}"
 
 
 def _plain_move(move: DetectedMove) -> dict[str, Any]:

@@ -163,7 +163,7 @@ def run_overlays(
             size = size or image.shape
             if video and image.shape != size:
                 raise UsageError(
-                    f"--video needs photos of one size, but {job.photo.path} has another than those before it"
+                    f"--video needs photos of one size, but {job.photo.path} differs in size from the photos before it"
                 )
             lens, grey = lenses.camera_of(job.photo, image), to_grey(image)
             found = find_arms(rig, job.photo, grey, lens, request.trust_margin, found, request.limits)
@@ -252,8 +252,8 @@ def _failures(result: RigInPhoto, request: OverlayRequest) -> list[str]:
             found.append(f"{result.path}: {arm.name} is not located: {arm.detection.explanation}")
         elif rms is not None and rms > request.max_reprojection:
             found.append(
-                f"{result.path}: {arm.name}'s reprojection of {rms:.2f} px is above {request.max_reprojection:g}: "
-                "check the camera file"
+                f"{result.path}: {arm.name}'s reprojection error of {rms:.2f} px is above "
+                f"{request.max_reprojection:g}: check the camera file"
             )
     if request.min_iou is not None and (result.iou or 0.0) < request.min_iou:
         found.append(f"{result.path}: overlap {result.iou or 0.0:.3f} with the mask is below {request.min_iou:g}")

@@ -157,8 +157,8 @@ def _drop_inconsistent_sizes(rig: RigConfig, arms: list[ArmPose]) -> list[ArmPos
         if ratio is None:
             continue
         reason = (
-            f"the print of {arms[j].name}'s board is {100 * ratio:.1f} % as large beside {arms[k].name}'s as the rig "
-            "says: measure both, and set the rig's marker_length_mm and gap_mm"
+            f"relative to the print of {arms[k].name}'s board, that of {arms[j].name}'s board has {100 * ratio:.1f} % "
+            "of its size in the rig: measure both prints, and set the rig's marker_length_mm and gap_mm"
         )
         for n, sighting in ((k, one), (j, two)):
             refused = replace(_without_pose(sighting), status=BoardStatus.POOR_FIT, reason=reason)
@@ -243,7 +243,7 @@ def _with_margin(rig: RigConfig, result: RigInPhoto) -> RigInPhoto:
     if abs(margin - rig.margin) > max(_MARGIN_TOLERANCE, 2 * sigma):
         notes += (
             f"the arms are {margin:.4f} m apart here (+- {sigma * 1000:.1f} mm) and {rig.margin:.4f} m in rig "
-            f"{rig.name!r}: mend the rig's margin, or measure the prints",
+            f"{rig.name!r}: correct the rig's margin, or measure the prints",
         )
     return replace(result, T_arm2_in_arm1=measured, margin=margin, margin_sigma=sigma, notes=notes)
 
@@ -275,7 +275,7 @@ def _pose_by_trusted_margin(rig: RigConfig, result: RigInPhoto, grey: NDArray[np
     joint = locate_together(grey, result.lens.camera, list(seen.values()), T_boards)
     if joint is None or joint[0].T_board_in_cam is None:
         refused = (
-            f"the boards do not lie as rig {rig.name!r} says: its margin is not trusted, each arm has its own pose"
+            f"the boards do not lie as rig {rig.name!r} says: its margin is ignored, and each arm has its own pose"
         )
         return replace(result, notes=(*result.notes, refused))
     T_world_in_cam = joint[0].T_board_in_cam @ inverse(T_boards[0])

@@ -56,11 +56,11 @@ def find_photos(paths: Sequence[Path]) -> list[Path]:
         if path.is_dir():
             photos = sorted(item for item in path.iterdir() if _may_be_photo(item))
             if not photos:
-                raise ResourceError(f"{path} holds no photo; valid: {', '.join(SUFFIXES)}")
+                raise ResourceError(f"{path} contains no photo; valid: {', '.join(SUFFIXES)}")
         elif not path.exists():
             raise ResourceError(f"{path} does not exist; give a photo or a folder of photos")
         elif path.suffix.lower() not in SUFFIXES:
-            raise ResourceError(f"{path} is no photo; valid: {', '.join(SUFFIXES)}")
+            raise ResourceError(f"{path} is not a photo; valid: {', '.join(SUFFIXES)}")
         else:
             photos = [path]
         for photo in photos:
@@ -84,7 +84,9 @@ def find_mask(masks: Path, photo: Path) -> Path:
     for name in (f"{photo.stem}{MASK_ENDING}", f"{photo.stem}.png", photo.name):
         if (masks / name).is_file() and (masks / name).resolve() != photo.resolve():
             return masks / name
-    raise ResourceError(f"{masks} holds no mask for {photo.name}; valid: {photo.stem}{MASK_ENDING} or {photo.stem}.png")
+    raise ResourceError(
+        f"{masks} contains no mask for {photo.name}; valid: {photo.stem}{MASK_ENDING} or {photo.stem}.png"
+    )
 
 
 def recorded_photos(recordings: Sequence[Path], camera: str | None, rig: RigConfig) -> list[Photo]:
@@ -109,19 +111,19 @@ def episode_photos(episode: Path, camera: str | None, rig: RigConfig) -> list[Ph
         UsageError: the episode has no such camera.
     """
     if (episode / "lowdim").is_dir() and not (episode / "rgb").is_dir():
-        raise DatasetError(f"{episode} has no pictures: none were recorded")
+        raise DatasetError(f"{episode} has no images: it was recorded without them")
     if not (episode / "rgb").is_dir() or not (episode / "lowdim").is_dir():
-        raise DatasetError(f"{episode} is no episode: it needs rgb/ and lowdim/; give DATASET/ep_NNNNNN")
+        raise DatasetError(f"{episode} is not an episode: it needs rgb/ and lowdim/; give DATASET/ep_NNNNNN")
     cameras = sorted(path.name for path in (episode / "rgb").iterdir() if path.is_dir())
     if not cameras:
-        raise DatasetError(f"{episode}/rgb holds no camera")
+        raise DatasetError(f"{episode}/rgb contains no folder of a camera")
     camera = chosen_camera(cameras, camera)
     if camera not in cameras:
         raise UsageError(f"{episode} has no camera {camera!r}; {suggest(camera, cameras)}")
     files = sorted((episode / "rgb" / camera).iterdir())
     photos = [_frame_photo(episode, camera, path, rig) for path in files if path.suffix.lower() in SUFFIXES]
     if not photos:
-        raise DatasetError(f"{episode}/rgb/{camera} holds no frame")
+        raise DatasetError(f"{episode}/rgb/{camera} contains no image")
     return photos
 
 
@@ -137,8 +139,7 @@ def _frame_photo(episode: Path, camera: str, path: Path, rig: RigConfig) -> Phot
         raise DatasetError(f"{lowdim}: cannot be read: {error.strerror or error}") from error
     except KeyError as error:
         raise DatasetError(
-            f"{lowdim}: has no {error} of camera {camera}: without them, give its pictures with --img "
-            f"{episode}/rgb/{camera}"
+            f"{lowdim}: has no {error} of camera {camera}; to use the images alone, give --img {episode}/rgb/{camera}"
         ) from error
     except (TypeError, ValueError, DatasetError) as error:
         raise DatasetError(f"{lowdim}: cannot be used: {error}") from error

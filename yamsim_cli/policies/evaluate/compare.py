@@ -31,7 +31,9 @@ def read_report(path: Path) -> dict[str, Any]:
     """Read a report that `yamsim eval --out` wrote."""
     try:
         if path.stat().st_size > _MAX_BYTES:
-            raise UsageError(f"--compare {path}: {path.stat().st_size} bytes are no report of yamsim eval")
+            raise UsageError(
+                f"--compare {path}: has {path.stat().st_size} bytes; a report of yamsim eval has at most {_MAX_BYTES}"
+            )
         report = json.loads(path.read_bytes())
         for trial in report["trials"]:
             if not isinstance(trial["outcome"]["success"], bool) or not isinstance(trial["layout"], dict):
@@ -41,9 +43,9 @@ def read_report(path: Path) -> dict[str, Any]:
     except OSError as error:
         raise UsageError(f"--compare {path}: cannot be read: {error.strerror}") from error
     except (ValueError, KeyError, TypeError, RecursionError) as error:
-        raise UsageError(f"--compare {path}: is no report of yamsim eval --out") from error
+        raise UsageError(f"--compare {path}: is not a report of yamsim eval --out") from error
     if missing:
-        raise UsageError(f"--compare {path}: is no report of yamsim eval --out: it has no {missing[0]!r}")
+        raise UsageError(f"--compare {path}: is not a report of yamsim eval --out: it has no {missing[0]!r}")
     found: dict[str, Any] = report
     return found
 
@@ -53,7 +55,8 @@ def require_same_trials(expected: Mapping[str, Any], report: Mapping[str, Any]) 
     for key in _SAME:
         if expected[key] != report[key]:
             raise UsageError(
-                f"--compare {report['policy']}: its {key} is {report[key]}, and not {expected[key]}: no pairs of trials"
+                f"--compare {report['policy']}: its {key} is {report[key]}, not {expected[key]}: "
+                "trials cannot be paired"
             )
 
 
@@ -66,11 +69,13 @@ def compare_reports(first: Mapping[str, Any], second: Mapping[str, Any]) -> dict
     require_same_trials(first, second)
     one, other = ({(trial["seed"], trial["trial"]): trial for trial in report["trials"]} for report in (first, second))
     if one.keys() != other.keys():
-        raise UsageError(f"--compare {name}: it has {len(other)} trials, not the same {len(one)}: give the same --n")
+        raise UsageError(
+            f"--compare {name}: it has other trials ({len(other)}) than the first ({len(one)}): give the same --n"
+        )
     counts = {"both": 0, "only_first": 0, "only_second": 0, "neither": 0}
     for job, trial in one.items():
         if not _same_start(trial["layout"], other[job]["layout"]):
-            raise UsageError(f"--compare {name}: trial {job[1]} starts elsewhere: another version or other settings")
+            raise UsageError(f"--compare {name}: trial {job[1]} has another start: version or settings differ")
         good = trial["outcome"]["success"], other[job]["outcome"]["success"]
         which = {(True, True): "both", (True, False): "only_first", (False, True): "only_second"}.get(good, "neither")
         counts[which] += 1

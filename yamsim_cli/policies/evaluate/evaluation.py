@@ -146,7 +146,7 @@ def require_measured(report: Mapping[str, Any]) -> None:
         first = report["trials"][0]
         counts = ", ".join(f"{how} {count}" for how, count in ended.items())
         raise PartialJobError(
-            f"no trial of {report['policy']} came to its end ({counts}), so its success was not measured; "
+            f"no trial of {report['policy']} was completed ({counts}), so its success was not measured; "
             f"trial {first['trial']}: {first['error'] or first['outcome']['detail']}"
         )
 

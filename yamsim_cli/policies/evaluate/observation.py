@@ -64,7 +64,7 @@ class ObservationRenderer:
         """
         hint = f"read observation[{key!r}], or dict(observation) for all, while the policy is called"
         if threading.get_ident() != self._thread:
-            raise RuntimeError(f"{key} cannot be rendered in another thread: {hint}, and hand that on")
+            raise RuntimeError(f"{key} cannot be rendered in another thread: {hint}, and pass the result on")
         if self._is_over:
             raise RuntimeError(f"{key} cannot be rendered once its trial is over: {hint}")
         try:

@@ -113,7 +113,7 @@ class ReplayPolicy(_ActionSequencePolicy):
         super().__init__()
         directories = episode_directories(dataset) if dataset.is_dir() else []
         if not directories:
-            raise UsageError(f"--policy replay:{dataset}: there are no episodes; give a dataset of yamsim record")
+            raise UsageError(f"--policy replay:{dataset}: it has no episodes; give a dataset of yamsim record")
         self._episodes = [open_episode(directory) for _, directory in directories]
         self._by_job = {AttemptJob(episode.record.seed, episode.record.attempt): episode for episode in self._episodes}
 

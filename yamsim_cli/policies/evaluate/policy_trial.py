@@ -82,22 +82,30 @@ def trial_rules(config: RecordConfig, choice: PolicyChoice) -> EpisodeRules:
 
 
 class TrialRunner(Closable):
-    """Runs trials of one policy. The caller must close the runner."""
+    """Runs trials of one policy. The caller must close the runner, for example as a context manager.
+
+    Attributes:
+        policy: the policy of the trials.
+        simulators: simulators of the trials, which trials with the same scene share.
+
+    Raises:
+        ConfigError, UsageError, ResourceError: the policy does not exist, cannot be loaded, or does not fit the rig.
+    """
 
     def __init__(self, session: Session, choice: PolicyChoice) -> None:
         self._config, self._choice = session.config, choice
         with output_on_stderr(), kill_forks_at_exit():
-            self._policy = make_policy(choice, session)
+            self.policy = make_policy(choice, session)
         self._caller = PolicyCaller(choice.call_seconds, choice.folder)
-        self._simulators = Simulators(session)
-        self._wanted = wanted_images(self._policy), wanted_state(self._policy)
-        execute = choice.chunking.execute or getattr(self._policy, "execute", None)
+        self.simulators = Simulators(session)
+        self._wanted = wanted_images(self.policy), wanted_state(self.policy)
+        execute = choice.chunking.execute or getattr(self.policy, "execute", None)
         self._chunking = replace(choice.chunking, execute=execute)
         policy_cameras(session.config, self._wanted[0])
 
     def run(self, job: AttemptJob) -> TrialResult:
         """Run one trial. The expert runs first only if it is the policy, or if distractors must leave room for it."""
-        simulator, policy = self._simulators.get(job), self._policy
+        simulator, policy = self.simulators.get(job), self.policy
         trial = PrivilegedTrial(simulator, sample_attempt(simulator, job))
         scripted = isinstance(policy, ExpertPolicy)
         if trial.attempt.layout is None or (scripted and not trial.expert_attempt.states):
@@ -128,7 +136,7 @@ class TrialRunner(Closable):
         episode = open_episode(simulator, attempt, trial_rules(config, self._choice))
         renderer = ObservationRenderer(lambda qpos, camera: self._render(simulator, attempt, qpos, camera))
         observer = ObservationBuilder(simulator, *self._wanted)
-        hold = int(getattr(self._policy, "ticks", 1))
+        hold = int(getattr(self.policy, "ticks", 1))
         scheduler = ChunkScheduler(self._chunking, config.task.timing.tick, hold, episode.readings(attempt.job))
         try:
             ended, fault = self._run_policy(scheduler, episode, observer, attempt, renderer, seconds)
@@ -146,7 +154,7 @@ class TrialRunner(Closable):
         seconds: list[float],
     ) -> tuple[TrialEnd, PolicyFault]:
         try:
-            self._caller.call(lambda: reset_policy(self._policy, _policy_seed(attempt.job)))
+            self._caller.call(lambda: reset_policy(self.policy, _policy_seed(attempt.job)))
             while episode.end is None and not scheduler.last_chunk_is_over(episode.ticks):
                 if scheduler.is_due(episode.ticks):
                     answer = self._answer(observer.observe(episode, attempt, renderer), renderer)
@@ -171,7 +179,7 @@ class TrialRunner(Closable):
 
     def _answer(self, observation: Observation, renderer: ObservationRenderer) -> object:
         try:
-            return self._caller.call(lambda: self._policy(observation))
+            return self._caller.call(lambda: self.policy(observation))
         finally:
             if renderer.failure is not None:
                 raise renderer.failure
@@ -182,11 +190,11 @@ class TrialRunner(Closable):
 
     def close(self) -> None:
         """Close the policy, and release the memory of the renderers."""
-        close = getattr(self._policy, "close", None)
+        close = getattr(self.policy, "close", None)
         if callable(close):
             with contextlib.suppress(PolicyFailedError, PolicyTimeoutError):
                 self._caller.call(close)
-        self._simulators.close()
+        self.simulators.close()
 
 
 def _policy_seed(job: AttemptJob) -> int:

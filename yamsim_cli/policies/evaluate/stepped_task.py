@@ -100,6 +100,6 @@ class SteppedTask(Closable):
     def _none(self, job: AttemptJob, does: str) -> SimulationError:
         name = self.config.task.name
         return SimulationError(
-            f"task {name!r}: none of {MAX_STARTS} trials from {job.attempt} of seed {job.seed} on {does}; "
-            f"`yamsim trials --task {name} --seed {job.seed}` says why"
+            f"task {name!r}: of {MAX_STARTS} trials of seed {job.seed}, from number {job.attempt} on, none {does}; "
+            f"`yamsim trials --task {name} --seed {job.seed}` shows the causes"
         )

@@ -68,20 +68,20 @@ def check_arms(scene: CompiledScene, motion: RecordedMotion) -> None:
     """
     if len(motion.arms) != len(scene.arms):
         raise DatasetError(
-            f"{motion.name} has {count_noun(len(motion.arms), 'arm')}, and the rig {len(scene.arms)}; choose another "
-            "--rig"
+            f"{motion.name} has {count_noun(len(motion.arms), 'arm')}, and the rig has {len(scene.arms)}; choose "
+            "another --rig"
         )
     for arm, logged in zip(scene.arms, motion.arms, strict=True):
         whose = f"{motion.name}{f', {logged.side} arm' if logged.side else ''}"
         if logged.joints.shape[1] != arm.dof:
             raise DatasetError(
-                f"{whose}: has {count_noun(logged.joints.shape[1], 'joint')}, and the rig's arm {arm.dof}; choose "
+                f"{whose}: has {count_noun(logged.joints.shape[1], 'joint')}, and the rig's arm has {arm.dof}; choose "
                 "another --rig"
             )
         if logged.commands is None or not np.isfinite(logged.commands).any(axis=0).all():
-            raise DatasetError(f"{whose}: holds no commands for its joints, and without them nothing can be followed")
+            raise DatasetError(f"{whose}: has no commands for its joints, which the simulation needs")
         if not np.isfinite(logged.joints).any(axis=0).all():
-            raise DatasetError(f"{whose}: a joint was never measured, so it is not known where the arm began")
+            raise DatasetError(f"{whose}: a joint was never measured, so the start of the arm is unknown")
 
 
 @dataclass(frozen=True)

@@ -67,7 +67,7 @@ def gap_page(
     several = len(recordings) > 1
     title = f"{len(recordings)} recordings" if several else recordings[0]["name"]
     body = [
-        html_tag("p", f"on rig {report['rig']}; errors are what was measured less what was simulated", class_="where"),
+        html_tag("p", f"on rig {report['rig']}; errors are measured minus simulated values", class_="where"),
         _figures(report),
         _joints(report["joints"]),
         _hands(report["hands"]),
@@ -90,7 +90,7 @@ def _figures(report: Mapping[str, Any]) -> Markup:
         (f"{hand['rms_mm']:.3g} mm", f"RMS of the {_row_name(hand, 'hand')}"),
     ]
     if delays := [joint["delay_s"] for joint in report["joints"] if joint["delay_s"] is not None]:
-        figures.append((f"{np.median(delays) * 1000:.1f} ms", "later than simulated, the joints' median"))
+        figures.append((f"{np.median(delays) * 1000:.1f} ms", "delay beyond the simulation, median of the joints"))
     figures += [
         (f"{abs(worst['error_rad']) * 1000:.3g} mrad", f"worst: {_row_name(worst, worst['joint'])}"),
         (f"{report['seconds']:.0f} s", "compared"),
@@ -113,15 +113,15 @@ def _joints(rows: Sequence[Mapping[str, Any]]) -> Markup:
         for row in rows
     ]
     note = (
-        "mrad and ms. Delay, sag and overshoot are those beyond the simulation's: a positive delay is one that the "
-        "recording has and the simulation lacks. Sag is the mean error at rest. In brackets: 95 % intervals of means "
-        "over the recordings."
+        "mrad and ms. Delay, sag and overshoot are those beyond the simulation's: a positive delay means that the "
+        "recorded arm is later than the simulated one. Sag is the mean error at rest. In brackets: 95 % intervals of "
+        "means over the recordings."
     )
     return section("By joint", html_tag("p", note, class_="note"), _scrollable_table(heads, cells))
 
 
 def _hands(rows: Sequence[Mapping[str, Any]]) -> Markup:
-    heads = ("hand", "RMS", "95 %", "largest", "turned, RMS", "turned, largest", "delay", "fingers, RMS")
+    heads = ("hand", "RMS", "95 %", "largest", "rotation, RMS", "rotation, largest", "delay", "fingers, RMS")
     cells = [
         [
             _row_name(row, "hand"),
@@ -136,7 +136,7 @@ def _hands(rows: Sequence[Mapping[str, Any]]) -> Markup:
 
 
 def _phases(rows: Sequence[Mapping[str, Any]]) -> Markup:
-    heads = ("the joint is", "share of samples", "RMS, mrad", "95 %", "largest")
+    heads = ("phase of the joint", "share of samples", "RMS, mrad", "95 %", "largest")
     cells = [[row["name"], percent(row["share"], 0), *_errors(row)] for row in rows]
     return section("By phase of motion", _scrollable_table(heads, cells))
 
@@ -182,19 +182,19 @@ def _pictures(figures: Mapping[str, Any] | None, pictures: Sequence[CaptionedJpe
     sentences = [f"{figures['photos']} photos of camera {figures['camera']} were compared."]
     for key, what, unit in (
         ("outline_px", "Outline to the photo's edges", "px"),
-        ("iou", "Overlap with the arm where it was measured", ""),
+        ("iou", "Overlap with the arm at its measured joints", ""),
     ):
         if (found := figures[key]) is not None:
             sentences.append(f"{what}: {found['mean']:.3g} {unit} on average, {found['worst']:.3g} at worst.")
     shown = [captioned_jpeg(picture.caption, picture.jpeg, 460) for picture in pictures]
-    return section("In pictures", html_tag("p", " ".join(sentences)), html_tag("div", shown, class_="strips"))
+    return section("In images", html_tag("p", " ".join(sentences)), html_tag("div", shown, class_="strips"))
 
 
 def _problems(rows: Sequence[Mapping[str, Any]]) -> Markup | None:
     if not rows:
         return None
     items = [html_tag("li", f"{row['recording']}: {row['text']}") for row in rows]
-    return section("What is wrong with the recordings", html_tag("ul", items))
+    return section("Problems of the recordings", html_tag("ul", items))
 
 
 def _scrollable_table(headings: Sequence[str], cells: Sequence[Sequence[str]]) -> Markup:

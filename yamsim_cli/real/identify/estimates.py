@@ -142,9 +142,9 @@ def require_determined(plant: ParametricArm, found: list[Estimate], name: str) -
             each = of_joint[NAMES[key]]
             if (each.high - each.low) / 2 > share * sizes[key]:
                 raise DatasetError(
-                    f"{name}: {joint} is badly excited: its {key} may be anything from {each.low:.3g} to "
-                    f"{each.high:.3g} {'N m' if key == 'friction' else 'N m s/rad'}; record it turning at several "
-                    "speeds, with turns back; `yamsim excite` writes such a motion"
+                    f"{name}: {joint} moves too little to determine its {key} (from {each.low:.3g} to "
+                    f"{each.high:.3g} {'N m' if key == 'friction' else 'N m s/rad'}); record it moving back and forth "
+                    "at several speeds; `yamsim excite` writes such a motion"
                 )
 
 
@@ -154,20 +154,20 @@ def describe_undetermined(found: list[Estimate], gripper: bool) -> list[str]:
     `gripper`: the logs hold its opening, or the arm has none.
     """
     lines = [
-        f"{each.joint or 'the arm'}: {each.name} stays near the model's {each.model_value:.3g}: the log holds it to "
-        f"{each.low:.3g}..{each.high:.3g} only"
+        f"{each.joint or 'the arm'}: {each.name} stays near the model's {each.model_value:.3g}: the log only limits it "
+        f"to {each.low:.3g}..{each.high:.3g}"
         for each in found
         if not each.is_determined
     ]
     if not gripper:
         lines.append(
-            "nobody recorded the gripper, and it counts as closed: if it was open, its fingers' inertia shows in the "
-            "last joint's armature"
+            "the gripper was not recorded and is assumed closed: if it was open, the inertia of its fingers adds to "
+            "the last joint's armature"
         )
     return [
         *lines,
-        "damping_nms is what the joint has beside the model's kv, which is held: the log tells only their sum",
-        "kp is held at the model's: friction, damping and armature are in proportion to it",
-        "delay_s is that of commands and sensors together",
-        "a mass at the tip would show as gravity factors of the joints that carry it",
+        "damping_nms adds to the model's kv, which is kept: the log determines only their sum",
+        "kp is the model's: friction, damping and armature are in proportion to it",
+        "delay_s is the delay of commands and sensors together",
+        "a mass at the tip changes the gravity factors of the joints that carry it",
     ]

@@ -100,7 +100,7 @@ def excite(
             return Excitation(times, commands, box, speed, torque)
         box = JointRange(box.middle, box.half_range * 0.9)
     raise SimulationError(
-        f"{rig.arms[number].name}: no motion of {seconds:g} s was found that keeps to what its motors can do; try "
+        f"{rig.arms[number].name}: no motion of {seconds:g} s was found within the limits of its motors; try "
         "another --seed"
     )
 
@@ -270,7 +270,7 @@ class CollisionSpace:
                 best = box
         if best is None:
             raise SimulationError(
-                f"{self._name}: no pose was found around which every joint may swing by {_MIN_HALF_RANGE} rad without "
+                f"{self._name}: no pose was found around which every joint can swing by {_MIN_HALF_RANGE} rad without "
                 f"coming nearer than {1000 * _DISTANCE:g} mm to anything; give the arm more room"
             )
         return best

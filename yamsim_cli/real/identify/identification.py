@@ -31,15 +31,15 @@ _GRAVE_FAULTS = (
     MotionFault.SWAPPED_ARMS,
 )
 
-# Motion of each joint that determines its parameters.
-_MIN_SECONDS = 10.0  # s, all logs
-_MIN_SPAN = 0.1  # rad
-_MIN_REVERSALS = 4
-_MIN_SPEED = 0.15  # rad/s, to be reached in the share _FAST_SHARE of the time
-_FAST_SHARE = 0.05
-_REVERSAL_DISTANCE = 0.02  # rad back before a reversal counts
-_SPEED_PERIOD = 0.1  # s
-_REMEDY = "`yamsim excite` writes a motion that shows all of it"
+# Least motion of each joint that determines the joint's parameters.
+_MIN_SECONDS = 10.0  # s, total length of the logs
+_MIN_SPAN = 0.1  # rad, range of the joint's motion
+_MIN_REVERSALS = 4  # reversals of the joint's motion
+_MIN_SPEED = 0.15  # rad/s that a joint must reach in the share _FAST_SHARE of the logs
+_FAST_SHARE = 0.05  # share of the logs' time
+_REVERSAL_DISTANCE = 0.02  # rad that a joint moves back before a reversal counts
+_SPEED_PERIOD = 0.1  # s, interval over which a speed is computed
+_REMEDY = "`yamsim excite` writes a motion that determines all parameters"
 
 
 @dataclass(frozen=True)
@@ -161,11 +161,11 @@ def _step_counter(arm: str, total: int, step: Callable[[str, int, int], None]) -
 
 def _check_motion(motion: RecordedMotion, rig: RigConfig) -> None:
     if len(motion.arms) != len(rig.arms):
-        raise DatasetError(f"{motion.name} has {count_noun(len(motion.arms), 'arm')}, and the rig {len(rig.arms)}")
+        raise DatasetError(f"{motion.name} has {count_noun(len(motion.arms), 'arm')}, and the rig has {len(rig.arms)}")
     for arm in motion.arms:
         if arm.commands is None or not np.isfinite(arm.commands).any(axis=0).all():
             raise DatasetError(
-                f"{motion.name}{f', {arm.side} arm' if arm.side else ''}: holds no commands for its joints; "
+                f"{motion.name}{f', {arm.side} arm' if arm.side else ''}: has no commands for its joints; "
                 "measurements alone do not determine the parameters: record both"
             )
     grave = [problem for problem in find_faults(motion, rig) if problem.fault in _GRAVE_FAULTS]
@@ -223,8 +223,7 @@ def check_usable(logs: Sequence[ArmLog], names: Sequence[str], side: str = "") -
     seconds = sum(log.seconds for log in logs)
     if seconds < _MIN_SECONDS:
         raise DatasetError(
-            f"{where}: {seconds:.1f} s tell too little of the arm; record at least {_MIN_SECONDS:g} s, better 60; "
-            f"{_REMEDY}"
+            f"{where}: {seconds:.1f} s are too short; record at least {_MIN_SECONDS:g} s, better 60; {_REMEDY}"
         )
     measured = [(log, rows) for log in logs if (rows := np.isfinite(log.joints).all(axis=1)).sum() > 2]
     for k, name in enumerate(names):
@@ -242,21 +241,21 @@ def _too_little_motion(paths: Sequence[tuple[Array, Array]]) -> str | None:
     span = max((float(np.ptp(path)) for _, path in paths), default=0.0)
     if span < _MIN_SPAN:
         return (
-            f"hardly moves: it goes {span:.3f} rad, and its friction, damping and inertia show from {_MIN_SPAN} rad "
-            "on; record it swinging to and fro by 0.5 rad, slowly and quickly"
+            f"hardly moves: its range is {span:.3f} rad, and identification needs {_MIN_SPAN} rad; record it swinging "
+            "back and forth by 0.5 rad, slowly and quickly"
         )
     turns = sum(_count_reversals(path) for _, path in paths)
     if turns < _MIN_REVERSALS:
         times = "never turns back" if not turns else f"turns back only {'once' if turns == 1 else f'{turns} times'}"
         return (
-            f"{times}, so that friction cannot be told from an offset or from weight; record it swinging to and fro at "
-            f"least {_MIN_REVERSALS} times"
+            f"{times}, so friction cannot be distinguished from an offset or from weight; record it swinging back and "
+            f"forth at least {_MIN_REVERSALS} times"
         )
     fast = float(np.quantile(np.concatenate([_speeds(*path) for path in paths]), 1 - _FAST_SHARE))
     if fast < _MIN_SPEED:
         return (
-            f"is always slow: {fast:.3f} rad/s at most but for moments, where damping and inertia show from "
-            f"{_MIN_SPEED} rad/s on; record quicker swings too, of 1 rad/s"
+            f"is always slow: it rarely exceeds {fast:.3f} rad/s, and identification needs {_MIN_SPEED} rad/s; record "
+            "faster swings too, of 1 rad/s"
         )
     return None
 

@@ -45,7 +45,7 @@ _CORRECTED_BY = {
     MotionFault.DEGREES: "--degrees",
     MotionFault.SWAPPED_ARMS: "--swap-arms",
     MotionFault.GRIPPER_SHARE: "--gripper share",
-    MotionFault.GRIPPER_UPSIDE_DOWN: "--mirror-gripper measured, or commanded",
+    MotionFault.GRIPPER_UPSIDE_DOWN: "--mirror-gripper measured or --mirror-gripper commanded",
 }
 
 
@@ -162,7 +162,7 @@ def _recordings(path: Path, request: ImportRequest, locations: Locations) -> Ite
         made = _apply_corrections(recording, request.corrections, request.rig)
         for problem in find_faults(made.in_metres(request.rig), request.rig):
             if (flag := _CORRECTED_BY.get(problem.fault)) is not None:
-                raise DatasetError(f"{recording.motion.name}: {problem.text} If so, say {flag}")
+                raise DatasetError(f"{recording.motion.name}: {problem.text} If so, add {flag}")
         yield name, made
 
 
@@ -238,7 +238,7 @@ def _publish(number: int, name: str, recording: Recording, request: ImportReques
             header = jpeg_header(data)
             size = None if header is None else (header.width, header.height)
             if size is None or sizes.setdefault(camera, size) != size:
-                raise DatasetError(f"{motion.name}: picture {k} of {camera} is no JPEG of {sizes.get(camera)} px")
+                raise DatasetError(f"{motion.name}: picture {k} of {camera} is not a JPEG of {sizes.get(camera)} px")
             files[image_path(camera, k)] = data
     times = motion.times[samples]
     record = RealEpisodeRecord(
@@ -268,7 +268,7 @@ def _problems(motion: RecordedMotion, recording: Recording, rig: RigConfig) -> I
     yield from find_faults(motion, rig)
     if not any(find_gaps(motion.times)):
         for camera, pictures in recording.pictures.items():
-            yield from find_gaps(motion.times[pictures.samples], f"{camera} saw nothing")
+            yield from find_gaps(motion.times[pictures.samples], f"{camera} has no image")
 
 
 def _frame_samples(motion: RecordedMotion, recording: Recording) -> Samples:
@@ -284,7 +284,7 @@ def _jpegs(recording: Recording, camera: str, samples: Samples) -> Iterator[byte
         while number < wanted:
             number, data = number + 1, next(images, data)
         if not data:
-            raise DatasetError(f"{recording.motion.name}: {camera} has fewer pictures than it says")
+            raise DatasetError(f"{recording.motion.name}: {camera} has fewer images than time stamps")
         yield data
 
 

@@ -107,7 +107,7 @@ def _file(kind: str, name: str, locations: Locations) -> Path:
         if (root / folder / "can.yaml").is_file():
             return root / folder / "can.yaml"
     wired = sorted({path.parent.name for root in locations.data for path in (root / folder.parent).glob("*/can.yaml")})
-    raise ConfigError(f"{name} has no can.yaml, which says what its motors are; those with one: {', '.join(wired)}")
+    raise ConfigError(f"{name} has no can.yaml, which lists its motors; valid: {', '.join(wired)}")
 
 
 W = TypeVar("W", bound=Config)

@@ -61,10 +61,10 @@ def parse_fault(text: str) -> BusFault:
             raise UsageError(f"--fault {text!r}: a {kind} fault has no {key!r}; valid: {', '.join(valid)}")
         field = "seconds" if key == "for" else key
         if field in given:
-            raise UsageError(f"--fault {text!r}: {key} is there twice")
+            raise UsageError(f"--fault {text!r}: {key} is given twice")
         given[field] = value if key == "channel" else _number(text, key, value)
     if "motor" in valid and "motor" not in given:
-        raise UsageError(f"--fault {text!r}: say which motor, as in {kind}:motor=3")
+        raise UsageError(f"--fault {text!r}: give a motor, as in {kind}:motor=3")
     return BusFault(kind, **given)
 
 

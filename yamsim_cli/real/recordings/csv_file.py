@@ -52,7 +52,7 @@ def read_csv(path: Path, rig: RigConfig) -> RecordedMotion:
         raise DatasetError(f"{path}: line 1: has no column {TIME!r}; the header is {','.join(csv_columns(rig))}")
     values = np.array(rows, dtype=np.float64).reshape(len(rows), len(names))
     if len(values) < 2:
-        raise DatasetError(f"{path}: has {len(values)} samples; a motion needs two at least")
+        raise DatasetError(f"{path}: has {len(values)} samples; a motion needs at least two")
     columns: dict[str, Array] = {name: values[:, k] for k, name in enumerate(names)}
     times = columns.pop(TIME)
     back = np.flatnonzero(np.diff(times) <= 0)
@@ -60,7 +60,7 @@ def read_csv(path: Path, rig: RigConfig) -> RecordedMotion:
         line = int(back[0]) + 3
         raise DatasetError(
             f"{path}: line {line}: t is {times[back[0] + 1]:g}, and {times[back[0]]:g} in the line before: times "
-            "increase; sort the rows, or remove duplicate rows"
+            "must increase; sort the rows, or remove duplicate rows"
         )
     return RecordedMotion(str(path), times - times[0], _arm_motions(columns, rig, path))
 
@@ -84,12 +84,12 @@ def _table(path: Path) -> tuple[list[str], list[list[float]]]:
             names = [name.strip() for name in next(lines, [])]
             if len(set(names)) < len(names):
                 twice = next(name for name in names if names.count(name) > 1)
-                raise DatasetError(f"{path}: line 1: column {twice!r} is there twice")
+                raise DatasetError(f"{path}: line 1: column {twice!r} appears twice")
             return names, list(_rows(path, names, lines))
     except OSError as error:
         raise DatasetError(f"{path} cannot be read: {error.strerror or error}") from error
     except (UnicodeDecodeError, csv.Error) as error:
-        raise DatasetError(f"{path} is no CSV: {error}") from error
+        raise DatasetError(f"{path} is not valid CSV: {error}") from error
 
 
 def _rows(path: Path, names: Sequence[str], lines: Iterator[list[str]]) -> Iterator[list[float]]:
@@ -156,5 +156,5 @@ def _joint_columns(
     if len(missing) == len(names):
         return None
     if missing:
-        raise DatasetError(f"{path}: has no column {missing[0]!r}, but others such as it; give all of {names}")
+        raise DatasetError(f"{path}: has no column {missing[0]!r}, but has others of its kind; give all of {names}")
     return np.column_stack([columns[name] for name in names])

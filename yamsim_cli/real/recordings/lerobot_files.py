@@ -195,7 +195,7 @@ def read_lerobot(path: Path, rig: RigConfig, mapping: str | None, locations: Loc
     except OSError as error:
         raise DatasetError(f"{path / INFO} cannot be read: {error.strerror or error}") from error
     except (ValueError, KeyError, TypeError) as error:
-        raise DatasetError(f"{path / INFO}: is no LeRobot dataset's: {error}") from error
+        raise DatasetError(f"{path / INFO}: is not of a LeRobot dataset: {error}") from error
     if not isinstance(features, dict) or version.split(".")[0] not in ("v2", "v3"):
         raise DatasetError(f"{path / INFO}: codebase_version is {version!r}; valid: v2.0, v2.1 and v3.0")
     dataset = _Dataset(path, info, rig, mapping, locations)
@@ -210,7 +210,7 @@ def read_lerobot(path: Path, rig: RigConfig, mapping: str | None, locations: Loc
             raise DatasetError(f"{path} episode {number}: has {count} rows, and meta/ says {stated}: was it cut off?")
         recordings.append(_recording(dataset, number, table, tasks, row if version.startswith("v3") else None))
     if not recordings:
-        raise DatasetError(f"{path}/data: holds no episode")
+        raise DatasetError(f"{path}/data: contains no episode")
     return recordings
 
 
@@ -256,7 +256,8 @@ def _rows(table: Mapping[str, Any], key: str, name: str) -> Array:
         raise DatasetError(f"{name}: {key} holds no rows of numbers: {error}") from error
     if rows.ndim != 2 or not np.isfinite(rows).all():
         raise DatasetError(
-            f"{name}: {key} is {rows.shape} with {np.count_nonzero(~np.isfinite(rows))} that are no numbers"
+            f"{name}: {key} has the shape {rows.shape}, and {np.count_nonzero(~np.isfinite(rows))} values are not "
+            "finite"
         )
     return rows
 
@@ -338,7 +339,7 @@ def _video_jpegs(
         yield encode_jpeg(image, JPEG_QUALITY)
     if count != frames:
         raise DatasetError(
-            f"{file}: has {count} pictures of episode {number} from {begin:.3f} s on, and the episode {frames} rows"
+            f"{file}: has {count} images of episode {number} from {begin:.3f} s on, and the episode has {frames} rows"
         )
 
 
@@ -347,5 +348,5 @@ def _row_jpegs(rows: Sequence[Any], source: str) -> Iterator[bytes]:
         data = row.get("bytes") if isinstance(row, dict) else None
         image = decode_image(data) if isinstance(data, bytes) else None
         if image is None or not isinstance(data, bytes):
-            raise DatasetError(f"{source}: row {k} holds no whole picture; was it copied whole?")
+            raise DatasetError(f"{source}: row {k} has no complete image; was it copied whole?")
         yield data if data.startswith(_JPEG_START) else encode_jpeg(image, JPEG_QUALITY)

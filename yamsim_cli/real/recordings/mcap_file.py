@@ -42,7 +42,7 @@ def read_mcap(path: Path, rig: RigConfig, mapping: str | None, locations: Locati
     with _OpenedMcap(path) as reader:
         summary = reader.get_summary()
         if summary is None:
-            raise DatasetError(f"{path}: has no summary: was it cut off? `mcap recover` mends it")
+            raise DatasetError(f"{path}: has no summary: was it cut off? run `mcap recover`")
         topics = [channel.topic for channel in summary.channels.values()]
     names = _naming(topics, rig, mapping, path, locations)
     rows: dict[str, Rows] = {
@@ -115,7 +115,7 @@ def _naming(
 def _last_values(rows: Rows, stamps: Samples, width: int, source: str) -> Array:
     """Return a topic's last values (n, width) before time stamps (n,), ns."""
     if not rows:
-        raise DatasetError(f"{source}: holds no message")
+        raise DatasetError(f"{source}: contains no message")
     when = np.array([time for time, _ in rows], dtype=np.int64)
     if when[0] - stamps[0] > _LATEST_START * 1e9:
         raise DatasetError(
@@ -180,7 +180,7 @@ class _OpenedMcap:
             from mcap.reader import make_reader
             from mcap_protobuf.decoder import DecoderFactory
         except ModuleNotFoundError as error:
-            raise ResourceError("MCAP needs mcap, which is not here: pip install 'yamsim[mcap]'") from error
+            raise ResourceError("MCAP needs the package mcap: run `pip install 'yamsim[mcap]'`") from error
         try:
             self._file = self._path.open("rb")
         except OSError as error:

@@ -116,7 +116,7 @@ def _degrees(arm: ArmMotion, robot: Robot) -> Iterator[MotionProblem]:
     k = int(np.argmax(most))
     if most[k] > _MAX_ANGLE:
         name = _full_name(arm, robot.joint_names[k])
-        text = f"{name} is at {most[k]:.3g}, which no joint turns to in rad; are these degrees?"
+        text = f"{name} is at {most[k]:.3g}, which no joint reaches in rad; are these degrees?"
         yield MotionProblem(MotionFault.DEGREES, text)
 
 
@@ -128,7 +128,7 @@ def _beyond_stops(times: Array, arm: ArmMotion, robot: Robot) -> Iterator[Motion
             at = int(np.nanargmax(beyond[:, k]))
             text = (
                 f"{_full_name(arm, name)} is at {arm.joints[at, k]:.3f} rad at {times[at]:.2f} s, {most:.3f} rad "
-                f"beyond its stops ({low[k]:.3f} to {high[k]:.3f}); is it another model, or was its zero another one?"
+                f"beyond its limits ({low[k]:.3f} to {high[k]:.3f}); is its model or its zero position different?"
             )
             yield MotionProblem(MotionFault.BEYOND_STOPS, text, float(times[at]))
 
@@ -190,12 +190,12 @@ def _mirrored_gripper(name: str, times: Array, measured: Array, commanded: Array
         min(np.ptp(commanded), np.ptp(measured)) > _MIN_OPENING
         and (r := float(np.corrcoef(commanded, measured)[0, 1])) < _MIRRORED
     ):
-        text = f"{name} closes while commanded to open (correlation {r:.2f}): is one of them upside down?"
+        text = f"{name} closes while commanded to open (correlation {r:.2f}): is one of the two signals inverted?"
         yield MotionProblem(MotionFault.GRIPPER_UPSIDE_DOWN, text)
     elif (stall := _first_stall(times, measured, commanded)) is not None:
         text = (
             f"{name} stops short while commanded to open, from {stall:.2f} s on, and never while commanded to close, "
-            "which is when things are in its way: is it upside down? If so, import it with --mirror-gripper both"
+            "when objects can be in its way: is its signal inverted? If so, import it with --mirror-gripper both"
         )
         yield MotionProblem(MotionFault.GRIPPER_STALLS_OPENING, text, stall)
 

@@ -52,11 +52,11 @@ def detect_format(path: Path) -> str:
     elif (path / INFO).is_file():
         return "lerobot"
     elif is_yamsim_data(path):
-        raise DatasetError(f"{path}: is an episode or a dataset of yamsim's already, which needs no import")
+        raise DatasetError(f"{path}: is already an episode or a dataset of yamsim, and needs no import")
     elif (path / "lowdim").is_dir() or any(path.glob("*/lowdim")):
         return "lowdim"
     raise DatasetError(
-        f"{path}: is no recording that is known; valid: a .csv or .mcap, a robot_data.npz or its folder, a folder "
+        f"{path}: is not a known kind of recording; valid: a .csv or .mcap, a robot_data.npz or its folder, a folder "
         "with rgb/ and lowdim/ or of such folders, a LeRobot dataset"
     )
 
@@ -107,7 +107,7 @@ def read_episode(episode: RecordedEpisode, rig: RigConfig) -> RecordedMotion:
         )
     frames = episode.frames()
     if len(frames) < 2:
-        raise DatasetError(f"{name}: has {len(frames)} frames; a motion needs two at least")
+        raise DatasetError(f"{name}: has {len(frames)} frames; a motion needs at least two")
     times = np.array([frame["timestamp"] for frame in frames], dtype=np.float64)
     if np.any(np.diff(times) <= 0):
         raise DatasetError(f"{name}: timestamps do not increase; check it with yamsim summarize --strict")

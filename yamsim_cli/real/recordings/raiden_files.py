@@ -65,15 +65,13 @@ def read_raiden_raw(path: Path, rig: RigConfig) -> list[Recording]:
     try:
         with np.load(file, allow_pickle=False) as data:
             if sum(entry.file_size for entry in data.zip.infolist()) > _MAX_RAW_BYTES:
-                raise DatasetError(
-                    f"{file}: holds more than {_MAX_RAW_BYTES / 1e9:.1f} GB; it is no recording of one task"
-                )
+                raise DatasetError(f"{file}: holds more than {_MAX_RAW_BYTES / 1e9:.1f} GB, too much for one task")
             arrays = {name: data[name] for name in data.files if name == "timestamps" or name.startswith("follower_")}
     except (OSError, ValueError, zipfile.BadZipFile, EOFError) as error:
         raise DatasetError(f"{file} cannot be read: {error}; was it copied whole?") from error
     if "timestamps" not in arrays:
         raise DatasetError(
-            f"{file}: has no timestamps, but {', '.join(sorted(arrays)) or 'nothing'}: raiden writes them"
+            f"{file}: has no timestamps; it has {', '.join(sorted(arrays)) or 'nothing'}: raiden writes timestamps"
         )
     times = times_from_nanoseconds(np.asarray(arrays["timestamps"]), str(file))
     followers = [_follower(side, arrays, file) for side in motion_sides(rig)]
@@ -93,7 +91,9 @@ def _follower(side: str, arrays: Mapping[str, NDArray[np.generic]], file: Path) 
         return _FOLLOWERS[side]
     recorded = [name for name in _FOLLOWERS.values() if f"{name}_joint_pos_7d" in arrays]
     if len(recorded) != 1:
-        raise DatasetError(f"{file}: holds {len(recorded)} followers, and the rig one arm; give a --rig with as many")
+        raise DatasetError(
+            f"{file}: holds {len(recorded)} followers, and the rig has one arm; give a --rig with as many arms"
+        )
     return recorded[0]
 
 
@@ -102,7 +102,7 @@ def _raw_rows(arrays: Mapping[str, NDArray[np.generic]], key: str, shape: tuple[
         raise DatasetError(f"{file}: has no {key}; it holds {', '.join(sorted(arrays))}; give a --rig with its arms")
     rows = np.asarray(arrays[key], dtype=np.float64)
     if rows.shape != shape:
-        raise DatasetError(f"{file}: {key} is {rows.shape}, and {shape} is needed: was it cut off?")
+        raise DatasetError(f"{file}: {key} has the shape {rows.shape}; valid: {shape}; was it cut off?")
     if not np.isfinite(rows).all():
         at = int(np.argwhere(~np.isfinite(rows))[0, 0])
         raise DatasetError(f"{file}: {key} is not finite at sample {at}; remove the sample")
@@ -120,7 +120,7 @@ def read_lowdim(path: Path, rig: RigConfig) -> list[Recording]:
     )
     if not folders:
         raise DatasetError(
-            f"{path}: holds no lowdim/, nor does a folder in it; give an episode or a folder of episodes"
+            f"{path}: contains no lowdim/, nor does a folder in it; give an episode or a folder of episodes"
         )
     return [_lowdim_recording(folder, rig) for folder in folders]
 
@@ -128,7 +128,7 @@ def read_lowdim(path: Path, rig: RigConfig) -> list[Recording]:
 def _lowdim_recording(folder: Path, rig: RigConfig) -> Recording:
     files = _numbered_files(folder / "lowdim", (".pkl",))
     if len(files) < 2:
-        raise DatasetError(f"{folder}/lowdim: holds {len(files)} frames; a motion needs two at least")
+        raise DatasetError(f"{folder}/lowdim: holds {len(files)} frames; a motion needs at least two")
     frames = [_frame(file) for file in files]
     cameras = _camera_files(folder, len(frames))
     times = _times(folder, frames, cameras)
@@ -182,7 +182,9 @@ def _frame_rows(frames: Sequence[dict[str, Any]], key: str, files: Sequence[Path
         try:
             row = np.asarray(frame[key], dtype=np.float64).ravel()
         except (KeyError, TypeError, ValueError):
-            raise DatasetError(f"{file}: has no numbers under {key!r}, but {', '.join(map(str, frame))}") from None
+            raise DatasetError(
+                f"{file}: has no numbers under {key!r}; its keys are {', '.join(map(str, frame))}"
+            ) from None
         if arms == 1 and len(row) == 2 * drives:
             # Two arms, but the rig has one: an arm that is not on the left takes the left half only if the right is 0.
             row = row[:drives] if rig.arms[0].side == "left" or not np.any(row[drives:]) else row[drives:]
@@ -207,7 +209,7 @@ def _camera_files(folder: Path, frames: int) -> dict[str, list[Path]]:
     for camera in sorted((folder / "rgb").iterdir()) if (folder / "rgb").is_dir() else []:
         files = _numbered_files(camera, _PICTURES) if camera.is_dir() else []
         if files and len(files) != frames:
-            raise DatasetError(f"{camera}: has {len(files)} pictures, and lowdim/ {frames} frames; was it cut off?")
+            raise DatasetError(f"{camera}: has {len(files)} images, and lowdim/ has {frames} frames; was it cut off?")
         if files:
             found[camera.name] = files
     return found
@@ -226,7 +228,9 @@ def _times(folder: Path, frames: Sequence[dict[str, Any]], cameras: Mapping[str,
         except (OSError, ValueError, EOFError) as error:
             raise DatasetError(f"{file} cannot be read: {error}") from error
         if len(stamps) != len(frames):
-            raise DatasetError(f"{file}: has {len(stamps)} times, and lowdim/ {len(frames)} frames; was it cut off?")
+            raise DatasetError(
+                f"{file}: has {len(stamps)} times, and lowdim/ has {len(frames)} frames; was it cut off?"
+            )
         return times_from_nanoseconds(stamps, str(file))
     raise DatasetError(f"{folder}: has no times, neither `timestamp` in lowdim/ nor rgb/<camera>/{_TIMESTAMPS}")
 

@@ -125,12 +125,12 @@ def times_from_seconds(times: Array, source: str) -> Array:
         DatasetError: there are fewer than two times, or they do not increase.
     """
     if len(times) < 2:
-        raise DatasetError(f"{source}: has {len(times)} samples; a motion needs two at least")
+        raise DatasetError(f"{source}: has {len(times)} samples; a motion needs at least two")
     back = np.flatnonzero(~(np.diff(times) > 0))
     if len(back):
         k = int(back[0])
         raise DatasetError(
-            f"{source}: sample {k + 1} is at {times[k + 1]:.4f} s, and the one before at {times[k]:.4f} s: times "
+            f"{source}: sample {k + 1} is at {times[k + 1]:.4f} s, and the sample before at {times[k]:.4f} s: times "
             "increase; remove duplicate samples"
         )
     since: Array = times - times[0]

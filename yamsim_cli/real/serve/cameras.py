@@ -79,7 +79,7 @@ class CameraServer(UnixServer):
         elif kind != "picture" or type(after) is not int:
             _send(client, {"error": "ask for cameras, or for a picture with its camera and the number after"})
         elif camera not in source.cameras:
-            _send(client, {"error": f"there is no camera {camera!r:.80}; there are: {', '.join(source.cameras)}"})
+            _send(client, {"error": f"there is no camera {camera!r:.80}; valid: {', '.join(source.cameras)}"})
         else:
             self._requests[client] = str(camera), after
 
@@ -112,6 +112,6 @@ def _next_request(client: ClientConnection) -> dict[str, Any] | None:
     except (ValueError, RecursionError) as error:
         raise _InvalidRequestError("a message that is not JSON") from error
     if not isinstance(request, dict):
-        raise _InvalidRequestError("a message that is no object")
+        raise _InvalidRequestError("a message that is not an object")
     del received[: 4 + length]
     return request

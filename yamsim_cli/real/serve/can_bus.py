@@ -17,9 +17,9 @@ from ..motors import can_frames as frames
 from ..motors.can_frames import CanFrame
 from .socket_servers import ClientConnection, UnixServer
 
-_READ_FRAMES = 256  # per read, so that a flood of frames does not stop physics
-_READ_BYTES = _READ_FRAMES * frames.FRAME_BYTES
-_BACKLOG_BYTES = 4096 * frames.FRAME_BYTES  # unsent by a client; further frames are lost, as in a full adapter
+READ_FRAMES = 256  # frames per read, limited so that a flood of frames does not stop physics
+_READ_BYTES = READ_FRAMES * frames.FRAME_BYTES
+_BACKLOG_BYTES = 4096 * frames.FRAME_BYTES  # unsent bytes of a client; further frames are lost, as in a full adapter
 
 # Plugin that replaces python-can's `socketcan`, only for programs that `yamsim can-run` starts.
 _SITE = Path(__file__).resolve().parents[2] / "can_site"
@@ -87,8 +87,8 @@ class KernelBus:
         return [self._socket]
 
     def receive(self, ready: set[socket.socket]) -> Iterator[CanFrame]:
-        """Yield received frames."""
-        for _ in range(_READ_FRAMES if self._socket in ready else 0):
+        """Yield the received frames."""
+        for _ in range(READ_FRAMES if self._socket in ready else 0):
             try:
                 frame = frames.parse_frame(self._socket.recv(frames.FRAME_BYTES))
             except OSError:
@@ -120,7 +120,7 @@ def program_environment(environ: Mapping[str, str], folder: Path) -> dict[str, s
     served = sorted(path.name for path in folder.glob("*") if path.is_socket()) if folder.is_dir() else []
     if not served:
         raise ResourceError(
-            f"{folder}: nothing is served there; start `yamsim serve-robot --rig yam_v1+linear_4310` first"
+            f"{folder}: no server runs there; start `yamsim serve-robot --rig yam_v1+linear_4310` first"
         )
     path = os.pathsep.join(filter(None, (str(_SITE), environ.get("PYTHONPATH"))))
     return {"PYTHONPATH": path, "YAMSIM_CAN_FOLDER": str(folder.resolve())}

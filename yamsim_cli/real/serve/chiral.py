@@ -22,10 +22,10 @@ from yamsim_cli.core.http_origin import refusal_reason
 from .policy_robot import PolicyRobot, RobotObservation
 from .socket_servers import ClientConnection, TcpServer
 
-_READ_BYTES = 65_536
-_HANDSHAKE_S = 5.0  # s
-_MAX_QUEUED = 256  # unanswered messages; further ones drop the client
-_PER_STEP = 2  # messages answered per client before physics continues
+_READ_BYTES = 65_536  # largest number of bytes per read from a client
+HANDSHAKE_SECONDS = 5.0  # s in which a client must complete the WebSocket handshake
+MAX_QUEUED = 256  # unanswered messages above which a client is dropped
+_PER_STEP = 2  # messages of a client that are answered before physics continues
 
 MAX_MESSAGE_BYTES = 65_536  # an action has some hundred bytes
 _MAX_ACTION_NUMBERS = 256
@@ -92,7 +92,7 @@ class ChiralServer(TcpServer):
         for client, connection in list(self._connections.items()):
             if client not in clients:
                 self._end(client)
-            elif connection.protocol.state is State.CONNECTING and now > connection.began + _HANDSHAKE_S:
+            elif connection.protocol.state is State.CONNECTING and now > connection.began + HANDSHAKE_SECONDS:
                 self.drop(client)
             else:
                 self._work(client, connection)
@@ -122,7 +122,7 @@ class ChiralServer(TcpServer):
                 if event.fin:
                     connection.messages.append(bytes(connection.parts))
                     connection.parts.clear()
-        if len(connection.messages) > _MAX_QUEUED:
+        if len(connection.messages) > MAX_QUEUED:
             protocol.fail(1008, "too many messages at once")
             connection.messages.clear()
         self._work(client, connection)
@@ -197,7 +197,7 @@ def read_message(message: bytes) -> tuple[str, Array | None]:
 
     length = int.from_bytes(message[:4], "little")
     if len(message) < 4 or not 1 <= length <= len(message) - 4:
-        raise ChiralError("the header's length does not fit")
+        raise ChiralError("the length of the header is wrong")
     try:
         header = msgpack.unpackb(message[4 : 4 + length], raw=False, strict_map_key=True)
     except (ValueError, msgpack.exceptions.UnpackException) as error:
@@ -217,7 +217,7 @@ def _action_numbers(shape: Any, dtype: Any, data: bytes) -> Array:
         raise ChiralError("an action's shape is not valid")
     count = math.prod(shape)
     if count > _MAX_ACTION_NUMBERS or count * np.dtype(dtype).itemsize != len(data):
-        raise ChiralError("an action has not as many bytes as its shape says")
+        raise ChiralError("the bytes of an action do not match its shape")
     numbers: Array = np.frombuffer(data, dtype).astype(np.float64)
     return numbers
 

@@ -81,7 +81,7 @@ class MotorSimulation:
         self._ratio, self._offset, self._gravity_scale = (
             np.array([getattr(shaft, key) for shaft in self._shafts]) for key in ("ratio", "offset", "gravity_scale")
         )
-        self._weight_factors = _weight_factors(model, self._shafts)
+        self._weight_factors = _weight_factors(model, scene.arms, can_configs)
         model.actuator_gainprm[self._drive] = 0.0
         # Contact and limit stiffness depend on the changed armatures.
         mujoco.mj_setConst(model, self.data)
@@ -170,11 +170,11 @@ def _compensate_attachments(model: mujoco.MjModel, data: mujoco.MjData, arm: Arm
         data.xfrc_applied[body, :3] = -model.opt.gravity * model.body_mass[body]
 
 
-def _weight_factors(model: mujoco.MjModel, shafts: Sequence[_Transmission]) -> Array:
+def _weight_factors(model: mujoco.MjModel, arms: Sequence[ArmAddresses], can_configs: Sequence[CanConfig]) -> Array:
+    """Return the factor (nv,) by which the links' weight loads each degree of freedom."""
     factors = np.ones(model.nv)
-    for shaft in shafts:
-        if shaft.gravity_scale:
-            factors[shaft.dof] = shaft.gravity_scale
+    for arm, can_config in zip(arms, can_configs, strict=True):
+        factors[arm.joint_dof] = [motor.load for motor in can_config.arm.motors]
     return factors
 
 

@@ -84,7 +84,7 @@ def _next_message(client: ClientConnection) -> bytes | None:
     if not client.handshake_done:
         head = bytes(received[: len(HANDSHAKE)])
         if not HANDSHAKE.startswith(head):
-            raise PortalError("this is not portal")
+            raise PortalError("the client does not speak portal")
         if len(head) < len(HANDSHAKE):
             return None
         client.handshake_done = True
@@ -110,10 +110,10 @@ def _read_call(message: bytes) -> tuple[bytes, str, list[Any]]:
     try:
         name = message[16 : 16 + length].decode()
     except UnicodeDecodeError as error:
-        raise PortalError("the method's name is no text") from error
+        raise PortalError("the method's name is not text") from error
     arguments = unpack_tree(message[16 + length :])
     if not isinstance(arguments, list):
-        raise PortalError("the arguments are no list")
+        raise PortalError("the arguments are not a list")
     return message[:8], name, arguments
 
 
@@ -167,11 +167,11 @@ def unpack_tree(data: bytes) -> Any:
     except (ValueError, msgpack.exceptions.UnpackException) as error:
         raise PortalError("the arguments are not packed as they should be") from error
     if not isinstance(specs, list) or len(specs) != len(buffers) - 2:
-        raise PortalError("the arguments are not described as they should be")
+        raise PortalError("the description of the arguments is not valid")
     leaves = iter([_leaf(spec, buffer) for spec, buffer in zip(specs, buffers[2:], strict=True)])
     found = _filled(tree, leaves, 0)
     if next(leaves, leaves) is not leaves:
-        raise PortalError("there are more leaves than the tree has")
+        raise PortalError("the message has more leaves than the tree")
     return found
 
 
@@ -198,7 +198,7 @@ def _leaf(spec: Any, data: bytes) -> Any:
     if kind == "bytes":
         return data
     if kind != "array" or len(spec) != 3:
-        raise PortalError("a leaf is of a kind that is not taken")
+        raise PortalError("a leaf is of an unsupported kind")
     shape, name = spec[1:]
     most = _MAX_MESSAGE_BYTES
     if not isinstance(shape, list) or len(shape) > 4 or not all(type(n) is int and 0 <= n <= most for n in shape):
@@ -208,9 +208,9 @@ def _leaf(spec: Any, data: bytes) -> Any:
     except (TypeError, ValueError):
         dtype = None
     if dtype is None or dtype.kind not in _DTYPE_KINDS:
-        raise PortalError("an array is of a type that is not taken")
+        raise PortalError("an array is of an unsupported type")
     if math.prod(shape) * dtype.itemsize != (len(data) if math.prod(shape) else 0):
-        raise PortalError("an array has not as many bytes as its shape says")
+        raise PortalError("the bytes of an array do not match its shape")
     return np.frombuffer(data if math.prod(shape) else b"", dtype).reshape(shape)
 
 
@@ -224,4 +224,4 @@ def _filled(tree: Any, leaves: Iterator[Any], depth: int) -> Any:
     try:
         return next(leaves)
     except StopIteration:
-        raise PortalError("the tree has more leaves than there are") from None
+        raise PortalError("the tree has more leaves than the message") from None

@@ -62,6 +62,10 @@ class RealtimeStats:
 class RealtimeLoop:
     """Runs a motor simulation in real time, each bus on a socket.
 
+    Attributes:
+        sockets: sockets of the buses.
+        answers: heap of (time at which the answer is due, number of the answer, index of the bus, answer).
+
     Args:
         sockets: in the order of `plant.buses`.
         gap: s between answers on a bus, while no program is late.
@@ -77,13 +81,13 @@ class RealtimeLoop:
         ports: Sequence[PolledServer] = (),
         tick: Callable[[], None] = lambda: None,
     ) -> None:
-        self._plant, self._sockets, self._gap, self._tick = plant, tuple(sockets), gap, tick
+        self._plant, self.sockets, self._gap, self._tick = plant, tuple(sockets), gap, tick
         self._ports = tuple(ports)
-        self._free = [0.0] * len(self._sockets)
-        self._waiting = [0] * len(self._sockets)
+        # Time at which each bus may send its next answer.
+        self._free = [0.0] * len(self.sockets)
+        self._waiting = [0] * len(self.sockets)
         self._lost_frames = 0
-        # Heap of (due time, number, index of the bus, answer).
-        self._answers: list[tuple[float, int, int, CanFrame]] = []
+        self.answers: list[tuple[float, int, int, CanFrame]] = []
         self._count = itertools.count()
         self._late = self._lost = 0.0
         self._late_steps = 0
@@ -125,13 +129,13 @@ class RealtimeLoop:
     def _exchange(self, until: float) -> None:
         while True:
             now = time.monotonic()
-            while self._answers and self._answers[0][0] <= now:
-                _, _, k, frame = heapq.heappop(self._answers)
+            while self.answers and self.answers[0][0] <= now:
+                _, _, k, frame = heapq.heappop(self.answers)
                 self._waiting[k] -= 1
-                self._sockets[k].send(frame)
-            for one in (*self._sockets, *self._ports):
+                self.sockets[k].send(frame)
+            for one in (*self.sockets, *self._ports):
                 one.flush()
-            wake = min(until, self._answers[0][0]) if self._answers else until
+            wake = min(until, self.answers[0][0]) if self.answers else until
             writers = [writer for port in self._ports for writer in port.writers]
             ready = set(select.select(self._readers(), writers, [], max(0.0, wake - time.monotonic()))[0])
             if ready:
@@ -140,10 +144,10 @@ class RealtimeLoop:
                 return
 
     def _readers(self) -> list[Any]:
-        return [reader for one in (*self._sockets, *self._ports) for reader in one.readers]
+        return [reader for one in (*self.sockets, *self._ports) for reader in one.readers]
 
     def _receive(self, ready: set[Any]) -> None:
-        for k, one in enumerate(self._sockets):
+        for k, one in enumerate(self.sockets):
             for frame in one.receive(ready):
                 if self._waiting[k] >= _MAX_QUEUED:
                     self._lost_frames += 1
@@ -153,6 +157,6 @@ class RealtimeLoop:
                     now = time.monotonic()
                     due = max(now, self._free[k])
                     self._free[k] = max(self._free[k], now - _EARLY_ANSWERS * self._gap) + self._gap
-                    heapq.heappush(self._answers, (due, next(self._count), k, answer))
+                    heapq.heappush(self.answers, (due, next(self._count), k, answer))
         for port in self._ports:
             port.handle(ready)

@@ -107,7 +107,7 @@ class RenderProcess:
             raise
         try:
             if not self._pipe.poll(_START_SECONDS):
-                raise ResourceError(f"the process that draws pictures was not ready after {_START_SECONDS:g} s")
+                raise ResourceError(f"the rendering process was not ready after {_START_SECONDS:g} s")
             K = np.frombuffer(self._answer()).reshape(-1, 3, 3)
         except BaseException:
             self.close()
@@ -168,7 +168,7 @@ class RenderProcess:
         try:
             answer = self._pipe.recv_bytes()
         except (EOFError, OSError):
-            raise SimulationError("the process that draws pictures has ended, perhaps for want of memory") from None
+            raise SimulationError("the rendering process has ended, perhaps because memory ran out") from None
         if answer[:1] == _FAILED:
             raise ResourceError(answer[1:].decode())
         return answer[1:]

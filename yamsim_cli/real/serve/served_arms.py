@@ -121,7 +121,7 @@ def _start(simulator: Simulator, config: RecordConfig, start: str) -> Array:
     scene = simulator.scene
     layout = sample_attempt(simulator, AttemptJob(config.seed, 0)).layout
     if layout is None:
-        raise SimulationError(f"task {config.task.name!r}: the sampling box has no room for its things")
+        raise SimulationError(f"task {config.task.name!r}: the sampling box has no room for its objects")
     postures = []
     for arm in scene.arms:
         robot = config.rig.arms[arm.number].robot
@@ -135,7 +135,7 @@ def _check(faults: Sequence[BusFault], buses: Sequence[MotorBus]) -> None:
         meant = [bus for bus in buses if fault.channel in ("", bus.channel)]
         if not meant:
             there = ", ".join(bus.channel for bus in buses)
-            raise UsageError(f"--fault {fault.kind}: no channel {fault.channel!r}; there: {there}")
+            raise UsageError(f"--fault {fault.kind}: no channel {fault.channel!r}; valid: {there}")
         numbers = sorted({motor.number for bus in meant for motor in bus.motors})
         if fault.motor and fault.motor not in numbers:
-            raise UsageError(f"--fault {fault.kind}: no motor {fault.motor}; there: {', '.join(map(str, numbers))}")
+            raise UsageError(f"--fault {fault.kind}: no motor {fault.motor}; valid: {', '.join(map(str, numbers))}")

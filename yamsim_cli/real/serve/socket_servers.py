@@ -138,7 +138,7 @@ class TcpServer(SocketServer):
         try:
             listener = socket.create_server((host, port))
         except OSError as error:
-            raise ResourceError(f"{host}:{port} cannot be listened on: {error.strerror}; try another {flag}") from error
+            raise ResourceError(f"cannot listen on {host}:{port}: {error.strerror}; try another {flag}") from error
         super().__init__(listener, read_bytes, max_outgoing)
         self.port = int(listener.getsockname()[1])
 
@@ -159,7 +159,7 @@ class UnixServer(SocketServer):
             listener.bind(str(path))
         except OSError as error:
             listener.close()
-            raise ResourceError(f"{path}: cannot be listened on: {error.strerror or error}") from error
+            raise ResourceError(f"cannot listen on {path}: {error.strerror or error}") from error
         except ResourceError:
             listener.close()
             raise
@@ -177,9 +177,9 @@ def _make_folder(folder: Path) -> None:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         found = folder.lstat()
     except OSError as error:
-        raise ResourceError(f"{folder}: cannot be made: {error.strerror}; name another one with --folder") from error
+        raise ResourceError(f"{folder}: cannot be made: {error.strerror}; give another --folder") from error
     if not stat.S_ISDIR(found.st_mode) or found.st_uid != os.getuid() or found.st_mode & 0o077:
-        raise ResourceError(f"{folder}: is not a folder that is yours alone; name another one with --folder")
+        raise ResourceError(f"{folder}: other users can access this folder; give another --folder")
 
 
 def _remove_stale(path: Path) -> None:

@@ -50,7 +50,7 @@ def film_recorded(
 ) -> WrittenVideo:
     """Make a video of the recorded images of cameras side by side, by default the first, at `frame_period`, s."""
     if not episode.record.cameras:
-        raise DatasetError(f"{episode.directory} has no pictures; without --video its arms are shown")
+        raise DatasetError(f"{episode.directory} has no images; without --video, its arms are shown")
     chosen = _choose(cameras, tuple(episode.record.cameras))
     return _film(recorded_images(episode, chosen), chosen, path, frame_period, overwrite=overwrite)
 
@@ -112,7 +112,7 @@ def episode_positions(episode: StoredEpisode, simulator: Simulator) -> Array:
     for k, frame in enumerate(frames):
         if len(frame["sim_qpos"]) != nq:
             raise DatasetError(
-                f"{episode.directory}: frame {k} has {len(frame['sim_qpos'])} positions, and its scene {nq}: "
+                f"{episode.directory}: frame {k} has {len(frame['sim_qpos'])} positions, and its scene has {nq}: "
                 "it was made with another robot model or scene than its dataset says"
             )
     return np.array([frame["sim_qpos"] for frame in frames])

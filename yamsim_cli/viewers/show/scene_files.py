@@ -148,7 +148,7 @@ def _reduce(root: Element, scene: str) -> None:
 
 
 def _unknown(scene: str, what: str) -> str:
-    return f"scene {scene!r} has {what.strip()}, which MuJoCo 3.3 does not read, or otherwise: write it with --mujoco 4"
+    return f"scene {scene!r} has {what.strip()}, which MuJoCo 3.3 lacks or reads differently: write it with --mujoco 4"
 
 
 def _walk(root: Element) -> Iterator[tuple[str, Element]]:

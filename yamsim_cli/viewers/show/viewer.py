@@ -145,4 +145,4 @@ def require_viser() -> None:
     except ModuleNotFoundError as error:
         if error.name != "viser":
             raise
-        raise ResourceError("the browser page needs viser, which is not here: pip install 'yamsim[view]'") from error
+        raise ResourceError("the browser page needs viser: run `pip install 'yamsim[view]'`") from error

@@ -69,9 +69,9 @@ class TeleopCommand(Config):
             T = np.array(self.ee)
             R = T[:3, :3]
             if not np.allclose(R @ R.T, np.eye(3), atol=1e-3) or np.linalg.det(R) < 0:
-                raise ValueError("ee is no pose: its upper left 3 x 3 is no rotation")
+                raise ValueError("ee is not a pose: its upper left 3 x 3 is not a rotation")
             if not np.array_equal(T[3], (0, 0, 0, 1)):
-                raise ValueError("ee is no pose: its last row has to be 0 0 0 1")
+                raise ValueError("ee is not a pose: its last row must be 0 0 0 1")
         return self
 
 
@@ -120,11 +120,11 @@ class _Arms:
         """Raise ConfigError if the arm, the weld or the joints are not valid."""
         if self._grasp != "weld" and command.magnet is not None:
             raise ConfigError(
-                f"{where}: magnet: task {self._task!r} with grasp {self._grasp!r} has none: things are held by "
+                f"{where}: magnet: task {self._task!r} with grasp {self._grasp!r} has none: objects are held by "
                 "friction; leave it out, and close the `gripper`"
             )
         if command.arm is not None and command.arm not in self._arms:
-            raise ConfigError(f"{where}: arm: there is only a {next(iter(self._arms))} one; leave it out")
+            raise ConfigError(f"{where}: arm: the rig has only a {next(iter(self._arms))} arm; leave it out")
         self._driven = command.arm or self._driven
         if command.joints is None:
             return

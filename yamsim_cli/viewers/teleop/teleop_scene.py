@@ -83,6 +83,8 @@ class TeleopScene(TeleopInterface):
     scene ignores targets until it is at rest.
 
     Attributes:
+        config: config of the session.
+        attempt_scene: scene and arms of the present attempt.
         sides: sides of the arms, in the order of recordings.
         active_arm: index of the teleoperated arm in that order.
         episodes, failures, waiting, discarded: numbers of attempts; `waiting` ones are not judged yet.
@@ -101,14 +103,14 @@ class TeleopScene(TeleopInterface):
         end: EndRule = EndRule.ACTOR,
     ) -> None:
         super().__init__()
-        self._config = config = session.config
+        self.config = config = session.config
         self._receiver, self._journal = receiver, journal
         self._max_ticks = max(1, round(time_limit / config.task.timing.tick))
         self._rules = EpisodeRules(end)
         self._has_welds = config.grasp == "weld"
         self.title = f"{config.task.name} teleop"
-        self._stage = TeleopAttemptScene(session)
-        self.sides = self._stage.sides
+        self.attempt_scene = TeleopAttemptScene(session)
+        self.sides = self.attempt_scene.sides
         self.active_arm = config.acting_scene_arms[0]
         self._recording = False
         self.message = ""
@@ -122,12 +124,12 @@ class TeleopScene(TeleopInterface):
     @property
     def tick_seconds(self) -> float:
         """Duration of a control tick, s."""
-        return self._config.task.timing.tick
+        return self.config.task.timing.tick
 
     @property
     def dof(self) -> int:
-        """Number of joints of each arm, without fingers."""
-        return self._stage.scene.arms[0].dof
+        """The number of joints of each arm, without fingers."""
+        return self.attempt_scene.scene.arms[0].dof
 
     @property
     def time(self) -> float:
@@ -183,7 +185,7 @@ class TeleopScene(TeleopInterface):
 
     def set_grasp_target(self, T_grasp_in_base: Array) -> None:
         """Set the target pose (4, 4) of `grasp_site` in the base of the left or only arm."""
-        self._command(lambda arm: arm.set_grasp_target(self._stage.scene.T_base_in_world @ T_grasp_in_base))
+        self._command(lambda arm: arm.set_grasp_target(self.attempt_scene.scene.T_base_in_world @ T_grasp_in_base))
 
     def set_joint_target(self, joints: Array) -> None:
         """Set the target joints (dof,), rad, clipped to the joint limits."""
@@ -252,7 +254,7 @@ class TeleopScene(TeleopInterface):
 
     @property
     def _ticks_after_stop(self) -> int:
-        task = self._config.task
+        task = self.config.task
         return task.timing.settle_ticks + task.hold_ticks
 
     def pause_unattended(self) -> None:
@@ -260,12 +262,12 @@ class TeleopScene(TeleopInterface):
         with self.lock:
             if self._recording and not self.paused:
                 self.paused = True
-                self.message = "paused, since nobody was watching: Play goes on"
+                self.message = "paused, because no browser was connected: Play continues"
 
     def submit_unfinished(self, left: UnfinishedRecording) -> None:
         """Submit the recording of a killed session, after simulating the ticks that miss after its stop."""
         with self.lock:
-            self._set_attempt(self._stage.sample(left.job, left.start), self._rules)
+            self._set_attempt(self.attempt_scene.sample(left.job, left.start), self._rules)
             for tick in left.ticks:
                 self._episode.step(tick.ctrl, tick.magnet, tick.reference)
             for k, arm in enumerate(self._arms):
@@ -292,7 +294,7 @@ class TeleopScene(TeleopInterface):
         self._submit_recording()
 
     def _submit_recording(self) -> None:
-        self._receiver.submit(self._stage.result(self._attempt, self._episode))
+        self._receiver.submit(self.attempt_scene.result(self._attempt, self._episode))
         self.message = f"attempt {self._attempt.job.attempt} is being rendered"
         self._begin()
 
@@ -327,20 +329,20 @@ class TeleopScene(TeleopInterface):
         self.tick()
 
     def _begin(self, *, recording: bool = False) -> None:
-        """Reset to the start of the next attempt. End rule and time limit apply to recordings only."""
-        attempt = self._stage.begin(AttemptJob(self._config.seed, self._receiver.next_attempt))
+        """Reset the scene to the start of the next attempt. End rule and time limit apply to recordings only."""
+        attempt = self.attempt_scene.begin(AttemptJob(self.config.seed, self._receiver.next_attempt))
         self._set_attempt(attempt, self._rules if recording else EpisodeRules())
         self._recording = recording
 
     def _set_attempt(self, attempt: Attempt, rules: EpisodeRules) -> None:
         self._attempt = attempt
-        self._episode = self._stage.set_up(attempt, rules)
-        self.model, self.data = self._stage.scene.model, self._episode.data
+        self._episode = self.attempt_scene.set_up(attempt, rules)
+        self.model, self.data = self.attempt_scene.scene.model, self._episode.data
         self._recording, self._settling = False, 0
 
     @property
     def _arms(self) -> tuple[TeleopArm, ...]:
-        return self._stage.arms
+        return self.attempt_scene.arms
 
     @property
     def _arm(self) -> TeleopArm:

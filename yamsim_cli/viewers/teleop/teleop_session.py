@@ -189,7 +189,7 @@ def _submit_unfinished(
             # The attempt is in the dataset already, or has no tick.
             journal.delete(attempt)
         elif attempt > attempts.next_attempt:
-            warn(f"{left.path} is a recording that attempts are missing before; it stays as it is.")
+            warn(f"{left.path} is kept, because attempts before this recording are missing.")
         else:
             seconds = len(left.ticks) * scene.tick_seconds
             warn(f"Attempt {attempt}, {seconds:.1f} s long, was left by a session that was killed: it is judged now.")

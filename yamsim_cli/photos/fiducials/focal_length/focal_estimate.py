@@ -48,8 +48,8 @@ _MAX_MISFIT_SIGMAS = 3.72  # sigmas of chi squared that 1 in 10,000 consistent s
 _TYPICAL_FOCAL = 0.5 / math.tan(math.radians(30.0))  # longer sides of the image, 60 degrees field of view
 _TYPICAL_LOG_SIGMA = 0.35  # sigma of the typical focal length's logarithm
 
-_NO_BOARD = "no board tells the focal length"
-_ADVICE = "photograph the board from a slant, or give --camera"
+_NO_BOARD = "no board determines the focal length"
+_ADVICE = "photograph the board at a slant, or give --camera"
 
 # Lens prior, sigmas of principal point (longer sides, right and down) and k1. Source: 13 published calibrations of
 # webcams and robots' cameras: half within one sigma, three in four within two. Phones correct distortion and are well
@@ -298,11 +298,13 @@ def _reason(found: FocalProfile, boards: int, low: float | None, high: float | N
     # Wilson and Hilferty's approximation of chi squared.
     most = freedom * (1 - 2 / (9 * freedom) + _MAX_MISFIT_SIGMAS * math.sqrt(2 / (9 * freedom))) ** 3
     if found.misfit.min() > most:
-        return "no one focal length explains the boards: a lens with much distortion, or bent prints; give --camera"
+        return (
+            "no single focal length explains the boards: the lens distorts too much or prints are bent; give --camera"
+        )
     if low is None and high is None:
         return f"any focal length explains the photo equally well: {_ADVICE}"
     if high is None:
-        return f"any focal length from {low:.0f} px up explains the photo: {_ADVICE}"
+        return f"any focal length from {low:.0f} px upwards explains the photo: {_ADVICE}"
     if low is None:
         return f"any focal length up to {high:.0f} px explains the photo: {_ADVICE}"
     if high > _MAX_INTERVAL_RATIO * low:

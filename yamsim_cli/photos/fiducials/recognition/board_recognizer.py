@@ -117,7 +117,7 @@ class BoardRecognizer:
         best = min(fits, key=lambda fit: fit.mean_square)
         size = board.width * self._camera.focal / best.T[2, 3]
         if any(self._distance_px(fit, best) > _MIN_SEPARATION * size for fit in fits):
-            reason = "it is in the photo twice: hide or remove the other print"
+            reason = "the board is in the photo twice: hide or remove the other print"
             return BoardDetection(board, seen.markers, BoardStatus.AMBIGUOUS, reason, is_duplicated=True)
         return judge_detection(self._photo, self._camera, board, best, fits, predicted_poses, self._limits)
 
