@@ -154,7 +154,9 @@ def lerobot(
     overwrite: Rename = False,
     json: Json = False,
 ) -> None:
-    """Write a LeRobotDataset v3.0: Parquet, and H.264 with exact times. The left arm comes first, and welds last.
+    """Write a LeRobotDataset v3.0 of Parquet and H.264, with frame k at exactly k frame periods.
+
+    The left arm comes first. An action of drive commands ends with the state of each arm's weld, which holds an object.
 
     Example: yamsim export lerobot dataset/ lerobot_dataset/
     """

@@ -40,7 +40,7 @@ class PixelScale:
         return self.start + (value - self.low) / span * (self.end - self.start) if span else (self.start + self.end) / 2
 
     def ticks(self, maximum: int) -> list[float]:
-        """Return about `maximum` round values between `low` and `high`."""
+        """Return at most `maximum` round values between `low` and `high`."""
         low, high = sorted((self.low, self.high))
         span = high - low
         if span == 0:

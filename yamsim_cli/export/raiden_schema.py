@@ -13,7 +13,7 @@ from typing import Any, Literal
 # "draw" renders at the time of each frame; "nearest" takes the recorded image nearest in time.
 PictureSource = Literal["draw", "nearest"]
 ImageFormat = Literal["png", "jpg"]  # raiden's code reads only PNG
-HandFrameName = Literal["yamsim", "i2rt"]  # kinematics for hand poses, see `raiden_frames.hand_frame`
+HandFrameName = Literal["yamsim", "i2rt"]  # arm model whose hand frame and kinematics give the hand poses
 
 FPS = 30.0  # that raiden's commands `rd replay` and `rd shardify` assume
 

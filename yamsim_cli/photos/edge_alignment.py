@@ -25,7 +25,8 @@ _TUKEY_CUTOFF = 4.685  # standard deviations, beyond which Tukey's biweight is 0
 _INDEPENDENT_POINTS = 60.0  # maximum number of outline points that count as independent
 _BORDER = 3  # grains from the picture's border; outlines there are ignored
 _ROUNDS = 6  # rounds of a pose refinement
-_REACH_RATIO = 0.62  # ratio of consecutive rounds' search distances; the last excludes edges of other objects
+# Each round's search distance over the one before; the last round's is too short for the edges of other objects.
+_REACH_RATIO = 0.62
 
 
 @dataclass(frozen=True)

@@ -26,7 +26,7 @@ _HEIGHT_SHARES = (0.25, 0.5, 0.75)
 
 _MAX_TILT = math.radians(3.0)  # rad, an object that tilts more may also keep its tilt in the container
 
-# rad, headings relative to the container, in the order tried
+# rad, headings relative to the container; earlier ones come first among goals that are equally low and central
 _TURNS = tuple(math.radians(angle) for angle in (0, 180, 90, -90))
 
 

@@ -76,7 +76,7 @@ class BlurKernel:
         weight = np.full(len(along), 1.0)
         weight[[0, -1]] = 0.5
         weight /= weight.sum()
-        # `filter2D` correlates: a motion by +s samples at -s.
+        # `filter2D` correlates: for a motion by +s, a pixel gets the value at -s.
         values = weight * along if slope else weight
         column, row = np.floor(side - along * x).astype(int), np.floor(side - along * y).astype(int)
         right, below = side - along * x - column, side - along * y - row
