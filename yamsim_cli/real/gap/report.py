@@ -32,7 +32,7 @@ def build_report(gaps: Sequence[MotionGap], rig: str) -> dict[str, Any]:
     """Return the gap as JSON data: means over recordings of the same arms, the worst error, and each recording.
 
     For largest errors, the maximum replaces the mean; figures that no recording has are null. `intervals`
-    has 95 % intervals of means over two or more recordings. Errors are measured minus simulated, rad and mm, or as keys say.
+    has 95 % intervals of means over two or more recordings. Errors are measured minus simulated, rad and mm.
     """
     worst = max(gaps, key=lambda gap: abs(gap.worst.error))
     return {
