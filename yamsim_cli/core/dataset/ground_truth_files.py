@@ -11,7 +11,7 @@ import math
 import zipfile
 from collections.abc import Mapping
 from enum import IntEnum
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -66,7 +66,7 @@ class TruthLabels(Record):
         instances: names of the instances that have boxes.
         links, objects: names of the links and objects that have poses.
         keypoints: the keypoints, in array order.
-        cloths: cloth -> number of points along its x axis and its y axis; omitted if empty.
+        cloths: cloth -> number of points along its x axis and its y axis.
         depth_tolerance_m: `DEPTH_TOLERANCE` at recording time, m.
         joint_cover_m: `JOINT_COVER` at recording time, m.
     """
@@ -76,9 +76,8 @@ class TruthLabels(Record):
     links: list[str]
     objects: list[str]
     keypoints: list[KeypointRecord]
-    cloths: Annotated[dict[str, tuple[int, int]], Field(exclude_if=lambda cloths: not cloths)] = Field(
-        default_factory=dict
-    )
+    # Omitted if empty: `verify` compares the bytes of this file.
+    cloths: dict[str, tuple[int, int]] = Field(default_factory=dict, exclude_if=lambda cloths: not cloths)
     depth_tolerance_m: float = DEPTH_TOLERANCE
     joint_cover_m: float = JOINT_COVER
 

@@ -10,17 +10,16 @@ from typing import Any, SupportsIndex, overload
 
 import numpy as np
 
-from ..config.loader import parse_config
 from ..config.recording import RecordConfig
 from ..config.rig import RigConfig
-from ..errors import ConfigError, DatasetError, UsageError, count_noun, join_ranges
+from ..errors import DatasetError, UsageError, count_noun, join_ranges
 from ..files.resources import Locations
 from ..files.writing import sha256_bytes
 from ..images.image import Image
 from .checks.context import find_episodes
 from .checks.lowdim import frame_faults, recorded_specs
 from .dataset_paths import CONFIG, EPISODE, episode_directories, episode_name, image_path, lowdim_path
-from .imported_records import RealEpisodeRecord, is_real, real_config
+from .imported_records import RealEpisodeRecord, is_real, read_dataset_config, real_config
 from .lowdim import load_frame
 from .records import EpisodeRecord, from_json
 
@@ -197,24 +196,13 @@ def find_episode(path: Path, number: int | None) -> RecordedEpisode:
 
 def dataset_config(dataset: Path, locations: Locations) -> RecordConfig:
     """Return the configuration that a dataset was recorded with. Raise DatasetError if it is missing or invalid."""
-    file = dataset / CONFIG
-    try:
-        text = file.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        reason = error.strerror if isinstance(error, OSError) else "it is not UTF-8"
-        raise DatasetError(
-            f"{file} cannot be read ({reason}): without it nothing of the dataset can be simulated again"
-        ) from error
     if is_real(dataset):
         raise DatasetError(
             f"{dataset} holds real recordings: they were not simulated, so nothing can make them again; "
             f"yamsim summarize {dataset} --strict checks every file by its hash, and yamsim gap {dataset} how far the "
             "simulation is from them"
         )
-    try:
-        return parse_config(RecordConfig, text, str(file), locations, as_recorded=True)
-    except ConfigError as error:
-        raise DatasetError(f"{error}; was it recorded by another version of yamsim?") from error
+    return read_dataset_config(RecordConfig, dataset, locations)
 
 
 def recorded_rig(dataset: Path, locations: Locations) -> RigConfig:

@@ -30,13 +30,13 @@ from .execution import SimulatedAttempt
 from .simulator import Simulator
 
 # Version of the rendering, raised when the same config gives other images: 2 since the table and the posts cast
-# shadows. A recording that states no version has `FIRST_APPEARANCE_REVISION`.
-APPEARANCE_REVISION, FIRST_APPEARANCE_REVISION = "2", "1"
+# shadows.
+APPEARANCE_REVISION = "2"
 
 # Version of the engine, raised when the same config and seed give other actions. 2: all tasks are programs of skills,
 # with analytic inverse kinematics. 3: waypoints may tilt, containers take objects beside each other, and starts with
-# moving objects are sampled again. A recording that states no version has `FIRST_ENGINE`.
-ENGINE, FIRST_ENGINE = "3", "1"
+# moving objects are sampled again.
+ENGINE = "3"
 
 
 def library_versions() -> dict[str, str]:

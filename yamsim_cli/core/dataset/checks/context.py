@@ -8,15 +8,15 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from ...config.goals.world import TABLE
-from ...config.loader import load_config, validate_file
+from ...config.loader import load_config
 from ...config.recording import RecordConfig
 from ...config.rig import RigConfig
-from ...errors import ConfigError, DatasetError
+from ...errors import DatasetError
 from ...files.resources import Locations
 from ...geometry.se3 import Array, pose
 from ...robots.robot import widest_joint_limits
 from ..dataset_paths import CONFIG, EPISODE, episode_directories, episode_name
-from ..imported_records import is_real, real_config
+from ..imported_records import is_real, read_dataset_config, real_config
 from .motion import ArmLimits
 from .problem import ProblemCollector
 
@@ -130,8 +130,8 @@ def read_context(dataset: Path, recorded: bool, locations: Locations, problems: 
         problems.add("config.missing")
     elif recorded:
         try:
-            parsed = validate_file(RecordConfig, dataset / CONFIG, locations, as_recorded=True)
-        except ConfigError as error:
+            parsed = read_dataset_config(RecordConfig, dataset, locations)
+        except DatasetError as error:
             problems.add("config.damaged", CONFIG, str(error).removeprefix(f"{dataset}/"))
     if parsed is None and is_real(dataset):
         rig = real_config(dataset, locations).rig

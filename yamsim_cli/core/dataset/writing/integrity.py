@@ -6,7 +6,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
-from ...errors import DatasetError
+from ...errors import DatasetError, NewerFormatError
 from ...files.writing import sha256_bytes
 from ..dataset_paths import DAMAGED, EPISODE, episode_directories
 from ..records import EpisodeRecord, from_json
@@ -59,7 +59,12 @@ def quarantine_path(path: Path) -> Path:
 
 
 def inspect_episode(number: int, directory: Path) -> InspectedEpisode:
-    """Read and hash all files of one episode. Raise OSError if the disk failed."""
+    """Read and hash all files of one episode.
+
+    Raises:
+        OSError: the disk failed.
+        NewerFormatError: a later version of yamsim wrote the episode.
+    """
 
     def found(record: EpisodeRecord | None, text: bytes, size: int, fault: str | None) -> InspectedEpisode:
         return InspectedEpisode(number, directory, record, text, size, fault)
@@ -70,6 +75,8 @@ def inspect_episode(number: int, directory: Path) -> InspectedEpisode:
         return found(None, b"", 0, f"{EPISODE} is missing")
     try:
         record = from_json(EpisodeRecord, text, EPISODE)
+    except NewerFormatError:
+        raise  # the episode is not damaged, and must not be quarantined
     except DatasetError as error:
         return found(None, text, 0, str(error))
     if record.episode != number:
