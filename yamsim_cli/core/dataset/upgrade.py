@@ -85,7 +85,9 @@ def upgrade_config(data: Any) -> Any:
 
 def _filled(data: Mapping[str, Any], key: str, defaults: Mapping[str, Any]) -> dict[str, Any]:
     value = data.get(key)
-    return {key: {**defaults, **value}} if isinstance(value, Mapping) else {}
+    if not isinstance(value, Mapping):
+        return {}
+    return {key: {**value, **{name: default for name, default in defaults.items() if name not in value}}}
 
 
 def _full_pose(place: Any) -> Any:
