@@ -141,7 +141,6 @@ def parse_config(model: type[C], text: str, source: str, locations: Locations, *
 
 
 def _load_named(model: type[Config], kind: str, name: str, locations: Locations) -> Document:
-    """Return the document of a named config. Raises as `Locations.config_file`."""
     if kind == "rigs" and _JOINED in name and not name.endswith((".yaml", ".yml")):
         return _single_arm_rig(name)
     if kind == robot_names.ARMS:
@@ -159,7 +158,6 @@ def _single_arm_rig(name: str) -> Document:
 
 
 def _set_revision(document: Document, path: KeyPath, revision: str, place: str, locations: Locations) -> None:
-    """Replace the model of each arm of the rig at `path` by the version `revision` of the same product."""
     for k, (model, _) in _arms(document, path).items():
         try:
             name = robot_names.other_revision(model, str(revision), locations)
@@ -191,7 +189,6 @@ def _add_dynamics(document: Document, path: KeyPath, files: Sequence[str], place
 
 
 def _arms(document: Document, path: KeyPath) -> dict[int, tuple[str, Any]]:
-    """Return the index of each arm of the rig at `path` -> its robot model and its side."""
     rig: Any = document.data
     for key in path:
         rig = rig[key]
@@ -299,7 +296,6 @@ def _resolve_references(model: type[Config], document: Document, path: KeyPath, 
 def _insert_referenced_config(
     document: Document, path: KeyPath, kind: str, target: type[Config], name: str, locations: Locations
 ) -> None:
-    """Replace the name of a config at `path` by its content."""
     if kind == robot_names.ARMS and name.endswith((".yaml", ".yml")):
         name = _with_dynamics(document, path, name, locations)
     try:

@@ -421,7 +421,6 @@ class ProgramTask(Config):
         )
 
     def _on_predicates_with_radius(self) -> Iterator[tuple[tuple[str | int, ...], On]]:
-        """Yield the key path and the predicate for each `on` with a radius in the goal."""
         for path, predicate in self.goal.predicates():
             if isinstance(predicate, On) and predicate.radius is not None:
                 yield path, predicate
@@ -479,7 +478,6 @@ class ProgramTask(Config):
         return (role,) if count == 1 else tuple(f"{role}_{k + 1}" for k in range(count))
 
     def _placeholder_texts(self, roles: RoleAssignment) -> dict[str, str]:
-        """Return each placeholder of the instructions -> the text that replaces it."""
         words = {"first_arm": "right", "second_arm": "left"}
         for role, one in self.things.items():
             if one.count == 1:

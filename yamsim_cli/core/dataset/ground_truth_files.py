@@ -62,13 +62,12 @@ class TruthLabels(Record):
     """`truth/labels.json`: names for the array axes of `truth/<camera>.npz`, and for segmentation values.
 
     Attributes:
-        labels: the segmentation values with their meanings.
-        instances: names of the instances that have boxes.
-        links, objects: names of the links and objects that have poses.
-        keypoints: the keypoints, in array order.
+        labels: the segmentation values.
+        instances: names of those with boxes.
+        links, objects: names of those with poses.
+        keypoints: in array order.
         cloths: cloth -> number of points along its x axis and its y axis.
-        depth_tolerance_m: `DEPTH_TOLERANCE` at recording time, m.
-        joint_cover_m: `JOINT_COVER` at recording time, m.
+        depth_tolerance_m, joint_cover_m: `DEPTH_TOLERANCE` and `JOINT_COVER` at recording time, m.
     """
 
     labels: list[LabelRecord]

@@ -72,7 +72,7 @@ def is_yamsim_data(path: Path) -> bool:
 
 
 def real_config(dataset: Path, locations: Locations) -> RealConfig:
-    """Return the config of a dataset of imported recordings. Raise DatasetError if it is unreadable or invalid."""
+    """Return the config of imported recordings. Raises as `read_dataset_config`."""
     return read_dataset_config(RealConfig, dataset, locations)
 
 

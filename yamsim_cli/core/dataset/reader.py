@@ -1,4 +1,4 @@
-"""Find, select and read published episodes. The content of their files is not trusted."""
+"""Find, select and read published episodes, whose files are not trusted."""
 
 from __future__ import annotations
 
@@ -115,11 +115,7 @@ def open_recorded(directory: Path) -> RecordedEpisode:
 
 
 def recorded_episodes(dataset: Path) -> list[RecordedEpisode]:
-    """Open all episodes of a dataset that yamsim recorded or imported.
-
-    Raises:
-        DatasetError: yamsim wrote no dataset there, or a record is damaged.
-    """
+    """Open all episodes of a dataset that yamsim wrote. Raise DatasetError if it is none, or a record is damaged."""
     found, recorded = find_episodes(dataset)
     if not recorded and not is_real(dataset):
         raise _not_recorded_error(dataset)
@@ -143,12 +139,7 @@ class StoredEpisodes(Sequence[StoredEpisode]):
     def __getitem__(self, key: slice) -> StoredEpisodes: ...
 
     def __getitem__(self, key: SupportsIndex | slice) -> StoredEpisode | StoredEpisodes:
-        """Return the episode at an index, which may be negative, or the episodes of a slice.
-
-        Raises:
-            IndexError: the index is out of range.
-            DatasetError: the episode record is missing or damaged.
-        """
+        """Raise IndexError, or DatasetError for a missing or damaged episode record."""
         if isinstance(key, slice):
             return StoredEpisodes(self.path, self._directories[key])
         try:

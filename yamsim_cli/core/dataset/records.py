@@ -122,9 +122,7 @@ class OutcomeRecord(Record):
     def is_within(self, threshold: float, max_height: float = math.inf) -> bool:
         """Return whether the object ended on its target, within `threshold` metres of the target's centre.
 
-        Args:
-            max_height: largest height of the object's origin above the target's origin, m. Applies to outcomes without
-                `measures`, which state contact instead.
+        `max_height` (of the object's origin above the target's, m) applies to outcomes without measured contact.
         """
         # After any other failure cause, the distance is meaningless: the object may have been thrown there.
         if self.dxy_m is None or self.dz_m is None or self.cause not in (None, FailureCause.OFF_TARGET):
@@ -230,12 +228,7 @@ def to_json(record: Record, *, indent: int | None = None) -> bytes:
 
 
 def from_json(model: type[R], data: bytes | str, source: Path | str) -> R:
-    """Parse a record of any known format version from JSON text.
-
-    Raises:
-        NewerFormatError: a later version of yamsim wrote the record.
-        DatasetError: the text is not a valid `model`; the message states the first fault.
-    """
+    """Parse a record of any known format version. Raise DatasetError with the first fault if it is no valid `model`."""
     try:
         parsed = pydantic_core.from_json(data)
         if isinstance(parsed, dict):

@@ -9,21 +9,11 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-# Format 1 records only upright objects, and `randomized` is absent if nothing varies.
-_NOTHING_VARIES: Mapping[str, Any] = {
-    "lights": [],
-    "headlight": None,
-    "mass": {},
-    "friction": {},
-    "lens_deg": None,
-    "camera": None,
-    "table": None,
-    "floor": None,
-    "looks": {},
-    "distractors": {},
-    "noise": None,
-    "salt_pepper": None,
-    "arm_dynamics": [],
+# Absent if nothing varies.
+_RANDOMIZED: Mapping[str, Any] = {
+    **dict.fromkeys(("headlight", "lens_deg", "camera", "table", "floor", "noise", "salt_pepper")),
+    **{key: {} for key in ("mass", "friction", "looks", "distractors")},
+    **{key: [] for key in ("lights", "arm_dynamics")},
 }
 _OUTCOME: Mapping[str, Any] = {"margins": None, "measures": [], "recoveries": []}
 _EPISODE: Mapping[str, Any] = {
@@ -58,7 +48,7 @@ def upgrade_attempt(data: Mapping[str, Any]) -> dict[str, Any]:
     """Return a line of `attempts.jsonl` with all keys, and with full poses."""
     cast, layout = data.get("cast"), data.get("layout")
     upgraded = {"phrasing": "", **data, **_filled(data, "outcome", _OUTCOME)}
-    upgraded |= _filled({"randomized": {}, **data}, "randomized", _NOTHING_VARIES)
+    upgraded |= _filled({"randomized": {}, **data}, "randomized", _RANDOMIZED)
     upgraded["cast"] = {"sizes": {}, **cast} if isinstance(cast, Mapping) else cast
     if isinstance(layout, Mapping):
         upgraded["layout"] = {name: _full_pose(place) for name, place in layout.items()}

@@ -113,11 +113,7 @@ class Goal(Clause):  # type: ignore[misc]
 
 @dataclass(frozen=True)
 class GoalVerdict:
-    """The result of checking a goal in one state of a scene.
-
-    Attributes:
-        measures: all measures that have to hold.
-    """
+    """The measures of a goal in one state of a scene; all have to hold."""
 
     measures: tuple[GoalMeasure, ...]
 

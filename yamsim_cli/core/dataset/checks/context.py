@@ -73,11 +73,7 @@ class CheckContext:
 
 
 def find_episodes(dataset: Path) -> tuple[list[EpisodeDirectory], bool]:
-    """Return the episodes of a dataset, in order, and whether yamsim recorded (and did not import) the dataset.
-
-    Raises:
-        DatasetError: `dataset` is not a dataset, is a single episode, or is unreadable.
-    """
+    """Return the episodes of a dataset, in order, and whether yamsim recorded it. Raise DatasetError if it is none."""
     hint = "give the directory that `yamsim record` wrote"
     try:
         if not dataset.is_dir():
@@ -165,7 +161,6 @@ def read_context(dataset: Path, recorded: bool, locations: Locations, problems: 
 
 
 def _region(config: RecordConfig, roles: Sequence[str]) -> StartRegion | None:
-    """Return the bounding rectangle of the start regions of `roles` on the table; None without such regions."""
     starts = [config.starts[role] for role in roles if role in config.starts and config.starts[role].on == TABLE]
     if not starts:
         return None

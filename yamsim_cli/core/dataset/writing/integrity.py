@@ -34,11 +34,7 @@ class InspectedEpisode:
 
 
 def inspect_episodes(dataset: Path) -> list[InspectedEpisode]:
-    """Inspect every episode of a dataset, in order.
-
-    Raises:
-        OSError: the disk failed. A missing or altered file is reported as a fault of its episode instead.
-    """
+    """Inspect every episode of a dataset, in order. Raise OSError if the disk failed."""
     with ThreadPoolExecutor(_READER_THREADS) as readers:
         return list(readers.map(lambda found: inspect_episode(*found), episode_directories(dataset)))
 
@@ -59,12 +55,7 @@ def quarantine_path(path: Path) -> Path:
 
 
 def inspect_episode(number: int, directory: Path) -> InspectedEpisode:
-    """Read and hash all files of one episode.
-
-    Raises:
-        OSError: the disk failed.
-        NewerFormatError: a later version of yamsim wrote the episode.
-    """
+    """Read and hash all files of one episode. Raise OSError if the disk failed, or NewerFormatError."""
 
     def found(record: EpisodeRecord | None, text: bytes, size: int, fault: str | None) -> InspectedEpisode:
         return InspectedEpisode(number, directory, record, text, size, fault)

@@ -118,11 +118,7 @@ class StagedWriter(AttemptLog):
         self._put(_StagedItem(attempt.episode, attempt))
 
     def drain(self, seconds: float) -> bool:
-        """Wait at most `seconds` for all items to be moved, and return whether all are in the dataset.
-
-        Raises:
-            OSError, DatasetError: an item cannot be moved.
-        """
+        """Return whether all items are moved within `seconds`. Raise OSError or DatasetError if one cannot be moved."""
         end = time.monotonic() + seconds
         with self._queue.all_tasks_done:
             while self._queue.unfinished_tasks and self._error is None and time.monotonic() < end:
@@ -147,7 +143,6 @@ class StagedWriter(AttemptLog):
         self._lock.release()
 
     def _stop_move_thread(self) -> bool:
-        """Let the move thread finish its current item. Return False if that exceeds `_HALT_SECONDS`."""
         self._halt.set()
         with contextlib.suppress(queue.Full):
             # This item only wakes the move thread. If the queue is full, the thread wakes without it.
@@ -226,7 +221,6 @@ class StagedWriter(AttemptLog):
         write_file(self.folder / CONFIG, dump_yaml(config).encode())
 
     def _read_log(self) -> list[AttemptRecord]:
-        """Read the stage's ledger up to the first line that a crash left incomplete."""
         file = self.folder / ATTEMPTS
         attempts: list[AttemptRecord] = []
         for line in file.read_bytes().splitlines() if file.is_file() else []:

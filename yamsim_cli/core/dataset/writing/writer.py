@@ -177,7 +177,6 @@ class DatasetWriter(AttemptLog, Closable):
         require_same_config(self.path, recorded, self.config)
 
     def _accept_episode(self, found: InspectedEpisode) -> EpisodeRecord | None:
-        """Return the record of an intact episode. Quarantine a damaged episode and return None."""
         record, fault = found.record, found.fault
         if record is None or fault is not None:
             self.repairs.append(
