@@ -39,5 +39,5 @@ def state_names(things: Sequence[str], joints: Mapping[str, Sequence[str]]) -> t
 
 
 def state_row(things: Sequence[tuple[Array, ArrayLike]]) -> Array:
-    """Return 9 numbers and the joints (m or rad) of each object, from its pose (4, 4) in the robot base and its joints."""
+    """Return 9 numbers and the joints (m or rad) of each object, from its pose (4, 4) in the robot base and joints."""
     return np.concatenate([part for T, joints in things for part in (T[:3, 3], T[:3, 0], T[:3, 1], np.ravel(joints))])
