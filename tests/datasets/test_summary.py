@@ -51,7 +51,7 @@ def test_a_dataset_is_counted(sample: SampleDataset, summary: Any, tmp_path: Pat
     assert report["frames_per_episode"] == {"min": FRAMES, "median": FRAMES, "max": FRAMES}
     assert report["cameras"] == {CAMERA: [64, 48]}
     assert (report["tasks"], report["grasps"]) == (["pickplace"], ["weld"])
-    assert report["versions"] == [{"numpy": "2.0"}]
+    assert report["versions"] == [{"numpy": "2.0", "looks": "1", "engine": "1"}]
     assert (report["errors"], report["warnings"], report["problems"]) == (0, 0, [])
     assert report["recorded_by_yamsim"] is True
 

@@ -26,7 +26,7 @@ def evaluate(client: Browser, script: str) -> Any:
 @pytest.fixture(params=["whole", "damaged", "empty"])
 def page(request: pytest.FixtureRequest, tmp_path: Path, config: RecordConfig) -> tuple[str, Path]:
     sample = SampleDataset(config.data_config(), [episode(k) for k in range(8)])
-    sample.fail(EVIL, layout={"banana": (0.5, 0.1, 0.0, 0.0)})
+    sample.fail(EVIL, layout={"banana": (0.5, 0.1, 0.0, 1.0, 0.0, 0.0, 0.0)})
     sample.episodes[1].over["rig"] = EVIL
     if request.param == "empty":
         sample.episodes, sample.failures = [], []

@@ -64,7 +64,7 @@ def test_a_camera_with_a_path_as_its_name_is_refused(
     [
         ("objects", ["banana", "../plate"]),
         ("objects", ["/etc"]),
-        ("layout", {"..": [0, 0, 0, 0]}),
+        ("layout", {"..": [0, 0, 0, 1, 0, 0, 0]}),
         ("joints", {"a/b": ["hinge"]}),
         ("cloths", {".hidden": [2, 2]}),
         ("files", {"../../secret": "0"}),

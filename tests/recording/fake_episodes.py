@@ -25,12 +25,21 @@ FRAMES = 1
 
 def payload(job: AttemptJob) -> AttemptPayload:
     """Every third attempt fails."""
-    attempt = Attempt(job, Layout.from_places({"banana": (0.3 + job.attempt / 1000, 0.0, 0.0, float(job.seed % 3))}))
+    place = (0.3 + job.attempt / 1000, 0.0, 0.0, 1.0, 0.0, 0.0, float(job.seed % 3))
+    attempt = Attempt(job, Layout.from_places({"banana": place}))
     if job.attempt % 3 == 1:
         return AttemptPayload(attempt, Outcome(False, FailureCause.OFF_TARGET, "far off", dxy=0.2, dz=0.0))
     names = [name for k in range(FRAMES) for name in (lowdim_path(k), image_path("scene_camera", k))]
     files = {name: f"{job.seed} {job.attempt} {name}".encode() * 3 for name in names}
-    return AttemptPayload(attempt, Outcome(True, dxy=0.01, dz=0.0), files, FRAMES, "c0ffee", {"numpy": "2"}, "none")
+    return AttemptPayload(
+        attempt,
+        Outcome(True, dxy=0.01, dz=0.0),
+        files,
+        FRAMES,
+        "c0ffee",
+        {"numpy": "2", "looks": "1", "engine": "1"},
+        "none",
+    )
 
 
 @dataclass

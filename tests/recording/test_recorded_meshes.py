@@ -145,7 +145,7 @@ def says_nothing(dataset: Path) -> bool:
         load_yaml(dataset / "config.yaml").data,
         *map(json.loads, (p.read_text() for p in dataset.glob("*/*.json"))),
     ]
-    return not any("meshes" in data for data in said)
+    return all(data.get("meshes") is None for data in said)
 
 
 class TestOfAnEarlierVersion:

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from .config.goals.measure import GoalMeasure
 from .config.goals.role_assignment import RoleAssignment
 from .config.variation import Variation
-from .geometry.se3 import Array, UprightPose, pose, pose_from_quat, quat_from_rotation, rotation_z, yaw
+from .geometry.se3 import Array, pose_from_quat, quat_from_rotation
 
-# Pose of an object that may be tilted: x, y, z in m, and a unit quaternion w, x, y, z.
+# Recorded pose of an object in `world`: x, y, z in m, and a unit quaternion w, x, y, z.
 FullPose = tuple[float, float, float, float, float, float, float]
 
 # (ticks, arms), or (arms,) for one tick, left arm first: whether the weld between hand and object is active.
@@ -23,31 +23,28 @@ WeldStates = NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class Layout:
-    """Initial poses of all objects. If all are `upright`, records keep only their yaws."""
+    """The initial poses of all objects in an episode.
+
+    Attributes:
+        T_in_world: object name -> pose (4, 4) in `world`.
+    """
 
     T_in_world: Mapping[str, Array]
-    upright: bool = True
 
     @classmethod
-    def from_places(cls, places: Mapping[str, UprightPose | FullPose]) -> Layout:
-        """Return the layout of places as in `places`."""
-        return cls({name: _pose(place) for name, place in places.items()}, all(len(p) == 4 for p in places.values()))
+    def from_places(cls, places: Mapping[str, FullPose]) -> Layout:
+        """Return the layout for recorded poses."""
+        return cls({name: pose_from_quat(place[:3], place[3:]) for name, place in places.items()})
 
     @property
-    def places(self) -> dict[str, UprightPose | FullPose]:
-        """Object name -> pose in `world`: (x, y, z, yaw) in m and rad if `upright`, else `FullPose`."""
-        return {name: self._place(T) for name, T in self.T_in_world.items()}
-
-    def _place(self, T: Array) -> UprightPose | FullPose:
-        x, y, z = (float(part) for part in T[:3, 3])
-        if self.upright:
-            return x, y, z, yaw(T)
-        qw, qx, qy, qz = (float(part) for part in quat_from_rotation(T[:3, :3]))
-        return x, y, z, qw, qx, qy, qz
+    def places(self) -> dict[str, FullPose]:
+        """Object name -> its recorded pose."""
+        return {name: _place(T) for name, T in self.T_in_world.items()}
 
 
-def _pose(place: UprightPose | FullPose) -> Array:
-    return pose(place[:3], rotation_z(place[3])) if len(place) == 4 else pose_from_quat(place[:3], place[3:])
+def _place(T: Array) -> FullPose:
+    x, y, z, qw, qx, qy, qz = (float(part) for part in (*T[:3, 3], *quat_from_rotation(T[:3, :3])))
+    return x, y, z, qw, qx, qy, qz
 
 
 @dataclass(frozen=True)
@@ -216,8 +213,8 @@ class Attempt:
     phrasing: str = ""
 
     @property
-    def places(self) -> dict[str, UprightPose | FullPose]:
-        """Object name -> initial pose in `world`; empty without a layout."""
+    def places(self) -> dict[str, FullPose]:
+        """Object name -> its initial pose in `world`; empty without a layout."""
         return {} if self.layout is None else self.layout.places
 
 

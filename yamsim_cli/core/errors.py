@@ -41,6 +41,10 @@ class DatasetError(YamsimError):
     exit_code = 4
 
 
+class NewerFormatError(DatasetError):
+    """A later version of yamsim wrote the dataset, in a format that this version cannot read."""
+
+
 class SimulationError(YamsimError):
     """Physics, planning or rendering failed."""
 

@@ -26,8 +26,6 @@ from ..core.dataset.records import EpisodeRecord, OutcomeRecord, recorded_attemp
 from ..core.episode.attempt_payload import (
     APPEARANCE_REVISION,
     ENGINE,
-    FIRST_APPEARANCE_REVISION,
-    FIRST_ENGINE,
     encode_images,
     library_versions,
 )
@@ -113,7 +111,7 @@ class EpisodeVerifier(Closable):
             frames = _read_frames(episode, problems)
             if episode.record.source != "record":
                 skipped[SEED] = f"it comes from {episode.record.source!r} and not from a seed"
-            elif (engine := _engine(episode.record)) != ENGINE:
+            elif (engine := episode.record.versions["engine"]) != ENGINE:
                 version = episode.record.versions.get("yamsim", "unknown")
                 skipped[SEED] = (
                     f"it was made by engine revision {engine} of yamsim {version}; this version's revision {ENGINE} "
@@ -152,7 +150,7 @@ class EpisodeVerifier(Closable):
         checks = {SEED: _merge_comparisons(compare_frames(frames, made, self._tolerances.values), once)}
         if self._tolerances.images is None:
             return checks
-        if (looks := record.versions.get("looks", FIRST_APPEARANCE_REVISION)) != APPEARANCE_REVISION:
+        if (looks := record.versions["looks"]) != APPEARANCE_REVISION:
             skipped[IMAGES] = (
                 f"its pictures are of looks revision {looks}, and this version draws revision {APPEARANCE_REVISION}: "
                 "they differ as intended, which is no damage"
@@ -166,8 +164,7 @@ class EpisodeVerifier(Closable):
         return self._simulators.get(AttemptJob(record.seed, record.attempt))
 
     def _changed_versions(self, episode: StoredEpisode) -> dict[str, tuple[str, str]]:
-        first = {"looks": FIRST_APPEARANCE_REVISION, "engine": FIRST_ENGINE}
-        then, now = first | episode.record.versions, library_versions()
+        then, now = dict(episode.record.versions), library_versions()
         simulator = self._simulator(episode.record)
         if self._tolerances.images is not None:
             then["renderer"], now["renderer"] = episode.record.renderer, simulator.renderer.description
@@ -208,7 +205,7 @@ def reproduce_frames(
     # Actions do not tell which skills the expert tried again.
     judged = OutcomeRecord.from_outcome(done.outcome).model_copy(update={"recoveries": stored.recoveries})
     # Earlier engines judged and measured differently. Final positions and speeds do not depend on that.
-    keys = None if _engine(episode.record) == ENGINE else {"dxy_m", "dz_m", "speed_mps"}
+    keys = None if episode.record.versions["engine"] == ENGINE else {"dxy_m", "dz_m", "speed_mps"}
     once = compare_values(
         {"outcome": _outcome_numbers(stored, keys)}, {"outcome": _outcome_numbers(judged, keys)}, tolerance
     )
@@ -220,10 +217,6 @@ def reproduce_episode(episode: StoredEpisode, session: Session) -> EpisodeCompar
     job = AttemptJob(episode.record.seed, episode.record.attempt)
     with simulator_for(session.without_meshes(), job) as simulator:
         return reproduce_frames(simulator, episode, episode.frames(), tolerance=0.0)
-
-
-def _engine(record: EpisodeRecord) -> str:
-    return record.versions.get("engine", FIRST_ENGINE)
 
 
 def _read_frames(episode: StoredEpisode, problems: dict[str, str]) -> list[dict[str, Any]]:

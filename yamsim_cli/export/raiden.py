@@ -50,7 +50,7 @@ def export_raiden(
     real arm reports them.
     """
     converter = FrameConverter(source.rig, camera_names(source), locations, options.hand_frame, single=options.single)
-    config = _as_recorded(source) if options.renders else source.config
+    config = _with_recorded_size(source) if options.renders else source.config
     factory = functools.partial(EpisodeConverter, Session(config, locations), converter.names, options)
     frames: dict[str, int] = {}
     with export_directory(out, overwrite=overwrite) as stage:
@@ -80,7 +80,7 @@ def export_raiden(
     return ExportResult(out, len(frames), sum(frames.values()), stage.moved_aside)
 
 
-def _as_recorded(source: SimulatedSource) -> RecordConfig:
+def _with_recorded_size(source: SimulatedSource) -> RecordConfig:
     sizes = set(source.cameras.values())
     if len(sizes) > 1:
         raise DatasetError(

@@ -63,7 +63,7 @@ def scene_task_data(name: str) -> dict[str, Any]:
         "name": f"kitchenbench_{first.scene_id.replace('-', '_')}",
         "kind": PROGRAM,
         "rig": STATION,
-        "things": {name: {"of": [item.model_dump(mode="json", exclude_none=True)]} for name, item in items.items()},
+        "things": {name: {"of": [item.model_dump(mode="json", exclude_defaults=True)]} for name, item in items.items()},
         "starts": {name: _region(name, arrangements) for name in items},
         "arrangements": arrangements,
         "phrasings": {"training": [first.instruction]},

@@ -92,7 +92,7 @@ def test_small_types_accept_and_refuse(kind, good, bad):
 
 def test_what_decides_the_data_leaves_out_how_much_and_by_whom(config):
     data = config.data_config()
-    assert set(data) == set(RecordConfig.model_fields) - {"episodes", "workers", "arm", "action", "cameras", "meshes"}
+    assert set(data) == set(RecordConfig.model_fields) - {"episodes", "workers"}
     assert config.model_copy(update={"arm": "left"}).data_config() == data | {"arm": "left"}
     noted = {"meshes": {"ycb": "primitives"}}
     assert config.model_copy(update=noted).data_config() == data | noted

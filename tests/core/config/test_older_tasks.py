@@ -12,6 +12,7 @@ from yamsim_cli.core.config.loader import load_config, parse_config
 from yamsim_cli.core.config.program_task import ProgramTask
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.task_migration import upgrade_task
+from yamsim_cli.core.dataset.upgrade import upgrade_config
 from yamsim_cli.core.errors import ConfigError
 from yamsim_cli.core.expert.skills.program_checks import check_task_config
 from yamsim_cli.core.files.documents.yaml_document import dump_yaml, load_yaml
@@ -98,7 +99,7 @@ def test_a_datasets_own_task_is_read_as_it_was(name: str, arm: str, locations: L
         "success": older["success"] | {"threshold": 0.03},
         "start_joints": [0.0, 1.0, 1.0, 0.0, 0.0, 0.0],
     }
-    read = parse_config(RecordConfig, dump_yaml(recorded), "config.yaml", locations, as_recorded=True)
+    read = parse_config(RecordConfig, dump_yaml(recorded), "config.yaml", locations, upgrade=upgrade_config)
     task = read.task
     assert task.target_predicate is not None
     assert [item.model_dump() for item in task.objects] == [item.model_dump() for item in words.values()]

@@ -13,6 +13,7 @@ from tests.programs import changed, session_of, written
 from yamsim_cli.core.config.loader import load_config, parse_config
 from yamsim_cli.core.config.program_task import ProgramTask
 from yamsim_cli.core.config.recording import RecordConfig
+from yamsim_cli.core.dataset.upgrade import upgrade_config
 from yamsim_cli.core.errors import ConfigError, UsageError
 from yamsim_cli.core.expert.planning.arm_solvers import start_postures
 from yamsim_cli.core.expert.skills.program_checks import check_task_config
@@ -277,7 +278,7 @@ def test_a_good_task_is_loaded_and_read_back(tmp_path: Path, locations: Location
     session = session_of(tmp_path, changed({}))
     assert session.config.rig.name == "single_linear" and session.config.grasp == "contact"
     text = dump_yaml(session.config.data_config())
-    again = parse_config(RecordConfig, text, "config.yaml", locations, as_recorded=True)
+    again = parse_config(RecordConfig, text, "config.yaml", locations, upgrade=upgrade_config)
     assert isinstance(again.task, ProgramTask)
     assert again.data_config() == session.config.data_config()
 
@@ -380,11 +381,11 @@ def test_flags_reach_into_a_task_with_their_roles(tmp_path: Path) -> None:
         session_of(tmp_path, ONE_ARM, target="013_apple")
 
 
-def test_what_is_new_in_tasks_is_left_out_of_datasets_that_do_not_use_it(tmp_path: Path) -> None:
+def test_a_datasets_config_states_defaults_too(tmp_path: Path) -> None:
     task = session_of(tmp_path, changed({})).config.data_config()["task"]
-    assert not {"arms", "grasps", "language_task"} & set(task)
-    assert not any("named" in role for role in task["things"].values())
-    assert not any("from_arm" in start for start in task["starts"].values())
+    assert (task["arms"], task["grasps"], task["language_task"]) == ("all", ["contact"], "")
+    assert {role["named"] for role in task["things"].values()} == {"role"}
+    assert {start["from_arm"] for start in task["starts"].values()} == {None}
 
 
 @pytest.mark.parametrize("name", Locations.find(os.environ).config_names("tasks"))

@@ -13,6 +13,7 @@ from yamsim_cli.core.config.objects.generated import GENERATED_SET, generated_me
 from yamsim_cli.core.config.objects.object_config import ObjectConfig
 from yamsim_cli.core.config.objects.primitives import Capsule
 from yamsim_cli.core.config.objects.shapes import RackShape
+from yamsim_cli.core.dataset.upgrade import upgrade_config
 from yamsim_cli.core.errors import ConfigError
 from yamsim_cli.core.files.documents.yaml_document import dump_yaml
 from yamsim_cli.core.files.resources import Locations
@@ -66,7 +67,7 @@ def test_what_a_dataset_holds_needs_no_sizes_for_physics(name: str, locations: L
     """A recording holds everything for physics; only looks are made again."""
     item = thing(name, locations)
     text = dump_yaml(item.model_dump(mode="json"))
-    assert parse_config(ObjectConfig, text, "dataset", locations, as_recorded=True) == item
+    assert parse_config(ObjectConfig, text, "dataset", locations, upgrade=upgrade_config) == item
     assert {mesh.set for mesh in item.all_meshes} == {GENERATED_SET}
     assert item.mesh_sets == ()
 
@@ -166,7 +167,7 @@ def test_solid_things_may_rest_in_any_way(name: str, any_way: bool, locations: L
     assert item.rests_in_any_pose is any_way
     assert item.model_copy(update={"rests": "any"}).rests_in_any_pose
     assert not item.model_copy(update={"rests": "upright"}).rests_in_any_pose
-    assert "rests" not in item.model_dump()
+    assert item.model_dump()["rests"] is None
 
 
 def _depth(point: np.ndarray, within: Capsule) -> float:

@@ -14,6 +14,7 @@ from pydantic import BaseModel
 from yamsim_cli.core.config.loader import KINDS, load_config, parse_config, validate_file
 from yamsim_cli.core.config.objects.primitives import Box, Capsule, Cylinder, HullPart, Ring, SdfPart, Sphere
 from yamsim_cli.core.config.recording import RecordConfig
+from yamsim_cli.core.dataset.upgrade import upgrade_config
 from yamsim_cli.core.errors import ConfigError, UsageError
 from yamsim_cli.core.files.documents.config_base import Config
 from yamsim_cli.core.files.documents.units import QuantityBounds
@@ -98,7 +99,7 @@ def test_what_was_recorded_stays_valid(make_config: Callable[..., RecordConfig],
     odd["task"]["starts"]["object"]["yaw_deg"] = [-1.5708, 1.5708]
     odd["rig"]["arms"][0]["board"]["position_mm"] = [0.1, 0, 0]
     odd["rig"]["arms"][0]["mount"]["x_mm"] = [0.0, 0.2]
-    again = parse_config(RecordConfig, dump_yaml(odd), "config.yaml", locations, as_recorded=True)
+    again = parse_config(RecordConfig, dump_yaml(odd), "config.yaml", locations, upgrade=upgrade_config)
     assert again.task.start_joints[1] == 106
     assert again.data_config() == odd
     with pytest.raises(ConfigError, match="is not valid"):

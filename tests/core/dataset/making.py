@@ -85,8 +85,11 @@ def made(
         objects=["banana", "plate"],
         outcome=outcome,
         max_height_m=0.1,
-        layout={"banana": (0.3 + 0.01 * episode, 0.1, 0.02, 0.0), "plate": (0.5, -0.1, 0.0, 1.0)},
-        versions={"numpy": "2.0"},
+        layout={
+            "banana": (0.3 + 0.01 * episode, 0.1, 0.02, 1.0, 0.0, 0.0, 0.0),
+            "plate": (0.5, -0.1, 0.0, 0.6, 0.0, 0.0, 0.8),
+        },
+        versions={"numpy": "2.0", "looks": "1", "engine": "1"},
         renderer="none",
         content_sha256=content_hash(frames),
         files=file_hashes(files),

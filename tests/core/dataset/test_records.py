@@ -91,7 +91,7 @@ def test_what_is_no_record_is_a_dataset_error(text):
 
 def test_an_attempt_is_written_down_with_its_outcome():
     payload = AttemptPayload(
-        Attempt(AttemptJob(seed=7, attempt=4), Layout.from_places({"banana": (1.0, 2.0, 3.0, 0.5)})),
+        Attempt(AttemptJob(seed=7, attempt=4), Layout.from_places({"banana": (1.0, 2.0, 3.0, 0.6, 0.0, 0.0, 0.8)})),
         outcome=Outcome(
             False,
             FailureCause.DROPPED,
@@ -123,8 +123,13 @@ def test_an_attempt_is_written_down_with_its_outcome():
                 "slip_m": 0.001,
                 "object_tilt_rad": 0.01,
             },
+            "measures": [],
+            "recoveries": [],
         },
-        "layout": {"banana": [1.0, 2.0, 3.0, 0.5]},
+        "layout": {"banana": pytest.approx([1.0, 2.0, 3.0, 0.6, 0.0, 0.0, 0.8])},
+        "randomized": record_data(failed_attempt(5))["randomized"],
+        "cast": None,
+        "phrasing": "",
     }
     assert from_json(AttemptRecord, to_json(record), "x") == record
     assert attempt_record(payload, 2).episode == 2

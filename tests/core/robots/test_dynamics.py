@@ -10,6 +10,7 @@ import pytest
 from yamsim_cli.core.config.loader import load_config, parse_config
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.rig import RigConfig
+from yamsim_cli.core.dataset.upgrade import upgrade_config
 from yamsim_cli.core.errors import ConfigError, UsageError
 from yamsim_cli.core.files.documents.yaml_document import dump_yaml
 from yamsim_cli.core.files.resources import Locations
@@ -80,10 +81,11 @@ def test_a_recordings_config_says_all_of_it(tmp_path: Path) -> None:
     config = load_config(RecordConfig, "record", "default", WHERE, overrides)
 
     text = dump_yaml(config.data_config())
-    again = parse_config(RecordConfig, text, "config.yaml", WHERE, as_recorded=True)
+    again = parse_config(RecordConfig, text, "config.yaml", WHERE, upgrade=upgrade_config)
 
     assert again.rig.arms[0].dynamics == config.rig.arms[0].dynamics
-    assert "dynamics" not in dump_yaml(load_config(RecordConfig, "record", "default", WHERE).data_config())
+    plain = load_config(RecordConfig, "record", "default", WHERE).data_config()
+    assert [arm["dynamics"] for arm in plain["rig"]["arms"]] == [None]
 
 
 @pytest.mark.parametrize(

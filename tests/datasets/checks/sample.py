@@ -12,6 +12,7 @@ from typing import Any
 import cv2
 import numpy as np
 
+from yamsim_cli.core.attempt_data import FullPose
 from yamsim_cli.core.dataset.checks.context import find_episodes, read_context
 from yamsim_cli.core.dataset.checks.problem import ProblemCollector
 from yamsim_cli.core.dataset.dataset_paths import episode_name, image_path, lowdim_path
@@ -76,7 +77,7 @@ class Episode:
     attempt: int
     frames: list[dict[str, Any]]
     images: dict[str, list[bytes]]
-    layout: dict[str, tuple[float, float, float, float]]
+    layout: dict[str, FullPose]
     over: dict[str, Any] = field(default_factory=dict)
     others: dict[str, bytes] = field(default_factory=dict)
 
@@ -106,7 +107,7 @@ class Episode:
             "outcome": OUTCOME.model_copy(update={"dxy_m": dxy}),
             "max_height_m": 0.1,
             "layout": self.layout,
-            "versions": {"numpy": "2.0"},
+            "versions": {"numpy": "2.0", "looks": "1", "engine": "1"},
             "renderer": "none",
             "content_sha256": content_hash(self.frames),
             "files": file_hashes(self.files),
@@ -142,7 +143,7 @@ def episode(number: int, frames: int = FRAMES) -> Episode:
         number,
         data,
         {CAMERA: [picture(k, number) for k in range(frames)]},
-        {"banana": (*map(float, start), 0.3), "plate": (*map(float, plate), 1.0)},
+        {name: (*map(float, place), 1.0, 0.0, 0.0, 0.0) for name, place in (("banana", start), ("plate", plate))},
     )
 
 

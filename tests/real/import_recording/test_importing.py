@@ -45,7 +45,7 @@ def test_a_csv_becomes_an_episode_and_comes_back(single: RigConfig, locations: L
     report = bring_in(ImportRequest([source], single, out=tmp_path / "real"), locations)
     assert (report.episodes, report.frames, report.problems) == (1, 50, {})
     record = json.loads((tmp_path / "real/ep_000000/episode.json").read_text())
-    assert (record["source"], record["format_version"], record["imported"]["format"]) == ("real", 3, "csv")
+    assert (record["source"], record["format_version"], record["imported"]["format"]) == ("real", 4, "csv")
     (back,) = read_motions([tmp_path / "real"], single, locations)
     same_motion(back, motion)
     assert set(open_recorded(tmp_path / "real/ep_000000").frames()[0]) == {"joints", "timestamp", "ctrl"}

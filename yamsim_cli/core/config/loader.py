@@ -10,7 +10,7 @@ from pydantic import ValidationError
 
 from ..errors import ConfigError, UsageError, suggest
 from ..files.documents.config_base import Config, ConfigReference, ConflictError
-from ..files.documents.units import AS_RECORDED
+from ..files.documents.units import RECORDED
 from ..files.documents.validation_messages import (
     detect_other_kind,
     explain_conflict,
@@ -60,6 +60,7 @@ _DYNAMICS = "revisions"
 C = TypeVar("C", bound=Config)
 
 Check = Callable[[Config], None]
+Upgrade = Callable[[dict[str, Any]], dict[str, Any]]
 
 
 def config_model(kind: str) -> type[Config]:
@@ -121,24 +122,25 @@ def load_config(
     return _check(model, document, locations, flags, check=check)
 
 
-def validate_file(
-    model: type[C], path: Path, locations: Locations, *, as_recorded: bool = False, check: Check | None = None
-) -> C:
+def validate_file(model: type[C], path: Path, locations: Locations, *, check: Check | None = None) -> C:
     """Return the validated config in a file; arguments and errors are those of `parse_config` and `load_config`."""
-    return _check(model, _read(model, path), locations, as_recorded=as_recorded, check=check)
+    return _check(model, _read(model, path), locations, check=check)
 
 
-def parse_config(model: type[C], text: str, source: str, locations: Locations, *, as_recorded: bool = False) -> C:
+def parse_config(model: type[C], text: str, source: str, locations: Locations, *, upgrade: Upgrade | None = None) -> C:
     """Return the validated config in YAML text. Raises as `load_config`.
 
     Args:
-        as_recorded: accept values out of plausible bounds, for the config of a recorded dataset.
+        upgrade: for the config of a recorded dataset, a function that returns its content in the present form. Values
+            out of plausible bounds are then accepted.
     """
-    return _check(model, parse_yaml(text, source), locations, as_recorded=as_recorded)
+    document = parse_yaml(text, source)
+    if upgrade is not None:
+        document.data = upgrade(document.data)
+    return _check(model, document, locations, recorded=upgrade is not None)
 
 
 def _load_named(model: type[Config], kind: str, name: str, locations: Locations) -> Document:
-    """Return the document of a named config. Raises as `Locations.config_file`."""
     if kind == "rigs" and _JOINED in name and not name.endswith((".yaml", ".yml")):
         return _single_arm_rig(name)
     if kind == robot_names.ARMS:
@@ -156,7 +158,6 @@ def _single_arm_rig(name: str) -> Document:
 
 
 def _set_revision(document: Document, path: KeyPath, revision: str, place: str, locations: Locations) -> None:
-    """Replace the model of each arm of the rig at `path` by the version `revision` of the same product."""
     for k, (model, _) in _arms(document, path).items():
         try:
             name = robot_names.other_revision(model, str(revision), locations)
@@ -188,7 +189,6 @@ def _add_dynamics(document: Document, path: KeyPath, files: Sequence[str], place
 
 
 def _arms(document: Document, path: KeyPath) -> dict[int, tuple[str, Any]]:
-    """Return the index of each arm of the rig at `path` -> its robot model and its side."""
     rig: Any = document.data
     for key in path:
         rig = rig[key]
@@ -232,16 +232,16 @@ def _check(
     locations: Locations,
     flags: Mapping[KeyPath, str] | None = None,
     *,
-    as_recorded: bool = False,
+    recorded: bool = False,
     check: Check | None = None,
 ) -> C:
     if instead := _other_kind(model, document):
         raise ConfigError(instead)
-    if model is ProgramTask and not as_recorded:
+    if model is ProgramTask and not recorded:
         _require_task_kind(document)
     _resolve_references(model, document, (), locations)
     try:
-        config = model.model_validate(document.data, context=AS_RECORDED if as_recorded else None)
+        config = model.model_validate(document.data, context=RECORDED if recorded else None)
         if check is not None:
             check(config)
         return config
@@ -296,7 +296,6 @@ def _resolve_references(model: type[Config], document: Document, path: KeyPath, 
 def _insert_referenced_config(
     document: Document, path: KeyPath, kind: str, target: type[Config], name: str, locations: Locations
 ) -> None:
-    """Replace the name of a config at `path` by its content."""
     if kind == robot_names.ARMS and name.endswith((".yaml", ".yml")):
         name = _with_dynamics(document, path, name, locations)
     try:

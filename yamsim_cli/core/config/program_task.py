@@ -11,13 +11,10 @@ from pydantic import Field, FiniteFloat, ValidationInfo, model_validator
 
 from ..errors import suggest
 from ..files.documents.config_base import (
-    OMIT_EMPTY,
-    OMIT_NONE,
     Config,
     ConfigReference,
     ConflictError,
     Name,
-    omit_if_default,
 )
 from ..files.documents.units import (
     Distance,
@@ -65,8 +62,8 @@ class Role(Config):
 
     of: Annotated[tuple[ObjectConfig, ...], ConfigReference("objects"), Field(min_length=1)]
     count: Annotated[int, Field(ge=1, le=20)] = 1
-    sizes: Annotated[tuple[Annotated[FiniteFloat, QuantityBounds("times", 0.1, 10)], ...], OMIT_EMPTY] = ()
-    named: Annotated[Literal["role", "object"], omit_if_default("role")] = "role"
+    sizes: tuple[Annotated[FiniteFloat, QuantityBounds("times", 0.1, 10)], ...] = ()
+    named: Literal["role", "object"] = "role"
 
     @model_validator(mode="after")
     def _named_after_one_object(self) -> Role:
@@ -115,14 +112,14 @@ class Start(Config):
     """
 
     on: Name = TABLE
-    from_arm: Annotated[Turn | None, OMIT_NONE] = None
+    from_arm: Turn | None = None
     x: ReachRange
     y: ReachRange
     yaw_deg: HeadingRange = (-180, 180)
     attitudes: Annotated[tuple[StartOrientation, ...], Field(min_length=1)] = ("upright",)
     apart: Distance = 0.02
     open: Mapping[Name, tuple[Share, Share]] = Field(default_factory=dict)
-    crumpled: Annotated[tuple[_Lift, _Lift] | None, OMIT_NONE] = None
+    crumpled: tuple[_Lift, _Lift] | None = None
 
     @model_validator(mode="after")
     def _consistent(self) -> Start:
@@ -258,16 +255,14 @@ class ProgramTask(Config):
     name: Name
     kind: Literal["program"]
     rig: str
-    arms: Annotated[Literal["all", "one"], omit_if_default("all")] = "all"
-    grasps: Annotated[tuple[Literal["weld", "contact"], ...], Field(min_length=1), omit_if_default(("contact",))] = (
-        "contact",
-    )
-    held_at_the_end: Annotated[bool, OMIT_EMPTY] = False
+    arms: Literal["all", "one"] = "all"
+    grasps: Annotated[tuple[Literal["weld", "contact"], ...], Field(min_length=1)] = ("contact",)
+    held_at_the_end: bool = False
     things: Annotated[Mapping[Name, Role], Field(min_length=1)]
     starts: Mapping[Name, Start]
-    arrangements: Annotated[tuple[Arrangement, ...], OMIT_EMPTY] = ()
+    arrangements: tuple[Arrangement, ...] = ()
     phrasings: Phrasings
-    language_task: Annotated[str, OMIT_EMPTY] = ""
+    language_task: str = ""
     goal: Goal
     near_misses: tuple[NearMiss, ...] = ()
     expert: Annotated[tuple[Mapping[str, Any], ...], Field(min_length=1)]
@@ -426,7 +421,6 @@ class ProgramTask(Config):
         )
 
     def _on_predicates_with_radius(self) -> Iterator[tuple[tuple[str | int, ...], On]]:
-        """Yield the key path and the predicate for each `on` with a radius in the goal."""
         for path, predicate in self.goal.predicates():
             if isinstance(predicate, On) and predicate.radius is not None:
                 yield path, predicate
@@ -484,7 +478,6 @@ class ProgramTask(Config):
         return (role,) if count == 1 else tuple(f"{role}_{k + 1}" for k in range(count))
 
     def _placeholder_texts(self, roles: RoleAssignment) -> dict[str, str]:
-        """Return each placeholder of the instructions -> the text that replaces it."""
         words = {"first_arm": "right", "second_arm": "left"}
         for role, one in self.things.items():
             if one.count == 1:

@@ -7,7 +7,6 @@ from typing import Annotated, Literal
 from pydantic import AfterValidator, Field, FiniteFloat, model_validator
 
 from ..files.documents.config_base import (
-    OMIT_NONE,
     Config,
     ConfigReference,
     ConflictError,
@@ -186,7 +185,7 @@ class RandomizationConfig(Config):
     objects: LookRanges | None = None
     distractors: Distractors | None = None
     picture: PictureRanges | None = None
-    arm_dynamics: Annotated[ArmRanges | None, OMIT_NONE] = None
+    arm_dynamics: ArmRanges | None = None
 
     @property
     def parts(self) -> tuple[str, ...]:

@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal, cast
 import numpy as np
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
-from ..files.documents.config_base import OMIT_NONE, Config, ConfigReference, ConflictError, Name, omit_if_default
+from ..files.documents.config_base import Config, ConfigReference, ConflictError, Name
 from ..files.documents.units import is_recorded_config
 from ..robots.joint_limits import describe_limit_violation
 from .mesh_provenance import PATTERN
@@ -56,21 +56,21 @@ class RecordConfig(Config):
     rig: Annotated[RigConfig, ConfigReference("rigs")]
     scene: Annotated[SceneConfig, ConfigReference("scenes")]
     task: Annotated[ProgramTask, ConfigReference("tasks")]
-    arm: Annotated[Side, omit_if_default("right")] = "right"
+    arm: Side = "right"
     # Validation replaces None by the task's first grasp.
     grasp: GraspKind = Field(default=cast(GraspKind, None), validate_default=True)
-    action: Annotated[ActionKind, omit_if_default("drives")] = "drives"
+    action: ActionKind = "drives"
     episodes: int = Field(default=500, ge=1, le=1_000_000)
     workers: int = Field(default=2, ge=1, le=1024)
     seed: int = Field(ge=0, lt=2**63)
     wrist: bool
-    cameras: Annotated[tuple[Name, ...] | None, Field(min_length=1), OMIT_NONE] = None
+    cameras: Annotated[tuple[Name, ...] | None, Field(min_length=1)] = None
     boards: bool = False
     truth: bool = False
     image: ImageConfig
     render: Annotated[RenderConfig, ConfigReference("quality")]
     randomization: Annotated[RandomizationConfig, ConfigReference("randomization")] = RandomizationConfig()
-    meshes: Annotated[Mapping[str, Annotated[str, Field(pattern=PATTERN)]] | None, OMIT_NONE] = None
+    meshes: Mapping[str, Annotated[str, Field(pattern=PATTERN)]] | None = None
 
     @field_validator("grasp", mode="before")
     @classmethod

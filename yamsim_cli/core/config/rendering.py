@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, FiniteFloat
 
-from ..files.documents.config_base import Config, Name, omit_if_default
+from ..files.documents.config_base import Config, Name
 from ..files.documents.units import QuantityBounds
 
 
@@ -41,7 +41,7 @@ class RenderConfig(Config):
     supersampling: float = Field(ge=1, le=4)
     shadow_map_px: int = Field(ge=0, le=8192)
     shadow_lights: int = Field(ge=0, le=8)
-    shadow_reach_m: Annotated[FiniteFloat, QuantityBounds("m", 0.2, 5), omit_if_default(SHADOW_REACH)] = SHADOW_REACH
+    shadow_reach_m: Annotated[FiniteFloat, QuantityBounds("m", 0.2, 5)] = SHADOW_REACH
     reduced_meshes: bool
     reflections: bool
     slices: int = Field(ge=8, le=128, multiple_of=4)

@@ -19,8 +19,6 @@ from pydantic import (
 )
 
 from ..files.documents.config_base import (
-    OMIT_EMPTY,
-    OMIT_NONE,
     Config,
     ConfigReference,
     ConflictError,
@@ -152,7 +150,7 @@ class ArmConfig(Config):
     prefix: Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9_]*$")] = ""
     model: Annotated[ArmModel, ConfigReference("robots"), *_BY_NAME]
     gripper: Annotated[Gripper, ConfigReference("grippers"), *_BY_NAME]
-    dynamics: Annotated[Dynamics | None, ConfigReference("revisions"), OMIT_NONE] = None
+    dynamics: Annotated[Dynamics | None, ConfigReference("revisions")] = None
     base: BasePose = BasePose()
     grasp_offset: Annotated[FiniteFloat, QuantityBounds("m", 0.01, 0.5)] | None = None
     wrist_camera: WristCamera
@@ -249,7 +247,7 @@ class RigConfig(Config):
     name: Name
     margin: Annotated[FiniteFloat, QuantityBounds("m", 0, 3)] = 0.0
     arms: tuple[ArmConfig, ...] = Field(min_length=1, max_length=2)
-    cameras: Annotated[tuple[RigCamera, ...], OMIT_EMPTY] = ()
+    cameras: tuple[RigCamera, ...] = ()
 
     @property
     def camera_names(self) -> tuple[str, ...]:

@@ -72,7 +72,6 @@ def upgrade_task(data: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _starts(box: Mapping[str, Any], *, second: bool) -> dict[str, Any]:
-    """Return the starts of object and target; with `second`, the target starts in front of the second arm."""
     region = {key: box[key] for key in ("x", "y") if key in box}
     if "clearance" in box:
         region["apart"] = box["clearance"]

@@ -30,9 +30,7 @@ DAMAGED = ".damaged"
 
 EPISODE_FORMAT = "yamsim-episode"  # value of `format` in episode.json
 DATASET_FORMAT = "yamsim-dataset"  # value of `format` in manifest.json
-FORMAT_VERSION = 1  # simulated tasks with one carried object and one target
-PROGRAM_FORMAT_VERSION = 2  # simulated tasks with any number of objects
-REAL_FORMAT_VERSION = 3  # imported recordings of real arms
+FORMAT_VERSION = 4  # version of what is written; `upgrade` brings records of versions 1 to 3 to this form
 
 # Names of the temporary files that `files.writing.write_file` renames to the final files. A crash may leave them.
 _PART_NAME = re.compile(rf"^\.({re.escape(CONFIG)}|{re.escape(ATTEMPTS)}|{re.escape(MANIFEST)})\.[0-9a-f]{{32}}\.part$")

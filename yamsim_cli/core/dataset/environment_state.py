@@ -33,19 +33,11 @@ def joints_key(thing: str) -> str:
 
 
 def state_names(things: Sequence[str], joints: Mapping[str, Sequence[str]]) -> tuple[str, ...]:
-    """Return the name of each element of a `state_row`, such as `cube_x` or `cube_x_axis_y`.
-
-    Args:
-        joints: articulated object -> names of its joints.
-    """
+    """Return the names of the elements of a `state_row`, such as `cube_x`; `joints`: object -> names of its joints."""
     parts = {thing: [f"joint_{name}" for name in joints.get(thing, ())] for thing in things}
     return tuple(f"{thing}_{name}" for thing in things for name in (*_POSE_NAMES, *parts[thing]))
 
 
 def state_row(things: Sequence[tuple[Array, ArrayLike]]) -> Array:
-    """Return object poses as one row: 9 numbers per object, plus one for each of its joints.
-
-    Args:
-        things: for each object, its pose (4, 4) in the robot base and its joint positions (n,), m or rad.
-    """
+    """Return 9 numbers and the joints (m or rad) of each object, from its pose (4, 4) in the robot base and joints."""
     return np.concatenate([part for T, joints in things for part in (T[:3, 3], T[:3, 0], T[:3, 1], np.ravel(joints))])

@@ -11,7 +11,7 @@ import math
 import zipfile
 from collections.abc import Mapping
 from enum import IntEnum
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,13 +62,12 @@ class TruthLabels(Record):
     """`truth/labels.json`: names for the array axes of `truth/<camera>.npz`, and for segmentation values.
 
     Attributes:
-        labels: the segmentation values with their meanings.
-        instances: names of the instances that have boxes.
-        links, objects: names of the links and objects that have poses.
-        keypoints: the keypoints, in array order.
-        cloths: cloth -> number of points along its x axis and its y axis; omitted if empty.
-        depth_tolerance_m: `DEPTH_TOLERANCE` at recording time, m.
-        joint_cover_m: `JOINT_COVER` at recording time, m.
+        labels: the segmentation values.
+        instances: names of those with boxes.
+        links, objects: names of those with poses.
+        keypoints: in array order.
+        cloths: cloth -> number of points along its x axis and its y axis.
+        depth_tolerance_m, joint_cover_m: `DEPTH_TOLERANCE` and `JOINT_COVER` at recording time, m.
     """
 
     labels: list[LabelRecord]
@@ -76,9 +75,8 @@ class TruthLabels(Record):
     links: list[str]
     objects: list[str]
     keypoints: list[KeypointRecord]
-    cloths: Annotated[dict[str, tuple[int, int]], Field(exclude_if=lambda cloths: not cloths)] = Field(
-        default_factory=dict
-    )
+    # Omitted if empty: `verify` compares the bytes of this file.
+    cloths: dict[str, tuple[int, int]] = Field(default_factory=dict, exclude_if=lambda cloths: not cloths)
     depth_tolerance_m: float = DEPTH_TOLERANCE
     joint_cover_m: float = JOINT_COVER
 

@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, TypeVar
 
 from pydantic import Field
 
 from ..config.loader import parse_config
 from ..config.real_recordings import RealConfig
 from ..errors import ConfigError, DatasetError
+from ..files.documents.config_base import Config
 from ..files.documents.yaml_document import parse_yaml
 from ..files.resources import Locations
-from .dataset_paths import CONFIG, EPISODE, EPISODE_FORMAT, REAL_FORMAT_VERSION
+from .dataset_paths import CONFIG, EPISODE, EPISODE_FORMAT, FORMAT_VERSION
 from .records import CameraSizes, FilePath, Record
+from .upgrade import upgrade_config, upgrade_episode
+
+C = TypeVar("C", bound=Config)
 
 REAL = "real"  # value of `source` in the config and records of imported recordings
 
@@ -34,8 +38,9 @@ class RealEpisodeRecord(Record):
         problems: faults that the import found, one sentence each.
     """
 
+    upgrade = staticmethod(upgrade_episode)
     format: Annotated[str, Field(pattern=f"^{EPISODE_FORMAT}$")] = EPISODE_FORMAT
-    format_version: int = REAL_FORMAT_VERSION
+    format_version: int = FORMAT_VERSION
     episode: int
     source: Literal["real"] = "real"
     imported: ImportedFrom
@@ -67,11 +72,25 @@ def is_yamsim_data(path: Path) -> bool:
 
 
 def real_config(dataset: Path, locations: Locations) -> RealConfig:
-    """Return the config of a dataset of imported recordings. Raise DatasetError if it is unreadable or invalid."""
+    """Return the config of imported recordings. Raises as `read_dataset_config`."""
+    return read_dataset_config(RealConfig, dataset, locations)
+
+
+def read_dataset_config(model: type[C], dataset: Path, locations: Locations) -> C:
+    """Return the config of a dataset of any known format version.
+
+    The plausible bounds of quantities are not checked: they may have changed since, and the dataset exists with its
+    values. Raise DatasetError if the config is unreadable or invalid.
+    """
     file = dataset / CONFIG
     try:
-        return parse_config(RealConfig, file.read_text(encoding="utf-8"), str(file), locations, as_recorded=True)
+        text = file.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
-        raise DatasetError(f"{file} cannot be read: {error}") from error
+        reason = error.strerror if isinstance(error, OSError) else "it is not UTF-8"
+        raise DatasetError(
+            f"{file} cannot be read ({reason}): without it nothing of the dataset can be simulated again"
+        ) from error
+    try:
+        return parse_config(model, text, str(file), locations, upgrade=upgrade_config)
     except ConfigError as error:
-        raise DatasetError(f"{error}; was it imported by another version of yamsim?") from error
+        raise DatasetError(f"{error}; was it made by another version of yamsim?") from error

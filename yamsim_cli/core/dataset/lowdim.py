@@ -37,9 +37,7 @@ _MAX_SIM_VALUE = 1e3  # m or rad, largest valid position or command: a simulatio
 def frame_array_shapes(arms: int, drives: int, *, joint_actions: bool = False) -> dict[str, tuple[int, ...]]:
     """Return key -> shape of the arrays that every frame has, without the arrays of objects and cameras.
 
-    Args:
-        drives: number of drives per arm: its joints, and its gripper if the gripper has fingers.
-        joint_actions: whether frames have the keys `state` and `action`.
+    `drives` is their number per arm, with the gripper if it has fingers. `joint_actions`: with `state` and `action`.
     """
     rows = ("joints", "ctrl", "action_joints", *((STATE, ACTION) if joint_actions else ()))
     common: dict[str, tuple[int, ...]] = dict.fromkeys(rows, (drives * arms,))

@@ -1,4 +1,4 @@
-"""Find, select and read published episodes. The content of their files is not trusted."""
+"""Find, select and read published episodes, whose files are not trusted."""
 
 from __future__ import annotations
 
@@ -10,17 +10,16 @@ from typing import Any, SupportsIndex, overload
 
 import numpy as np
 
-from ..config.loader import parse_config
 from ..config.recording import RecordConfig
 from ..config.rig import RigConfig
-from ..errors import ConfigError, DatasetError, UsageError, count_noun, join_ranges
+from ..errors import DatasetError, UsageError, count_noun, join_ranges
 from ..files.resources import Locations
 from ..files.writing import sha256_bytes
 from ..images.image import Image
 from .checks.context import find_episodes
 from .checks.lowdim import frame_faults, recorded_specs
 from .dataset_paths import CONFIG, EPISODE, episode_directories, episode_name, image_path, lowdim_path
-from .imported_records import RealEpisodeRecord, is_real, real_config
+from .imported_records import RealEpisodeRecord, is_real, read_dataset_config, real_config
 from .lowdim import load_frame
 from .records import EpisodeRecord, from_json
 
@@ -116,11 +115,7 @@ def open_recorded(directory: Path) -> RecordedEpisode:
 
 
 def recorded_episodes(dataset: Path) -> list[RecordedEpisode]:
-    """Open all episodes of a dataset that yamsim recorded or imported.
-
-    Raises:
-        DatasetError: yamsim wrote no dataset there, or a record is damaged.
-    """
+    """Open all episodes of a dataset that yamsim wrote. Raise DatasetError if it is none, or a record is damaged."""
     found, recorded = find_episodes(dataset)
     if not recorded and not is_real(dataset):
         raise _not_recorded_error(dataset)
@@ -144,12 +139,7 @@ class StoredEpisodes(Sequence[StoredEpisode]):
     def __getitem__(self, key: slice) -> StoredEpisodes: ...
 
     def __getitem__(self, key: SupportsIndex | slice) -> StoredEpisode | StoredEpisodes:
-        """Return the episode at an index, which may be negative, or the episodes of a slice.
-
-        Raises:
-            IndexError: the index is out of range.
-            DatasetError: the episode record is missing or damaged.
-        """
+        """Raise IndexError, or DatasetError for a missing or damaged episode record."""
         if isinstance(key, slice):
             return StoredEpisodes(self.path, self._directories[key])
         try:
@@ -197,24 +187,13 @@ def find_episode(path: Path, number: int | None) -> RecordedEpisode:
 
 def dataset_config(dataset: Path, locations: Locations) -> RecordConfig:
     """Return the configuration that a dataset was recorded with. Raise DatasetError if it is missing or invalid."""
-    file = dataset / CONFIG
-    try:
-        text = file.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        reason = error.strerror if isinstance(error, OSError) else "it is not UTF-8"
-        raise DatasetError(
-            f"{file} cannot be read ({reason}): without it nothing of the dataset can be simulated again"
-        ) from error
     if is_real(dataset):
         raise DatasetError(
             f"{dataset} holds real recordings: they were not simulated, so nothing can make them again; "
             f"yamsim summarize {dataset} --strict checks every file by its hash, and yamsim gap {dataset} how far the "
             "simulation is from them"
         )
-    try:
-        return parse_config(RecordConfig, text, str(file), locations, as_recorded=True)
-    except ConfigError as error:
-        raise DatasetError(f"{error}; was it recorded by another version of yamsim?") from error
+    return read_dataset_config(RecordConfig, dataset, locations)
 
 
 def recorded_rig(dataset: Path, locations: Locations) -> RigConfig:

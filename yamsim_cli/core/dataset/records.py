@@ -9,18 +9,20 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field, SerializerFunctionWrapHandler, ValidationError, WrapSerializer
+import pydantic_core
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from ..attempt_data import Attempt, AttemptJob, AttemptPayload, FailureCause, FullPose, Layout, MotionMargins, Outcome
 from ..config.goals.role_assignment import RoleAssignment
 from ..config.program_task import ProgramTask
 from ..config.recording import RecordConfig
 from ..config.variation import Variation
-from ..errors import DatasetError
+from ..errors import DatasetError, NewerFormatError
 from ..files.documents.config_base import Name
 from ..files.writing import sha256_bytes
-from ..geometry.se3 import Array, UprightPose
-from .dataset_paths import DATASET_FORMAT, EPISODE_FORMAT, FORMAT_VERSION, PROGRAM_FORMAT_VERSION
+from ..geometry.se3 import Array
+from .dataset_paths import DATASET_FORMAT, EPISODE_FORMAT, FORMAT_VERSION
+from .upgrade import upgrade_attempt, upgrade_episode
 
 # Path of a file relative to its episode. No path component begins with a dot, so paths cannot leave the episode.
 FilePath = Annotated[
@@ -29,27 +31,16 @@ FilePath = Annotated[
 # Camera -> (width, height) of its images, px. The camera name is also a folder name in episodes and exports.
 CameraSizes = dict[Name, tuple[int, int]]
 
-DEFAULT_DRIVES = 7  # drives per arm if a record states none: six joints and a gripper, as in format version 1
-
-
-def _without_arms(variation: Variation, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
-    """Serialize a variation. Omit `arm_dynamics` if arms do not vary, as in older records."""
-    data: dict[str, Any] = write(variation)
-    return data if variation.arm_dynamics else {key: value for key, value in data.items() if key != "arm_dynamics"}
-
-
-# Domain randomization of an attempt; omitted from the JSON if nothing varies.
-VariationField = Annotated[
-    Variation, Field(exclude_if=lambda variation: variation == Variation()), WrapSerializer(_without_arms)
-]
-
-_UNLESS_EMPTY = Field(exclude_if=lambda value: not value)  # omits an empty value from the JSON
-
 
 class Record(BaseModel):
-    """Base class of all dataset records. Numbers must be finite. Unknown keys of later versions are ignored."""
+    """Base class of all dataset records. Numbers must be finite. Unknown keys are ignored."""
 
     model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
+
+    @staticmethod
+    def upgrade(data: Mapping[str, Any]) -> dict[str, Any]:
+        """Return the parsed JSON of any known format version in the form of the present one."""
+        return dict(data)
 
 
 class MarginsRecord(Record):
@@ -108,9 +99,8 @@ class OutcomeRecord(Record):
     plan_error_m: float | None
     tilt_rad: float | None
     margins: MarginsRecord | None = None
-    # Margins of the goal's predicates; omitted if empty, as in format version 1.
-    measures: Annotated[tuple[MeasureRecord, ...], _UNLESS_EMPTY] = ()
-    recoveries: Annotated[tuple[RecoveryRecord, ...], _UNLESS_EMPTY] = ()
+    measures: tuple[MeasureRecord, ...] = ()  # margins of the goal's predicates
+    recoveries: tuple[RecoveryRecord, ...] = ()
 
     @classmethod
     def from_outcome(cls, outcome: Outcome) -> OutcomeRecord:
@@ -132,9 +122,7 @@ class OutcomeRecord(Record):
     def is_within(self, threshold: float, max_height: float = math.inf) -> bool:
         """Return whether the object ended on its target, within `threshold` metres of the target's centre.
 
-        Args:
-            max_height: largest height of the object's origin above the target's origin, m. Applies to format version 1
-                only; later versions measure contact instead.
+        `max_height` (of the object's origin above the target's, m) applies to outcomes without measured contact.
         """
         # After any other failure cause, the distance is meaningless: the object may have been thrown there.
         if self.dxy_m is None or self.dz_m is None or self.cause not in (None, FailureCause.OFF_TARGET):
@@ -144,34 +132,32 @@ class OutcomeRecord(Record):
         return bool(on_it) and others and self.dxy_m <= threshold
 
 
-# Initial pose: `[x, y, z, yaw]` in format version 1, `[x, y, z, qw, qx, qy, qz]` in version 2; m and rad.
-StartPlace = UprightPose | FullPose
-
-
 class RoleAssignmentRecord(Record):
     """Role assignment: role -> objects, object -> name of its object config, object -> scale factor."""
 
     things: dict[str, tuple[str, ...]]
     kinds: dict[str, str]
-    sizes: Annotated[dict[str, float], _UNLESS_EMPTY] = Field(default_factory=dict)
+    sizes: dict[str, float] = Field(default_factory=dict)
 
 
 class AttemptRecord(Record):
-    """One line of `attempts.jsonl`. `layout` is object -> initial pose in `world`, m and rad."""
+    """One line of `attempts.jsonl`. `layout` is object -> initial pose in `world`."""
 
+    upgrade = staticmethod(upgrade_attempt)
     attempt: int
     seed: int
     episode: int | None
     outcome: OutcomeRecord
-    layout: dict[Name, StartPlace]
-    randomized: VariationField = Variation()
-    cast: Annotated[RoleAssignmentRecord | None, _UNLESS_EMPTY] = None
-    phrasing: Annotated[str, _UNLESS_EMPTY] = ""
+    layout: dict[Name, FullPose]
+    randomized: Variation = Variation()
+    cast: RoleAssignmentRecord | None = None
+    phrasing: str = ""
 
 
 class EpisodeRecord(Record):
     """`episode.json`: all values that are needed to reproduce the episode, and the hashes of its files."""
 
+    upgrade = staticmethod(upgrade_episode)
     format: Annotated[str, Field(pattern=f"^{EPISODE_FORMAT}$")] = EPISODE_FORMAT
     format_version: int = FORMAT_VERSION
     episode: int
@@ -186,29 +172,25 @@ class EpisodeRecord(Record):
     frame_period_s: float
     cameras: CameraSizes
     truth: bool = False
-    # Number of arms; omitted for one arm, so that older records keep their bytes.
-    arms: Annotated[int, Field(ge=1, le=2, exclude_if=lambda arms: arms == 1)] = 1
-    # Number of drives per arm.
-    drives: Annotated[int, Field(ge=1, le=64, exclude_if=lambda drives: drives == DEFAULT_DRIVES)] = DEFAULT_DRIVES
-    # Whether frames have the keys `state` and `action`.
-    joint_actions: Annotated[bool, _UNLESS_EMPTY] = False
+    arms: Annotated[int, Field(ge=1, le=2)] = 1
+    drives: Annotated[int, Field(ge=1, le=64)] = 7  # per arm
+    joint_actions: bool = False  # whether frames have the keys `state` and `action`
     objects: list[Name]
     outcome: OutcomeRecord
     # m, largest height of the object above its target on success; None if a goal decides success.
     max_height_m: float | None
-    layout: dict[Name, StartPlace]
-    randomized: VariationField = Variation()
-    # Role assignment; None in format version 1.
-    cast: Annotated[RoleAssignmentRecord | None, _UNLESS_EMPTY] = None
-    phrasing: Annotated[str, _UNLESS_EMPTY] = ""
+    layout: dict[Name, FullPose]
+    randomized: Variation = Variation()
+    cast: RoleAssignmentRecord | None = None
+    phrasing: str = ""
     # Articulated object -> names of its joints, in the order of `<object>_joints`.
-    joints: Annotated[dict[Name, tuple[str, ...]], _UNLESS_EMPTY] = Field(default_factory=dict)
+    joints: dict[Name, tuple[str, ...]] = Field(default_factory=dict)
     # Cloth -> number of points of `<object>_points` along its x axis and its y axis.
-    cloths: Annotated[dict[Name, tuple[int, int]], _UNLESS_EMPTY] = Field(default_factory=dict)
+    cloths: dict[Name, tuple[int, int]] = Field(default_factory=dict)
     versions: dict[str, str]
     renderer: str
-    # Asset set -> description of the rendered meshes, see `core.scene.build.describe_meshes`; None in older records.
-    meshes: Annotated[dict[str, str] | None, Field(exclude_if=lambda meshes: meshes is None)] = None
+    # Asset set -> description of the rendered meshes, see `core.scene.build.describe_meshes`; None if unknown.
+    meshes: dict[str, str] | None = None
     content_sha256: str
     files: dict[FilePath, str]
 
@@ -246,13 +228,24 @@ def to_json(record: Record, *, indent: int | None = None) -> bytes:
 
 
 def from_json(model: type[R], data: bytes | str, source: Path | str) -> R:
-    """Parse a record from JSON text. Raise DatasetError with the first fault if the text is not a valid `model`."""
+    """Parse a record of any known format version. Raise DatasetError with the first fault if it is no valid `model`."""
     try:
-        return model.model_validate_json(data)
+        parsed = pydantic_core.from_json(data)
+        if isinstance(parsed, dict):
+            version = parsed.get("format_version")
+            if isinstance(version, int) and version > FORMAT_VERSION:
+                raise NewerFormatError(
+                    f"{source}: format_version {version} is newer than {FORMAT_VERSION}, the last one that this yamsim "
+                    "reads; install a later yamsim"
+                )
+            parsed = model.upgrade(parsed) | ({"format_version": FORMAT_VERSION} if isinstance(version, int) else {})
+        return model.model_validate(parsed)
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
         where = ".".join(str(part) for part in first["loc"])
         raise DatasetError(f"{source}: {where + ': ' if where else ''}{first['msg']}") from error
+    except ValueError as error:
+        raise DatasetError(f"{source}: Invalid JSON: {error}") from error
 
 
 def attempt_record(payload: AttemptPayload, episode: int | None) -> AttemptRecord:
@@ -298,7 +291,6 @@ def episode_record(config: RecordConfig, payload: AttemptPayload, episode: int) 
     attempt = attempt_record(payload, episode)
     task = config.task
     return EpisodeRecord(
-        format_version=PROGRAM_FORMAT_VERSION,
         episode=episode,
         attempt=attempt.attempt,
         seed=attempt.seed,

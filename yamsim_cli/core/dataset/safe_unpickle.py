@@ -90,7 +90,6 @@ class _Array:
         return sum(map(len, self._texts())) if kind.dtype.hasobject else len(raw)
 
     def _texts(self) -> list[str]:
-        """Return the elements of an object array. Raise ForbiddenPickleError if any element is not text."""
         raw = self._description[0]
         if not isinstance(raw, list) or not all(isinstance(text, str) for text in raw):
             raise ForbiddenPickleError("the pickle has an array of objects; only numbers and text are read")
@@ -260,7 +259,6 @@ class _BudgetedCopy:
 
 
 def _short(value: Any) -> str:
-    """Return a value as one short line of printable text. For a container, return only its shape or type."""
     if isinstance(value, tuple) and len(value) <= 8 and all(isinstance(part, int) for part in value):
         text = f"({', '.join(map(_short, value))})"
     elif isinstance(value, str | int | float):

@@ -27,14 +27,14 @@ from ..sim.encoder_readings import encoder_readings
 from .execution import SimulatedAttempt
 from .simulator import Simulator
 
-# Increased when the same config gives other images; recordings without a revision have the first. 2: the table and the
-# posts cast shadows.
-APPEARANCE_REVISION, FIRST_APPEARANCE_REVISION = "2", "1"
+# Version of the rendering, raised when the same config gives other images: 2 since the table and the posts cast
+# shadows.
+APPEARANCE_REVISION = "2"
 
-# Increased when the same config and seed give other actions; recordings without one have the first. 2: all tasks are
-# programs of skills, with analytic inverse kinematics. 3: waypoints may tilt, containers take objects beside each
-# other, and starts with moving objects are sampled again.
-ENGINE, FIRST_ENGINE = "3", "1"
+# Version of the engine, raised when the same config and seed give other actions. 2: all tasks are programs of skills,
+# with analytic inverse kinematics. 3: waypoints may tilt, containers take objects beside each other, and starts with
+# moving objects are sampled again.
+ENGINE = "3"
 
 
 def library_versions() -> dict[str, str]:

@@ -53,7 +53,7 @@ def sample_attempt(simulator: Simulator, job: AttemptJob) -> Attempt:
         episode = open_episode(simulator, replace(attempt, start=start), EpisodeRules())
         if episode.verdict is not None and not episode.verdict.reached:
             poses = {name: episode.world.pose(name) for name in scene.object_names}
-            with_start = replace(attempt, layout=Layout(poses, upright=False), start=start)
+            with_start = replace(attempt, layout=Layout(poses), start=start)
             if settled.speed <= _MAX_START_SPEED:
                 return with_start
             moving = moving or with_start

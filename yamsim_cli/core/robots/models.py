@@ -20,8 +20,6 @@ from pydantic import (
 
 from ..errors import ConfigError
 from ..files.documents.config_base import (
-    OMIT_EMPTY,
-    OMIT_NONE,
     Config,
     ConflictError,
     Name,
@@ -150,7 +148,7 @@ class CameraMode(Config):
 
 
 Fovy = Annotated[FieldOfView, Field(gt=1, lt=179)]
-Modes = Annotated[tuple[CameraMode, ...], OMIT_EMPTY]
+Modes = tuple[CameraMode, ...]
 
 
 class WristCamera(Config):
@@ -167,7 +165,7 @@ class WristCamera(Config):
     y_axis: Vector
     fovy_deg: Fovy
     modes: Modes = ()
-    name: Annotated[Name | None, OMIT_NONE] = None
+    name: Name | None = None
 
     def fovy(self, size: tuple[int, int]) -> float:
         """Return the vertical field of view, degrees, of images of a size (width, height), px."""

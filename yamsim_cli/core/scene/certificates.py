@@ -51,7 +51,9 @@ def inputs_hash(item: ObjectConfig, lock: AssetLock) -> str:
     if item.shape is not None:
         made = generated_mesh_files(item.name, item.shape)
         files |= {f"{GENERATED_SET}/{name}": sha256_bytes(data) for name, data in made.items()}
-    inputs = {"checks": _CHECKS_VERSION, "config": item.model_dump(mode="json"), "files": files}
+    # Defaults are left out, so that a new key of objects makes no certificate stale.
+    config = item.model_dump(mode="json", exclude_defaults=True)
+    inputs = {"checks": _CHECKS_VERSION, "config": config, "files": files}
     return sha256_bytes(json.dumps(inputs, sort_keys=True).encode())
 
 

@@ -117,7 +117,7 @@ def _build_and_publish(
         ) from error
     config = _with_reachable_grasps(config, replace(locations, meshes={set_name: store.root / set_name}))
     if config.grasp is not None:
-        data["grasp"] = config.grasp.model_dump(mode="json", exclude_unset=True)
+        data["grasp"] = config.grasp.model_dump(mode="json", exclude_unset=True, exclude_none=True)
     return config, made, _comment(file, made, units, sha256) + dump_yaml(data)
 
 

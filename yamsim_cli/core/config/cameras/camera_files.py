@@ -182,12 +182,10 @@ def _put_size(camera: _Converter, key: str) -> None:
 
 
 def _matrix(value: Any) -> Any:
-    """Return the numbers of a matrix `{rows, cols, data}`; any other value is returned unchanged."""
     return value["data"] if isinstance(value, dict) and "data" in value else value
 
 
 def _coefficient_list(value: Any) -> Any:
-    """Return the coefficients in a matrix of one row or column as a list."""
     if isinstance(value, list) and all(isinstance(part, list) for part in value):
         return [number for part in value for number in part]
     return value

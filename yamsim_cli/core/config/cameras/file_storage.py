@@ -91,7 +91,6 @@ def _tree(raw: bytes, source: str) -> _Element:
 
 
 def _value(element: _Element, path: KeyPath, document: Document) -> Any:
-    """Return the element's value: a mapping, a list, or its words as numbers and texts."""
     document.places[path] = f"{document.source}:{element.line}"
     if element.inside and all(inner.name == "_" for inner in element.inside):
         return [_value(inner, (*path, k), document) for k, inner in enumerate(element.inside)]

@@ -6,9 +6,9 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any
 
-from pydantic import FiniteFloat, create_model, model_validator
+from pydantic import Field, FiniteFloat, create_model, model_validator
 
-from ...files.documents.config_base import OMIT_NONE, Config
+from ...files.documents.config_base import Config
 from ...files.documents.units import QuantityBounds
 from .measure import GoalMeasure, worst_measure
 from .predicates import PREDICATES, Predicate
@@ -83,7 +83,8 @@ def _negate(measure: GoalMeasure) -> GoalMeasure:
 
 
 def _optional(annotation: Any) -> Any:
-    return Annotated[annotation, OMIT_NONE], None
+    # A clause has one key, its kind, so the keys of other kinds are not written.
+    return Annotated[annotation, Field(exclude_if=lambda value: value is None)], None
 
 
 # Created from `PREDICATES`, so that a predicate that is added to `PREDICATES` becomes a key without further changes.
@@ -112,11 +113,7 @@ class Goal(Clause):  # type: ignore[misc]
 
 @dataclass(frozen=True)
 class GoalVerdict:
-    """The result of checking a goal in one state of a scene.
-
-    Attributes:
-        measures: all measures that have to hold.
-    """
+    """The measures of a goal in one state of a scene; all have to hold."""
 
     measures: tuple[GoalMeasure, ...]
 

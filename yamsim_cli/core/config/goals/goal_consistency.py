@@ -16,11 +16,7 @@ _MAX_PREDICATES = 12  # predicates of a checked goal; each predicate doubles the
 
 
 def find_contradiction(goal: Clause, impossible: Impossible = lambda predicate: None) -> tuple[Path, str] | None:
-    """Return key path and description of a goal's contradiction; None if the goal can hold or has too many predicates.
-
-    Args:
-        impossible: returns the reason why a predicate can never hold; None if the predicate can hold.
-    """
+    """Return key path and description of a contradiction, or None; `impossible`: why a predicate can never hold."""
     # Predicates with a mapping among their arguments have no hash, so `repr` identifies each.
     found = {repr(predicate): (path, predicate) for path, predicate in goal.predicates()}
     if len(found) > _MAX_PREDICATES:
@@ -46,7 +42,6 @@ def _can_hold(goal: Clause, predicates: dict[str, Predicate], never: set[str]) -
 
 
 def _possible_truths(predicates: dict[str, Predicate], never: set[str]) -> Iterator[dict[str, bool]]:
-    """Yield the combinations of predicates that can hold at once."""
     for holding in itertools.product((True, False), repeat=len(predicates)):
         truth = dict(zip(predicates, holding, strict=True))
         true = [key for key in predicates if truth[key]]

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, FiniteFloat, model_validator
 
-from ...files.documents.config_base import OMIT_NONE, Config
+from ...files.documents.config_base import Config
 from ...files.documents.units import Distance, Place, Share
 from ...geometry.cloth_folding import Fold, FoldPlan, fold_plans, outline_area, sheet_area
 from ...geometry.se3 import Array, inverse
@@ -272,7 +272,7 @@ class Near(Predicate):
     other: str | None = None
     place: tuple[Place, Place] | None = None
     radius: Annotated[Distance, Field(gt=0)]
-    side: Annotated[Literal["left", "right", "front", "behind"] | None, OMIT_NONE] = None
+    side: Literal["left", "right", "front", "behind"] | None = None
 
     @model_validator(mode="after")
     def _one_of_both(self) -> Near:

@@ -99,7 +99,6 @@ def object_from_shape(name: str, shape: Shape) -> dict[str, Any]:
 
 
 def _surfaces(form: GeneratedShape) -> dict[str, Any]:
-    """Return role -> the joined surface of its pieces; the body first."""
     roles = sorted({piece.role for piece in form.pieces}, key=lambda role: (role != _BODY, role))
     return {role: concatenate_surfaces(piece.surface for piece in form.pieces if piece.role == role) for role in roles}
 
@@ -176,7 +175,6 @@ def _grasp_point_data(hold: ShapeGrasp) -> dict[str, Any]:
 
 
 def _needed_force(hold: ShapeGrasp, mass: float, centre: Array) -> float:
-    """Return the least force of a pad that holds an object, N."""
     return mass * _G * max(_MIN_FORCE_FACTOR / 2, _LEVEL_FACTOR * _lever_arm(hold, centre) / hold.depth)
 
 

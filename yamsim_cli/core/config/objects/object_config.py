@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, FiniteFloat, ValidationError, ValidationInfo, model_validator
 
-from ...files.documents.config_base import OMIT_EMPTY, OMIT_NONE, Config, ConflictError, Name, omit_if_default
+from ...files.documents.config_base import Config, ConflictError, Name
 from ...files.documents.units import Distance, Heading, OffsetPoint, QuantityBounds
 from ...files.documents.yaml_document import Document
 from ...geometry.se3 import Array, pose, rotation_from_vector, rotation_z
@@ -39,7 +39,7 @@ class GraspPoint(Config):
     position: OffsetPoint
     axis_deg: Heading
     opening: Annotated[FiniteFloat, QuantityBounds("m", 0, 1)]
-    tilt_deg: Annotated[Annotated[FiniteFloat, QuantityBounds("degrees", -90, 90)] | None, OMIT_NONE] = None
+    tilt_deg: Annotated[FiniteFloat, QuantityBounds("degrees", -90, 90)] | None = None
 
     def T_pinch_in_object(self, flipped: bool) -> Array:
         """Return the pinch frame's pose (4, 4): z into the object, y along the closing axis, reversed if `flipped`."""
@@ -65,8 +65,8 @@ class FrictionGrasp(Config):
 
     force: Annotated[FiniteFloat, QuantityBounds("N", 0.05, 500)]
     points: Annotated[tuple[GraspPoint, ...], Field(min_length=1)]
-    around: Annotated[bool, OMIT_EMPTY] = False
-    hands: Annotated[Literal[1, 2], omit_if_default(1)] = 1
+    around: bool = False
+    hands: Literal[1, 2] = 1
 
 
 class Grasp(GraspPoint):
@@ -108,22 +108,22 @@ class ObjectConfig(Config):
     """
 
     name: Name
-    shape: Annotated[Shape | None, OMIT_NONE] = None
-    cloth: Annotated[Cloth | None, OMIT_NONE] = None
+    shape: Shape | None = None
+    cloth: Cloth | None = None
     mesh: ObjectMesh
-    meshes: Annotated[tuple[ObjectMesh, ...], OMIT_EMPTY] = ()
+    meshes: tuple[ObjectMesh, ...] = ()
     inertia: Inertia
     contact: Contact = Contact()
     collision: tuple[CollisionPart, ...] = Field(min_length=1)
     look: tuple[Primitive, ...] = ()
     rest_height: Distance
-    support: Annotated[Distance | None, OMIT_NONE] = None
+    support: Distance | None = None
     preposition: Literal["on", "in"] = "on"
     grasp: Grasp | None = None
-    rests: Annotated[Literal["upright", "any"] | None, OMIT_NONE] = None
-    base: Annotated[Literal["free", "fixed"], omit_if_default("free")] = "free"
-    links: Annotated[tuple[Link, ...], OMIT_EMPTY] = ()
-    handles: Annotated[tuple[Handle, ...], OMIT_EMPTY] = ()
+    rests: Literal["upright", "any"] | None = None
+    base: Literal["free", "fixed"] = "free"
+    links: tuple[Link, ...] = ()
+    handles: tuple[Handle, ...] = ()
 
     @classmethod
     def read(cls, path: Path) -> Document:

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, FiniteFloat
 
-from ...files.documents.config_base import OMIT_NONE, Config, NonNegative, Quaternion, Rgba, omit_if_default
+from ...files.documents.config_base import Config, NonNegative, Quaternion, Rgba
 from ...files.documents.units import OffsetPoint, PlacePoint, QuantityBounds
 
 _Lever = Annotated[FiniteFloat, QuantityBounds("m", 0, 1)]
@@ -25,7 +25,7 @@ class Contact(Config):
 
     friction: tuple[NonNegative, _Lever, _Lever] = (1.0, 0.005, 0.0001)
     condim: Literal[1, 3, 4, 6] = 3
-    push_out_s: Annotated[FiniteFloat, QuantityBounds("s", 0.004, 0.5), omit_if_default(_PUSH_OUT)] = _PUSH_OUT
+    push_out_s: Annotated[FiniteFloat, QuantityBounds("s", 0.004, 0.5)] = _PUSH_OUT
 
 
 class ObjectMesh(Config):
@@ -45,10 +45,10 @@ class ObjectMesh(Config):
     file: str
     origin: PlacePoint
     rgba: Rgba
-    texture: Annotated[str | None, OMIT_NONE] = None
+    texture: str | None = None
     specular: float = Field(default=0.2, ge=0, le=1)
     shininess: float = Field(default=0.3, ge=0, le=1)
-    castshadow: Annotated[bool, omit_if_default(True)] = True
+    castshadow: bool = True
 
 
 class Inertia(Config):

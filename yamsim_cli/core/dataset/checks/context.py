@@ -8,15 +8,15 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from ...config.goals.world import TABLE
-from ...config.loader import load_config, validate_file
+from ...config.loader import load_config
 from ...config.recording import RecordConfig
 from ...config.rig import RigConfig
-from ...errors import ConfigError, DatasetError
+from ...errors import DatasetError
 from ...files.resources import Locations
 from ...geometry.se3 import Array, pose
 from ...robots.robot import widest_joint_limits
 from ..dataset_paths import CONFIG, EPISODE, episode_directories, episode_name
-from ..imported_records import is_real, real_config
+from ..imported_records import is_real, read_dataset_config, real_config
 from .motion import ArmLimits
 from .problem import ProblemCollector
 
@@ -73,11 +73,7 @@ class CheckContext:
 
 
 def find_episodes(dataset: Path) -> tuple[list[EpisodeDirectory], bool]:
-    """Return the episodes of a dataset, in order, and whether yamsim recorded (and did not import) the dataset.
-
-    Raises:
-        DatasetError: `dataset` is not a dataset, is a single episode, or is unreadable.
-    """
+    """Return the episodes of a dataset, in order, and whether yamsim recorded it. Raise DatasetError if it is none."""
     hint = "give the directory that `yamsim record` wrote"
     try:
         if not dataset.is_dir():
@@ -130,8 +126,8 @@ def read_context(dataset: Path, recorded: bool, locations: Locations, problems: 
         problems.add("config.missing")
     elif recorded:
         try:
-            parsed = validate_file(RecordConfig, dataset / CONFIG, locations, as_recorded=True)
-        except ConfigError as error:
+            parsed = read_dataset_config(RecordConfig, dataset, locations)
+        except DatasetError as error:
             problems.add("config.damaged", CONFIG, str(error).removeprefix(f"{dataset}/"))
     if parsed is None and is_real(dataset):
         rig = real_config(dataset, locations).rig
@@ -165,7 +161,6 @@ def read_context(dataset: Path, recorded: bool, locations: Locations, problems: 
 
 
 def _region(config: RecordConfig, roles: Sequence[str]) -> StartRegion | None:
-    """Return the bounding rectangle of the start regions of `roles` on the table; None without such regions."""
     starts = [config.starts[role] for role in roles if role in config.starts and config.starts[role].on == TABLE]
     if not starts:
         return None

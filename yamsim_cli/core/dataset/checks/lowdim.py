@@ -48,11 +48,7 @@ def expected_specs(
 ) -> dict[str, ValueSpec]:
     """Return flat key, such as `intrinsics[camera]`, -> required spec in a frame that yamsim records.
 
-    Args:
-        joints: articulated object -> names of its joints.
-        arms, drives: number of arms, and of drives per arm.
-        joint_actions: whether frames have the keys `state` and `action`.
-        cloths: cloth -> number of points along its x axis and its y axis.
+    The arguments are those of an `EpisodeRecord`.
     """
     float32 = str(np.dtype(np.float32))
     rows = frame_array_shapes(arms, drives, joint_actions=joint_actions)

@@ -41,14 +41,10 @@ Named = Callable[[int], str]  # frame number -> path of the frame's file
 def check_times(
     times: Mapping[int, float], period: float | None, name: Named, problems: ProblemCollector
 ) -> float | None:
-    """Report times that do not increase or are uneven, and return the time between frames, s.
-
-    Args:
-        times: frame number -> time, s.
-        period: recorded time between frames, s; None if unknown.
+    """Report times (frame number -> s) that do not increase or are uneven.
 
     Returns:
-        `period` if given, else the median time between frames; None if neither is known.
+        `period` (recorded time between frames, s), else the median time between frames; None if neither is known.
     """
     steps = {k: (times[k] - times[k - 1]) for k in sorted(times) if k - 1 in times}
     if late := [k for k, step in steps.items() if step <= 0]:

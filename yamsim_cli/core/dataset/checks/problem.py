@@ -19,12 +19,7 @@ class Severity(StrEnum):
 
 @dataclass(frozen=True)
 class ProblemCode:
-    """One kind of fault.
-
-    Attributes:
-        title: description of the fault, as a clause that values can follow.
-        advice: remedy for the fault.
-    """
+    """One kind of fault: `title` is a clause that values can follow, `advice` the remedy."""
 
     severity: Severity
     title: str
@@ -136,10 +131,9 @@ class DatasetProblem:
 
     Attributes:
         code: key of `CODES`.
-        episode: directory name of the episode; "" for the dataset.
+        episode: its directory name; "" for the dataset.
         file: first file with the fault, relative to the episode or the dataset; "" for all files.
-        value: the value found.
-        valid: the valid value or range; "" if the title states it.
+        value, valid: the value found; the valid value or range, "" if the title states it.
         count: number of files or frames of this episode with the fault.
     """
 

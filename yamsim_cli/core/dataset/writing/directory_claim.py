@@ -105,7 +105,6 @@ def _occupied_error(path: Path) -> UsageError:
 
 
 def _move_to_backup(path: Path, locks_reach_others: bool) -> Path:
-    """Rename `path` to a backup and return the new path. Raise ResourceError if a recorder writes into it."""
     if not path.is_dir() or not os.access(path, os.W_OK):
         # No recorder can write here, so no lock is needed.
         return move_to_backup(path)
@@ -206,7 +205,6 @@ class DirectoryLock:
 
 
 def _flock(descriptor: int) -> bool | None:
-    """Try to take the lock. Return whether that succeeded, or None on a filesystem without locks."""
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
@@ -219,7 +217,6 @@ def _flock(descriptor: int) -> bool | None:
 
 
 def _read(descriptor: int) -> _LockHolder | None:
-    """Return the process that a lock file names; None if the file is empty or incomplete."""
     try:
         data = json.loads(os.pread(descriptor, 4096, 0))
         return _LockHolder(int(data["pid"]), str(data["host"]))
@@ -276,7 +273,6 @@ def _stated_meshes(config: Mapping[str, Any]) -> ShownMeshes:
 
 
 def _changes(recorded: Mapping[str, Any], wanted: Mapping[str, Any]) -> list[str]:
-    """Return `key: recorded value, wanted value` for every value that differs, except meshes."""
     old, new = (_flatten({key: value for key, value in data.items() if key != MESHES}) for data in (recorded, wanted))
     return [
         f"{key}: {old.get(key)!r} there, {new.get(key)!r} now"

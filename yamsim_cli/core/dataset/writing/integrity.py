@@ -6,7 +6,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
-from ...errors import DatasetError
+from ...errors import DatasetError, NewerFormatError
 from ...files.writing import sha256_bytes
 from ..dataset_paths import DAMAGED, EPISODE, episode_directories
 from ..records import EpisodeRecord, from_json
@@ -34,11 +34,7 @@ class InspectedEpisode:
 
 
 def inspect_episodes(dataset: Path) -> list[InspectedEpisode]:
-    """Inspect every episode of a dataset, in order.
-
-    Raises:
-        OSError: the disk failed. A missing or altered file is reported as a fault of its episode instead.
-    """
+    """Inspect every episode of a dataset, in order. Raise OSError if the disk failed."""
     with ThreadPoolExecutor(_READER_THREADS) as readers:
         return list(readers.map(lambda found: inspect_episode(*found), episode_directories(dataset)))
 
@@ -59,7 +55,7 @@ def quarantine_path(path: Path) -> Path:
 
 
 def inspect_episode(number: int, directory: Path) -> InspectedEpisode:
-    """Read and hash all files of one episode. Raise OSError if the disk failed."""
+    """Read and hash all files of one episode. Raise OSError if the disk failed, or NewerFormatError."""
 
     def found(record: EpisodeRecord | None, text: bytes, size: int, fault: str | None) -> InspectedEpisode:
         return InspectedEpisode(number, directory, record, text, size, fault)
@@ -70,6 +66,8 @@ def inspect_episode(number: int, directory: Path) -> InspectedEpisode:
         return found(None, b"", 0, f"{EPISODE} is missing")
     try:
         record = from_json(EpisodeRecord, text, EPISODE)
+    except NewerFormatError:
+        raise  # the episode is not damaged, and must not be quarantined
     except DatasetError as error:
         return found(None, text, 0, str(error))
     if record.episode != number:

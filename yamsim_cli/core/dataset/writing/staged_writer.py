@@ -21,13 +21,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ...errors import DatasetError, ResourceError
-from ...files.documents.yaml_document import dump_yaml
+from ...errors import ConfigError, DatasetError, ResourceError
+from ...files.documents.yaml_document import dump_yaml, load_yaml
 from ...files.writing import append_line, move_to_backup, publish_directory, sha256_bytes, write_file
 from ..dataset_paths import ATTEMPTS, CONFIG, EPISODE, STAGING, episode_directories, episode_name
 from ..disk_errors import describe_disk_error
 from ..records import AttemptRecord, EpisodeRecord, from_json, to_json
-from .directory_claim import DirectoryLock
+from ..upgrade import upgrade_config
+from .directory_claim import DirectoryLock, require_same_config
 from .integrity import inspect_episode
 from .writer import AttemptLog, DatasetWriter
 
@@ -75,7 +76,7 @@ class StagedWriter(AttemptLog):
             self.folder.mkdir(parents=True, exist_ok=True)
             self._lock = DirectoryLock.acquire(self.folder)
             try:
-                waiting = self._recover_waiting(dump_yaml(config).encode())
+                waiting = self._recover_waiting(config)
             except BaseException:
                 self._lock.release()
                 raise
@@ -117,11 +118,7 @@ class StagedWriter(AttemptLog):
         self._put(_StagedItem(attempt.episode, attempt))
 
     def drain(self, seconds: float) -> bool:
-        """Wait at most `seconds` for all items to be moved, and return whether all are in the dataset.
-
-        Raises:
-            OSError, DatasetError: an item cannot be moved.
-        """
+        """Return whether all items are moved within `seconds`. Raise OSError or DatasetError if one cannot be moved."""
         end = time.monotonic() + seconds
         with self._queue.all_tasks_done:
             while self._queue.unfinished_tasks and self._error is None and time.monotonic() < end:
@@ -146,7 +143,6 @@ class StagedWriter(AttemptLog):
         self._lock.release()
 
     def _stop_move_thread(self) -> bool:
-        """Let the move thread finish its current item. Return False if that exceeds `_HALT_SECONDS`."""
         self._halt.set()
         with contextlib.suppress(queue.Full):
             # This item only wakes the move thread. If the queue is full, the thread wakes without it.
@@ -193,10 +189,11 @@ class StagedWriter(AttemptLog):
         if item.episode is not None:
             shutil.rmtree(directory)
 
-    def _recover_waiting(self, config: bytes) -> list[AttemptRecord]:
+    def _recover_waiting(self, config: Mapping[str, Any]) -> list[AttemptRecord]:
         """Return the attempts that an earlier recording left. Remove or back up all other content of the stage."""
-        file = self.folder / CONFIG
-        if not file.is_file() or file.read_bytes() != config:
+        try:
+            require_same_config(self.folder, upgrade_config(load_yaml(self.folder / CONFIG).data), config)
+        except ConfigError:
             # The content belongs to another dataset or config and must not be deleted.
             self._start_empty(config)
         waiting = []
@@ -213,7 +210,7 @@ class StagedWriter(AttemptLog):
         shutil.rmtree(self.folder / STAGING, ignore_errors=True)
         return waiting
 
-    def _start_empty(self, config: bytes) -> None:
+    def _start_empty(self, config: Mapping[str, Any]) -> None:
         if episode_directories(self.folder):
             moved = move_to_backup(self.folder)
             self._lock.note_rename(moved)
@@ -221,10 +218,9 @@ class StagedWriter(AttemptLog):
             self.repairs.append(f"The stage held episodes of another recording: they are now in {moved}.")
             self.folder.mkdir()
             self._lock = DirectoryLock.acquire(self.folder)
-        write_file(self.folder / CONFIG, config)
+        write_file(self.folder / CONFIG, dump_yaml(config).encode())
 
     def _read_log(self) -> list[AttemptRecord]:
-        """Read the stage's ledger up to the first line that a crash left incomplete."""
         file = self.folder / ATTEMPTS
         attempts: list[AttemptRecord] = []
         for line in file.read_bytes().splitlines() if file.is_file() else []:

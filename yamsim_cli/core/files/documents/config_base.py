@@ -3,10 +3,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, FiniteFloat
-from pydantic.fields import FieldInfo
 
 from .yaml_document import Document, load_yaml
 
@@ -25,17 +24,6 @@ class Config(BaseModel):
     def paths_in_file(cls, path: Path) -> tuple[Path, ...]:
         """Return the paths to pass to `read`, one for each config in a file."""
         return (path,)
-
-
-# Fields that dataset format 0.2 does not write if None or empty: a new key then changes no written config.
-OMIT_NONE: FieldInfo = Field(exclude_if=lambda value: value is None)
-OMIT_EMPTY: FieldInfo = Field(exclude_if=lambda value: not value)
-
-
-def omit_if_default(default: Any) -> FieldInfo:
-    """Return the mark of a field that is not written if it has the value `default`."""
-    field: FieldInfo = Field(exclude_if=lambda value: value == default)
-    return field
 
 
 @dataclass(frozen=True)

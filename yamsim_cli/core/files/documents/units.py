@@ -1,4 +1,7 @@
-"""Quantities with a unit and plausible bounds: a value far out of bounds was probably given in another unit."""
+"""Quantities with a unit and plausible bounds: a value far out of bounds was probably given in another unit.
+
+The configs of recorded datasets may have values beyond the bounds, see `RECORDED`.
+"""
 
 from __future__ import annotations
 
@@ -12,8 +15,8 @@ from pydantic_core import CoreSchema, core_schema
 
 from .config_base import require_ordered
 
-# Context without checks of bounds: a recorded dataset's config stays valid after a change of bounds.
-AS_RECORDED: Mapping[str, bool] = {"as_recorded": True}
+# Pydantic context in which bounds are not checked: a recorded dataset's config stays valid after a change of bounds.
+RECORDED: Mapping[str, bool] = {"recorded": True}
 
 # Correct unit -> mistaken unit -> size of the mistaken unit in the correct unit.
 _MISTAKEN_UNITS: Mapping[str, Mapping[str, float]] = {
@@ -62,7 +65,7 @@ class QuantityBounds:
 
 def is_recorded_config(info: ValidationInfo | None) -> bool:
     """Return whether pydantic validates the config of a recorded dataset."""
-    return info is not None and info.context == AS_RECORDED
+    return info is not None and info.context == RECORDED
 
 
 def _refuse_radians(value: tuple[float, float], info: ValidationInfo) -> tuple[float, float]:
