@@ -75,7 +75,7 @@ def test_a_new_arm_passes_its_check_and_overwrites_nothing(tmp_path: Path, locat
     assert found["ok"] and found["gripper"] == "linear_4310" and found["sag_rad"] < 0.02
     require_checked("my_arm", [found])
     for taken in ("my_arm", "yam_v1", "../my_arm"):
-        with pytest.raises(UsageError, match=r"is not overwritten|is no name"):
+        with pytest.raises(UsageError, match=r"is not overwritten|is not a valid name"):
             write_robot_template(taken, tmp_path, mine)
     assert {path.name for path in model.parent.iterdir()} == {"model.yaml", "arm.xml"}
     mjcf.write_text(mjcf.read_text().replace('kp="80"', 'kp="1"').replace('gravcomp="1"', ""))

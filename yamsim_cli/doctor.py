@@ -150,7 +150,7 @@ def _gl(environ: Mapping[str, str]) -> Iterator[HealthCheck]:
 def _chosen_gl(wanted: str | None, found: Mapping[str, GlBackend | str]) -> HealthCheck:
     working = [backend for backend in found.values() if isinstance(backend, GlBackend)]
     if wanted and not isinstance(found[wanted], GlBackend):
-        detail = f"MUJOCO_GL={wanted} is set, which does not work, and so no other is tried"
+        detail = f"MUJOCO_GL={wanted} is set but does not work; yamsim tries no other backend while it is set"
         return HealthCheck("gl", Health.FAULT, detail, "unset MUJOCO_GL" if working else INSTALL_GL)
     if not working:
         return HealthCheck("gl", Health.FAULT, "nothing can be rendered: no OpenGL backend works", INSTALL_GL)
@@ -159,7 +159,7 @@ def _chosen_gl(wanted: str | None, found: Mapping[str, GlBackend | str]) -> Heal
     gpu = next((device for device in _GPUS if Path(device).exists()), None)
     if chosen.software and gpu:
         fix = (
-            "install the EGL part of the GPU's driver (libnvidia-gl, or libegl-mesa0), and in a container let it in "
+            "install the EGL part of the GPU's driver (libnvidia-gl, or libegl-mesa0), and in a container enable it "
             "(NVIDIA_DRIVER_CAPABILITIES=all)"
         )
         return HealthCheck("gl", Health.WARNING, f"{gpu} is there, but {chosen.renderer} renders, without a GPU", fix)
@@ -179,16 +179,16 @@ def _meshes(locations: Locations) -> Iterator[HealthCheck]:
         bad = [state for state in states if state.status is not FileStatus.OK]
         changed = [state.name for state in bad if state.status is FileStatus.CHANGED]
         if changed:
-            detail = f"not the locked files: {', '.join(changed)} in {states[0].path.parent}"
+            detail = f"files that differ from the lock: {', '.join(changed)} in {states[0].path.parent}"
             yield HealthCheck(name, Health.FAULT, detail, f"yamsim assets fetch {assets.name}")
         elif bad and assets.on_demand:
-            detail = f"fetched on demand; without, primitives are drawn: yamsim assets fetch {assets.name}"
+            detail = f"fetched on demand; until then, primitives are shown: yamsim assets fetch {assets.name}"
             yield HealthCheck(name, Health.OK, detail)
         elif bad:
             detail = f"{len(bad)} of {len(states)} files are not in {locations.assets}: primitives are shown instead"
             yield HealthCheck(name, Health.WARNING, detail, "yamsim assets fetch")
         else:
-            yield _reduced(name, f"{len(states)} files, every hash is right", store, assets)
+            yield _reduced(name, f"{len(states)} files, all with the right hash", store, assets)
 
 
 def _reduced(name: str, detail: str, store: AssetStore, assets: AssetSet) -> HealthCheck:
@@ -268,7 +268,7 @@ def _workers() -> Iterator[HealthCheck]:
         detail = f"{detail[: detail.index(':')]}, and a worker takes {_WORKER_BYTES / 1e9:.1f}"
         yield HealthCheck("workers", Health.FAULT, detail, "give this machine or container more memory", figures)
     elif fit < cores:
-        yield HealthCheck("workers", Health.WARNING, f"{detail}, for memory's sake", "more memory", figures)
+        yield HealthCheck("workers", Health.WARNING, f"{detail}, limited by memory", "more memory", figures)
     else:
         yield HealthCheck("workers", Health.OK, detail, figures=figures)
 

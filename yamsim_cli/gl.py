@@ -78,7 +78,7 @@ def find_backend(environ: Mapping[str, str], platform: str = sys.platform) -> Gl
     chosen = "; MUJOCO_GL is set, so no other was tried: unset it" if wanted else ""
     raise ResourceError(
         f"no OpenGL backend for headless rendering works ({'; '.join(reasons)}){chosen}; {INSTALL_GL}; "
-        "yamsim doctor looks into it"
+        "run `yamsim doctor` to find the cause"
     )
 
 

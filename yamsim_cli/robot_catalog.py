@@ -226,7 +226,9 @@ def write_robot_template(name: str, data: Path, locations: Locations) -> tuple[P
     Raises UsageError if the name is not valid or exists already, or the folder cannot be written.
     """
     if not _NAME.fullmatch(name):
-        raise UsageError(f"{name!r} is no name for an arm; start with a letter, then letters, digits and underscores")
+        raise UsageError(
+            f"{name!r} is not a valid name for an arm; use letters, digits and underscores, and begin with a letter"
+        )
     folder = data / "robot_models" / name
     if folder.exists() or name in locations.config_names(ARMS):
         raise UsageError(f"an arm {name!r} exists and is not overwritten; give another name, or remove {folder}")
@@ -286,7 +288,7 @@ def _check_with(arm: ArmModel, gripper: str, locations: Locations) -> dict[str, 
     off = np.abs(data.qpos[addresses.joint_qpos] - home)
     joint, sag = arm.joints[int(np.argmax(off))].name, float(off.max())
     ok = bool(np.isfinite(off).all() and sag <= _MAX_SAG)
-    detail = f"{joint} is {sag:.3f} rad off home after {_HOLD_S:g} s; at most {_MAX_SAG:g} rad is right"
+    detail = f"{joint} is {sag:.3f} rad off home after {_HOLD_S:g} s; at most {_MAX_SAG:g} rad is allowed"
     return {"gripper": gripper, "ok": ok, "sag_rad": sag, "detail": detail}
 
 

@@ -43,7 +43,7 @@ def test_a_certificate_is_made_kept_listed_and_asked_for(tmp_path: Path) -> None
     assert standing(env) == "failed"
     run = yamsim("record", "--n", "1", "--object", "011_banana", "--target", "cube", cwd=tmp_path, env=env)
     assert run.code == 4
-    assert "cube has failed its certificate: mass.density; mend it" in run.err
+    assert "cube has failed its certificate: mass.density; correct it" in run.err
 
 
 def standing(env: dict[str, str]) -> str:

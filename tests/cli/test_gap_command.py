@@ -104,7 +104,7 @@ def test_what_was_imported_has_the_gap_that_it_had_before(logs: Path, tmp_path: 
     before, after, one = (yamsim("gap", path, "--json").json for path in (logs / "late.csv", real, real / "ep_000000"))
     assert after["rms_rad"] == pytest.approx(before["rms_rad"], rel=1e-4)
     assert one["recordings"][0]["rms_rad"] == after["rms_rad"]
-    assert "change a rig that is named" in yamsim("gap", real, "--revision", "v1").message
+    assert "need --rig" in yamsim("gap", real, "--revision", "v1").message
 
 
 def test_what_is_not_there_is_one_line(tmp_path: Path) -> None:
@@ -117,7 +117,7 @@ def test_what_is_not_there_is_one_line(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("flags", "code", "said"),
     [
-        (("--from", "2", "--to", "1"), 2, "--from 2 and --to 1: nothing lies between"),
+        (("--from", "2", "--to", "1"), 2, "--from 2 and --to 1: --from must be below --to"),
         (("--from", "50"), 4, "0 measured samples from 50 s"),
         (("--camera", "camera.yaml"), 2, "give --pictures N with them"),
         (("--pictures", "3"), 2, "no recording has photos"),

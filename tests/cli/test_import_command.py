@@ -58,7 +58,7 @@ def test_a_real_dataset_is_exported(log: Path, tmp_path: Path) -> None:
     ("arguments", "code", "message"),
     [
         (["mp4", "real", "out"], 4, "real has no pictures"),
-        (["lerobot", "real", "out", "--environment-state"], 2, "nobody recorded where things were"),
+        (["lerobot", "real", "out", "--environment-state"], 2, "the poses of its objects were not recorded"),
         (["lerobot", "real", "out", "--episodes", "7"], 2, "has no episode 7"),
         (["lerobot", "real", "out", "--fps", "0"], 2, "--fps"),
     ],

@@ -140,7 +140,7 @@ def test_a_disk_that_turns_bad_loses_nothing(
     log = without_progress(files["log"].read_text())
     assert [line for line in done.stdout.splitlines() if line.startswith("exit")] == ["exit 6", "exit 0"], log
     assert message in log
-    assert "of 4 episodes are whole" in log
+    assert "of 4 episodes are complete" in log
     assert "continue with --resume" in log
     assert len(log.splitlines()) == 1, log
     assert episodes(files["copy"])
@@ -188,7 +188,9 @@ def test_a_limit_on_file_sizes_loses_nothing(tmp_path: Path) -> None:
         [sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True, timeout=120, check=False
     )
     assert done.returncode == 6, done.stderr
-    assert "File too large: a limit on file sizes is in force: see ulimit -f: 0 of 1 episodes are whole" in done.stderr
+    assert (
+        "File too large: a limit on file sizes is in force: see ulimit -f: 0 of 1 episodes are complete" in done.stderr
+    )
     assert episodes(path) == []
     assert not (path / ".staging").exists()
 

@@ -69,18 +69,18 @@ def test_realized_tasks_are_compatible_and_others_are_refused(embodiment: Yamsim
 
 
 def test_rates_that_are_no_whole_ticks_are_refused() -> None:
-    with pytest.raises(UsageError, match=r"control_hz=7 is no whole number of ticks of 1/30 s; give one of 30, 15"):
+    with pytest.raises(UsageError, match=r"control_hz=7 is not a whole number of ticks of 1/30 s; give one of 30, 15"):
         YamsimEmbodiment(images=False, control_hz=7)
 
 
 def test_scenes_of_others_are_refused(embodiment: YamsimEmbodiment) -> None:
-    with pytest.raises(LookupError, match="scene 'mine' is none of KitchenBench's"):
+    with pytest.raises(LookupError, match="scene 'mine' is not a scene of KitchenBench"):
         embodiment.reset(Scene("mine", "do it"))
 
 
 def test_a_kind_without_physics_is_refused(embodiment: YamsimEmbodiment) -> None:
     scene = tasks.TASK_FACTORIES["pour_pasta"]().scenes[0]
-    with pytest.raises(LookupError, match=f"goals of kind 'pour_into' are not realized; those are: {sorted(KINDS)[0]}"):
+    with pytest.raises(LookupError, match=f"goals of kind 'pour_into' are not supported; valid: {sorted(KINDS)[0]}"):
         embodiment.reset(scene, seed=0)
 
 

@@ -347,7 +347,7 @@ def test_actions_that_were_changed_are_noticed() -> None:
     for action in actions:
         seen = embodiment.step(action).observation
     moved = {**seen.state, JOINTS: seen.state[JOINTS] + 0.01}
-    with pytest.raises(RuntimeError, match=r"the arms are 0\.0100 off where the expert's actions lead"):
+    with pytest.raises(RuntimeError, match=r"the arms are 0\.0100 away from where the expert's actions lead"):
         expert.act(type(seen)(state=moved))
     embodiment.close()
     expert.close()

@@ -204,7 +204,8 @@ def test_a_stage_of_another_recording_is_moved_not_thrown_away(
     (moved,) = recording.stage.iterdir()
     assert sorted(path.name for path in moved.glob("ep_*")) == kept
     assert any(
-        f"The stage held episodes of another recording: they are now in {moved}" in w for w in recording.warnings
+        f"The staging directory held episodes of another recording: they are now in {moved}" in w
+        for w in recording.warnings
     )
 
 
@@ -221,7 +222,9 @@ def test_several_datasets_can_share_a_stage(recording: Recording, tmp_path: Path
 
 def test_a_stage_that_cannot_be_used_is_named(recording: Recording, tmp_path: Path) -> None:
     (tmp_path / "stage").write_text("a file")
-    with pytest.raises(ResourceError, match=r"the stage .*/stage/dataset-.* cannot be used: .* another --stage"):
+    with pytest.raises(
+        ResourceError, match=r"the staging directory .*/stage/dataset-.* cannot be used: .* another --stage"
+    ):
         recording.run()
     recording.stage = None
     recording.resume()

@@ -73,8 +73,8 @@ def test_meshes_that_came_since_do_not_go_into_the_same_dataset(recording: Recor
         go_on(recording, meshes)
     changes = "; ".join(rf"{name}: primitives there, full \w{{12}} now" for name in (ARM, YCB))
     assert re.search(
-        rf"dataset was recorded with other meshes: {changes}; to go on with primitives, set YAMSIM_ASSETS to an empty "
-        r"folder, or record into another --out$",
+        rf"dataset was recorded with other meshes: {changes}; to continue with primitives, set YAMSIM_ASSETS to an "
+        r"empty folder, or record into another --out$",
         str(caught.value),
     )
     assert tree(recording.path) == before
@@ -88,7 +88,7 @@ def test_meshes_that_went_since_do_not_either(recording: Recording, meshes: Mesh
     with pytest.raises(ConfigError) as caught:
         go_on(recording, meshes | {ARM: None})
     assert re.search(
-        rf"dataset was recorded with other meshes: {ARM}: full \w{{12}} there, primitives now; `yamsim assets fetch`",
+        rf"dataset was recorded with other meshes: {ARM}: full \w{{12}} there, primitives now; run `yamsim ",
         str(caught.value),
     )
     assert tree(recording.path) == before
@@ -102,7 +102,7 @@ def test_other_meshes_do_not_either(
     recording.meshes = meshes
     recording.run()
     others = stand_ins(tmp_path / "others", locations, ARM, **change)
-    with pytest.raises(ConfigError, match=rf"{ARM}: full \w+ there, \w+ \w+ now; set YAMSIM_ASSETS to the meshes that"):
+    with pytest.raises(ConfigError, match=rf"{ARM}: full \w+ there, \w+ \w+ now; set YAMSIM_ASSETS to the meshes of"):
         go_on(recording, meshes | others)
 
 
@@ -164,8 +164,8 @@ class TestOfAnEarlierVersion:
         go_on(old, meshes)
         (told,) = old.warnings
         assert told.startswith(
-            f"{old.path}/config.yaml does not say which meshes the episodes show, as an earlier yamsim recorded them. "
-            f"New ones show {ARM}: full "
+            f"{old.path}/config.yaml does not name the meshes of the episodes, because an earlier yamsim recorded "
+            f"them. New episodes show {ARM}: full "
         )
         assert f"`yamsim verify {old.path} --sample 1 --images` shows whether" in told
         assert len(open_episodes(old.path)) == 3
@@ -201,7 +201,7 @@ def test_a_worker_that_would_draw_otherwise_is_refused_at_the_start(recording: R
     assert re.fullmatch(
         r"a worker on \S+ would show other meshes than the recorder: "
         rf"{YCB}: full \w{{12}} for the recorder, primitives there; "
-        r"they changed meanwhile, or yamsim is another one there: mend that, and go on with --resume",
+        r"install the same meshes and the same yamsim there, then continue with --resume",
         str(caught.value),
     )
     assert json.loads((recording.path / "manifest.json").read_text())["episodes"] == []

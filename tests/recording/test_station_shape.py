@@ -63,8 +63,11 @@ def test_lerobot_has_no_welds_and_whole_frames_a_second(dataset: Path, tmp_path:
 @pytest.mark.parametrize(
     ("flags", "said"),
     [
-        (("--fps", "20"), "--fps: 20 frames a second are no whole number of control ticks of about 32 ms; valid: 29.2"),
-        (("--action", "joints"), "--action: action 'joints' has no place for a weld, and grasp is 'weld'; use grasp"),
+        (
+            ("--fps", "20"),
+            "--fps: at 20 frames a second, a frame is not a whole number of control ticks of 32 ms; valid: 29.2",
+        ),
+        (("--action", "joints"), "--action: action 'joints' cannot command a weld, but grasp is 'weld'; use grasp"),
     ],
 )
 def test_what_cannot_be_is_told(flags: tuple[str, ...], said: str, tmp_path: Path) -> None:

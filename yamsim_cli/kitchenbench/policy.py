@@ -70,14 +70,16 @@ class YamsimExpert:
         Raises:
             RuntimeError: observed and simulated joints differ, so something changed the actions.
         """
-        assert self._scene is not None, "reset comes first"
+        assert self._scene is not None, "call reset first"
         if self._planning is None:
             seed = int(observation.state[SEED][0])
             self._planning = PlanningScene(self._realize(self._scene, seed), seed, self._ticks)
         planning = self._planning
         off = float(np.abs(np.asarray(observation.state[JOINTS]) - planning.motion.state()).max())
         if off > _STATE_TOLERANCE:
-            raise RuntimeError(f"the arms are {off:.4f} off where the expert's actions lead: something changes them")
+            raise RuntimeError(
+                f"the arms are {off:.4f} away from where the expert's actions lead: something changes the actions"
+            )
         return ActionChunk([Action(action) for action in planning.next_actions()], control_hz=self.info.control_hz)
 
     def close(self) -> None:

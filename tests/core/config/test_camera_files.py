@@ -373,11 +373,11 @@ def test_raidens_calibration(locations: Locations) -> None:
     write_raiden({"left_wrist_camera": raiden_camera("hand_eye"), "scene_camera": raiden_camera("scene")})
     assert read("calibration_results.json:scene_camera", locations) == WANTED
     assert refusal("calibration_results.json", locations) == (
-        "calibration_results.json: 2 cameras are in it: name one, as in calibration_results.json:left_wrist_camera; "
+        "calibration_results.json: has 2 cameras; name one, as in calibration_results.json:left_wrist_camera; "
         "valid: left_wrist_camera, scene_camera"
     )
     assert refusal("calibration_results.json:scene_cam", locations) == (
-        "calibration_results.json: there is no camera 'scene_cam' in it; did you mean 'scene_camera'? "
+        "calibration_results.json: has no camera 'scene_cam'; did you mean 'scene_camera'? "
         "valid: left_wrist_camera, scene_camera"
     )
     bare = {key: value for key, value in raiden_camera("scene").items() if key != "intrinsics"}
@@ -401,12 +401,12 @@ def test_the_cameras_of_a_file(locations: Locations) -> None:
 
 def test_a_name_where_there_is_none_and_files_that_are_not_there(locations: Locations) -> None:
     write_file_storage("c.json", np.array(DISTORTION))
-    assert refusal("c.json:head", locations) == "c.json: the camera in it has no name: leave out ':head'"
+    assert refusal("c.json:head", locations) == "c.json: its camera has no name: leave out ':head'"
     Path("c.txt").write_text("width: 640\n")
     for name, part in {
         "none.json": "camera config file none.json does not exist",
         "none.xml:head": "camera config file none.xml does not exist",
-        "c.txt": "unknown camera 'c.txt'; valid: example_640x480; the name of a file has to end in .yaml or",
+        "c.txt": "unknown camera 'c.txt'; valid: example_640x480; the name of a file must end in .yaml or",
     }.items():
         with pytest.raises(ConfigError) as caught:
             load_config(CameraConfig, "cameras", name, locations)
@@ -426,14 +426,17 @@ FILE_OF_OURS = """<!DOCTYPE x SYSTEM "file:///etc/passwd"><opencv_storage><a>1</
 @pytest.mark.parametrize(
     ("text", "part"),
     [
-        (BOMB, "c.xml:2: a document type is not read: remove <!DOCTYPE ...>"),
-        (FILE_OF_OURS, "c.xml:1: a document type is not read"),
+        (BOMB, "c.xml:2: a document type is not supported: remove <!DOCTYPE ...>"),
+        (FILE_OF_OURS, "c.xml:1: a document type is not supported"),
         ("<opencv_storage>&a;</opencv_storage>", "c.xml:1: not valid XML: undefined entity"),
-        ("<opencv_storage>" + "<a>" * 60 + "</a>" * 60 + "</opencv_storage>", "nested more than 50 deep"),
+        ("<opencv_storage>" + "<a>" * 60 + "</a>" * 60 + "</opencv_storage>", "nested more than 50 levels deep"),
         ("<opencv_storage><a>1</opencv_storage>", "not valid XML: mismatched tag"),
         ("", "not valid XML: no element found"),
         ('<?xml version="1.0" encoding="none"?><opencv_storage/>', "not valid XML: unknown encoding"),
-        ("<calibration>\n</calibration>", "c.xml:1: <calibration> is not OpenCV's: its XML files begin with <opencv_s"),
+        (
+            "<calibration>\n</calibration>",
+            "c.xml:1: <calibration> is not the root of an XML file of OpenCV, which begins with <opencv_s",
+        ),
         ("<opencv_storage>\n<a>1</a>\n<a>2</a></opencv_storage>", "c.xml:3: duplicate key 'a'; remove one"),
         ("<opencv_storage>1 2</opencv_storage>", "the top level must be a mapping"),
         ("<opencv_storage><width>" + "9" * 5000 + "</width></opencv_storage>", "c.xml: not valid: "),

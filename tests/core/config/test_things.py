@@ -91,7 +91,7 @@ def test_what_is_given_is_kept(tmp_path: Path, locations: Locations) -> None:
 @pytest.mark.parametrize(
     ("name", "change", "said"),
     [
-        ("bowl", ("wall_mm: 2.4", "wall_mm: 40"), "leaves no inside"),
+        ("bowl", ("wall_mm: 2.4", "wall_mm: 40"), "leaves no interior"),
         ("bowl", ("diameter_mm: 160", "diameter_mm: 0.16"), "diameter_mm"),
         ("bowl", ("body:", "lid:"), "body is missing"),
         ("bowl", ("family: vessel", "family: vase"), "family"),

@@ -68,7 +68,7 @@ def npy(header: str, content: bytes = b"") -> bytes:
     ids=["empty", "start", "cut", "altered", "no array", "huge shape", "objects", "negative", "code"],
 )
 def test_damage_is_told_and_nothing_is_run(data: bytes) -> None:
-    with pytest.raises(DatasetError, match="not a whole npz"):
+    with pytest.raises(DatasetError, match="not a valid npz"):
         load_arrays(data, MOST)
 
 

@@ -48,7 +48,7 @@ def test_a_slice_is_one_too(episodes: StoredEpisodes) -> None:
 
 @pytest.mark.parametrize("place", [3, -4])
 def test_a_place_that_is_not_there_is_an_index_error(episodes: StoredEpisodes, place: int) -> None:
-    with pytest.raises(IndexError, match=rf"dataset has 3 episodes, and none at place {place}$"):
+    with pytest.raises(IndexError, match=rf"dataset has 3 episodes, but none at index {place}$"):
         episodes[place]
 
 

@@ -63,14 +63,16 @@ def test_what_is_in_a_directory_is_never_written_over_unasked(dataset):
 
 
 @pytest.mark.parametrize(
-    ("what", "obstacle"), [("file", "it is a file"), ("link", "it is a link to gone, where nothing is")]
+    ("what", "obstacle"), [("file", "it is a file"), ("link", "it is a link to gone, which does not exist")]
 )
 def test_a_path_that_is_no_directory_is_refused_and_can_be_moved_aside(tmp_path, what, obstacle):
     path = tmp_path / "out"
     path.write_text("precious") if what == "file" else path.symlink_to("gone")
     with pytest.raises(UsageError, match=f"{path} is not a directory: {obstacle}; move it aside with --overwrite"):
         resume(path, CONFIG, OpenMode.NEW)
-    with pytest.raises(UsageError, match=f"{path} is no dataset to resume: {obstacle}; choose another --out"):
+    with pytest.raises(
+        UsageError, match=f"{path} is not a dataset that can be resumed: {obstacle}; choose another --out"
+    ):
         resume(path)
     assert [path.name for path in tmp_path.iterdir()] == ["out"]
     assert resume(path, CONFIG, OpenMode.OVERWRITE).moved_aside == tmp_path / "out.old-1"
@@ -113,7 +115,7 @@ def test_resuming_and_finishing_changes_nothing(dataset):
 
 def test_what_is_no_dataset_is_not_resumed(tmp_path):
     (tmp_path / "thesis.tex").write_text("")
-    with pytest.raises(DatasetError, match=r"has no config\.yaml, so it is no dataset"):
+    with pytest.raises(DatasetError, match=r"has no config\.yaml, so it cannot be resumed"):
         resume(tmp_path)
 
 
@@ -244,7 +246,7 @@ def test_the_line_of_an_episode_is_read_from_the_episode(with_failures, number, 
     if broken.strip():
         assert kept.read_bytes() == spoiled
         assert writer.repairs[0].startswith(f"attempts.jsonl is damaged (line {number + 1}: ")
-        assert writer.repairs[0].endswith(f"): it is mended, and kept as it was in {kept}")
+        assert writer.repairs[0].endswith(f"): yamsim repaired it; the damaged file is {kept}")
     else:
         assert not kept.exists(), "nothing was in it that is not in the new one"
     assert resume(with_failures).repairs == []
@@ -261,7 +263,7 @@ def test_the_line_of_a_failure_has_to_be_made_again(with_failures, broken):
         assert writer.lost_lines == {1}
         assert numbers(writer) == [(0, 0), (1, None), (2, 1), (3, 2), (4, None), (5, 3)]
         assert writer.attempts[1].outcome == LOST_LINE_OUTCOME
-        assert writer.repairs[-1] == "the line of attempt 1 in attempts.jsonl is lost, and made again"
+        assert writer.repairs[-1] == "the line of attempt 1 in attempts.jsonl is lost; yamsim makes it again"
     writer.log(failed_attempt(1))
     assert (writer.lost_lines, writer.attempts[1]) == (set(), failed_attempt(1))
     assert (with_failures / "attempts.jsonl").read_bytes() == whole
@@ -297,13 +299,13 @@ def test_other_lines_stay_the_bytes_that_they_were(with_failures):
 @pytest.mark.parametrize(
     ("change", "fault"),
     [
-        (lambda lines: lines.insert(2, lines[1]), "line 3: attempt 1 is there twice"),
-        (lambda lines: lines.__setitem__(1, to_json(failed_attempt(4))), "line 5: attempt 4 is there twice"),
+        (lambda lines: lines.insert(2, lines[1]), "line 3: attempt 1 is listed twice"),
+        (lambda lines: lines.__setitem__(1, to_json(failed_attempt(4))), "line 5: attempt 4 is listed twice"),
         (lambda lines: lines.__setitem__(4, to_json(failed_attempt(99))), "attempt 99 is there, and 6 is not"),
-        (lambda lines: lines.__setitem__(4, to_json(failed_attempt(-4))), "line 5: attempt: -4 is no number"),
+        (lambda lines: lines.__setitem__(4, to_json(failed_attempt(-4))), "line 5: attempt: -4 is not the number"),
         (
             lambda lines: lines.__setitem__(3, to_json(made(2, 93).attempt)),
-            "attempt 93 is to be ep_000002, which is attempt 3",
+            "attempt 93 is listed as ep_000002, but that is attempt 3",
         ),
     ],
 )
@@ -393,7 +395,7 @@ def test_a_file_in_the_place_of_an_episode_is_moved_out_of_the_way(dataset):
     (dataset / "ep_000001").write_text("")
     writer = resume(dataset)
     assert [attempt.episode for attempt in writer.missing] == [1]
-    assert "ep_000001 is no directory" in writer.repairs[0]
+    assert "ep_000001 is not a directory" in writer.repairs[0]
     writer.publish(made(1).record, made(1).files)
 
 
@@ -428,7 +430,7 @@ def test_a_damaged_episode_is_moved_out_of_the_way_named_and_made_again(dataset,
     assert len(writer.repairs) == 1
     aside = dataset / ".damaged/ep_000001.1"
     assert writer.repairs[0].startswith(f"ep_000001: {fault}")
-    assert writer.repairs[0].endswith(f"; moved to {aside}, and made again")
+    assert writer.repairs[0].endswith(f"; yamsim moved it to {aside} and records it again")
     assert tree(aside) == damaged, "nothing is thrown away"
 
     writer.publish(made(1).record, made(1).files)

@@ -214,7 +214,7 @@ def test_the_command_counts_and_reports(tmp_path: Path) -> None:
     trials = [trial["outcome"]["margins"] for trial in report["trials"]]
     for key, worst in (("velocity_share", max), ("torque_share", max), ("joint_rad", min), ("slip_m", max)):
         assert report["margins"][key] == worst(trial[key] for trial in trials)
-    assert "held by contact" in page.read_text()
+    assert "grasp contact" in page.read_text()
     alone = yamsim(*batch, "--workers", "1", "--json").json
     assert alone["trials"] == report["trials"]
     again = yamsim(*batch, "--html", page)

@@ -202,11 +202,11 @@ def test_the_goal_has_to_hold_for_its_hold_time(simulator: Simulator, over_plate
     episode = open_at(simulator, over_plate)
     episode.run_commands(still(simulator, over_plate, first + HOLD - 1))
     assert (episode.held_ticks, episode.succeeds) == (HOLD - 1, False)
-    assert episode.status == "the goal holds, and has to for 0.0 s more"
+    assert episode.status == "the goal holds, and must hold for 0.0 s more"
     played = episode.finish()
     assert played.end == EpisodeEnd(
         EndReason.ACTOR, first + HOLD - 1, FailureCause.GOAL,
-        "the goal has held for 0.22 s, and has to hold for 0.26 s",
+        "the goal has held for 0.22 s, but must hold for 0.26 s",
     )  # fmt: skip
     # The verdict is that of the last tick at which the goal did not hold.
     assert played.verdict is not None and not played.verdict.reached

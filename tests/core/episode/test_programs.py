@@ -138,7 +138,7 @@ def test_a_goal_that_holds_at_the_start_is_no_task(tmp_path: Path) -> None:
         simulator, attempt = first_attempt(simulators)
         outcome = demonstrate(simulator, attempt).outcome
     assert attempt.layout is None and outcome.cause is FailureCause.NO_LAYOUT
-    assert "the goal holds already at the start, in each of 20 draws" in outcome.detail
+    assert "the goal holds already at the start, in each of 20 samples" in outcome.detail
 
 
 def test_what_has_no_room_is_told(tmp_path: Path) -> None:
@@ -146,7 +146,7 @@ def test_what_has_no_room_is_told(tmp_path: Path) -> None:
     with Simulators(session_of(tmp_path, tight)) as simulators:
         simulator, attempt = first_attempt(simulators)
         outcome = demonstrate(simulator, attempt).outcome
-    assert outcome.detail == "no free place for the cube where it is to start"
+    assert outcome.detail == "no free place for the cube in its start region"
 
 
 def test_a_program_that_takes_too_long_is_ended(tmp_path: Path) -> None:

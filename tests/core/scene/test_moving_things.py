@@ -132,8 +132,8 @@ def test_handles_are_sites_with_z_into_them() -> None:
         ({**SLIDE, "range": [0.1, 0.1]}, "must differ"),
         ({**SLIDE, "range": [0, 100]}, "is it in mm"),
         ({**SLIDE, "start": 0.2}, "lies outside its range"),
-        ({**SLIDE, "pitch": 0.01}, "a screw needs a pitch"),
-        ({**SLIDE, "axis": [0, 0, 0]}, "no length"),
+        ({**SLIDE, "pitch": 0.01}, "a screw joint needs `pitch`"),
+        ({**SLIDE, "axis": [0, 0, 0]}, "length 0"),
         ({**SLIDE, "detents": [{"at": 0.2, "width": 0.01, "effort": 1}]}, "outside the range"),
     ],
 )
@@ -143,7 +143,7 @@ def test_a_joint_that_cannot_be_is_refused(joint: dict[str, Any], said: str) -> 
 
 
 def test_parts_name_parents_that_come_before() -> None:
-    with pytest.raises(ValidationError, match="no link before it"):
+    with pytest.raises(ValidationError, match="not a link listed before it"):
         thing(SLIDE, parent="door")
 
 

@@ -252,7 +252,7 @@ def test_hands_hold_cloth_only_while_they_close_on_it(tmp_path: Path) -> None:
     [
         (changed({("things", "napkin", "of"): "soft_nakin"}, FOLD), {}, "soft_napkin"),
         (changed({("expert",): [{"pick": {"thing": "napkin"}}]}, FOLD), {}, "it can only be folded"),
-        (changed({("things", "napkin", "of"): "cube_red"}, FOLD), {}, "is no cloth"),
+        (changed({("things", "napkin", "of"): "cube_red"}, FOLD), {}, "is not cloth"),
         (
             changed(
                 {
@@ -262,16 +262,16 @@ def test_hands_hold_cloth_only_while_they_close_on_it(tmp_path: Path) -> None:
                 FOLD,
             ),
             {},
-            "as many points along both sides, not 9 x 13",
+            "the same number of points along both sides, not 9 x 13",
         ),
         (
             changed({("expert",): [{"fold": {"thing": "napkin", "how": "quarters"}}]}, FOLD),
             {},
             "'diagonal' or 'thirds'",
         ),
-        (changed({("rig",): "single_linear"}, FOLD), {}, "takes two arms"),
+        (changed({("rig",): "single_linear"}, FOLD), {}, "needs two arms"),
         (changed({("starts", "napkin", "attitudes"): ["lying"]}, FOLD), {}, "starts flat"),
-        (changed({("starts", "cube", "crumpled"): [0.3, 0.6]}, ONTO), {}, "does not crumple"),
+        (changed({("starts", "cube", "crumpled"): [0.3, 0.6]}, ONTO), {}, "cannot crumple"),
         (changed({("starts", "napkin", "crumpled"): [0.6, 0.3]}, FOLD), {}, "must not be above"),
         (changed({("starts", "napkin", "crumpled"): [0.0, 0.3]}, FOLD), {}, "greater than or equal to 0.1"),
         (changed({("starts", "napkin", "open"): {"lid": [0, 1]}}, FOLD), {}, "no part"),

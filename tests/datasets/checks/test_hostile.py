@@ -106,7 +106,7 @@ def test_a_disk_that_refuses_is_an_error_of_the_dataset(
         raise OSError(5, "Input/output error")
 
     monkeypatch.setattr(Path, "iterdir", refuse)
-    with pytest.raises(DatasetError, match=r"dataset cannot be read: Input/output error; mend"):
+    with pytest.raises(DatasetError, match=r"dataset cannot be read: Input/output error; check"):
         found(path)
 
 

@@ -124,7 +124,7 @@ def test_a_drawer_in_sdf(tmp_path: Path) -> None:
 def test_an_include_of_no_file_is_refused(tmp_path: Path) -> None:
     (tmp_path / "mug" / "model.sdf").mkdir(parents=True)
     (tmp_path / "world.sdf").write_text('<sdf version="1.9"><include><uri>model://mug</uri></include></sdf>')
-    with pytest.raises(RefusedError, match="no regular file"):
+    with pytest.raises(RefusedError, match="not a regular file"):
         read_here(tmp_path / "world.sdf")
 
 

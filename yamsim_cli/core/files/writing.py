@@ -331,8 +331,8 @@ def why_not_directory(path: Path) -> str | None:
         if os.path.lexists(place):
             name = "it" if place == path else str(place)
             if os.path.exists(place):
-                return f"{name} is {'a file' if os.path.isfile(place) else 'no directory'}"
-            return f"{name} is a link to {os.readlink(place)}, where nothing is"
+                return f"{name} is {'a file' if os.path.isfile(place) else 'not a directory'}"
+            return f"{name} is a link to {os.readlink(place)}, which does not exist"
     return None
 
 

@@ -84,7 +84,7 @@ class _Process(Generic[J, R]):
         code = self._process.exitcode
         if code is None or code >= 0:
             return f"ended with code {code}"
-        hint = ", perhaps for want of memory: try fewer --workers" if code == -signal.SIGKILL else ""
+        hint = ", perhaps because memory ran out: try fewer --workers" if code == -signal.SIGKILL else ""
         return f"was killed by {signal.Signals(-code).name}{hint}"
 
 

@@ -127,7 +127,7 @@ def test_what_leans_against_a_thing_is_not_on_it() -> None:
     assert evaluate_goal(goal, ON_PLATE, CAST).worst.margin == pytest.approx(0.04)
     leaning = StillWorld(ON_PLATE.places, touches=[("cup", "plate"), ("cup", "table")])
     verdict = evaluate_goal(goal, leaning, CAST)
-    assert not verdict.reached and verdict.worst.detail == "touches the table"
+    assert not verdict.reached and verdict.worst.detail == "it touches the table"
 
 
 @pytest.mark.parametrize("name", CASES)
@@ -199,7 +199,7 @@ def test_all_any_and_the_worst() -> None:
     [
         ({}, "is empty"),
         ({"on": {"thing": "a", "surface": "b"}, "upright": {"thing": "a"}}, "has on and upright"),
-        ({"all": []}, "`all` of nothing"),
+        ({"all": []}, "`all` has no clauses"),
         ({"staked": {}}, "staked"),
         ({"near": {"thing": "a", "radius": 0.1}}, "either `other` or `place`"),
         ({"sorted": {"things": "a"}}, "either `order` or `into`"),

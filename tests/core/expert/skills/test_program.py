@@ -209,7 +209,7 @@ def test_each_may_go_by_kinds_and_count() -> None:
         ({"each": {"of": "cap", "do": []}}, (0, "each", "of"), "unknown role 'cap'"),
         ({"each": {"of": "cube", "do": []}}, (0, "each", "do"), "a list of steps"),
         ({"each": {"of": "cube", "skip": -1, "do": [{}]}}, (0, "each", "skip"), "`skip` -1 is not valid"),
-        ({"place": {"thing": "cube", "on": "table"}}, (0, "place"), "needs `at` or `start_of`"),
+        ({"place": {"thing": "cube", "on": "table"}}, (0, "place"), "give `at` or `start_of`"),
     ],
 )
 def test_a_bad_step_is_told_with_its_place(step: dict[str, Any], path: tuple[Any, ...], said: str) -> None:

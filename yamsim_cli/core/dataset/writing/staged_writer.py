@@ -81,7 +81,8 @@ class StagedWriter(AttemptLog):
                 raise
         except OSError as error:
             raise ResourceError(
-                f"the stage {self.folder} cannot be used: {describe_disk_error(error, stage)}; choose another --stage"
+                f"the staging directory {self.folder} cannot be used: {describe_disk_error(error, stage)}; choose "
+                "another --stage"
             ) from error
         self._queue: queue.Queue[_StagedItem] = queue.Queue(max(MAX_WAITING, len(waiting)))
         for attempt in waiting:
@@ -186,7 +187,9 @@ class StagedWriter(AttemptLog):
             directory = self.folder / episode_name(item.episode)
             found = inspect_episode(item.episode, directory)
             if found.record is None or found.fault:
-                raise DatasetError(f"{directory} was damaged on its way: {found.fault}; --resume makes it again")
+                raise DatasetError(
+                    f"{directory} was damaged while it was moved: {found.fault}; --resume records it again"
+                )
             self._target.publish(found.record, {name: (directory / name).read_bytes() for name in found.record.files})
         if item.attempt is not None:
             self._target.log(item.attempt)
@@ -218,7 +221,7 @@ class StagedWriter(AttemptLog):
             moved = move_to_backup(self.folder)
             self._lock.note_rename(moved)
             self._lock.release()
-            self.repairs.append(f"The stage held episodes of another recording: they are now in {moved}.")
+            self.repairs.append(f"The staging directory held episodes of another recording: they are now in {moved}.")
             self.folder.mkdir()
             self._lock = DirectoryLock.acquire(self.folder)
         write_file(self.folder / CONFIG, config)

@@ -148,26 +148,27 @@ class DatasetWriter(AttemptLog, Closable):
             place = self.path / episode_name(attempt.episode or 0)
             if place.exists():
                 self.repairs.append(
-                    f"{place.name} is no directory; moved to {quarantine_episode(place)}, and made again"
+                    f"{place.name} is not a directory; yamsim moved it to {quarantine_episode(place)} and records it "
+                    "again"
                 )
 
     def _load_attempts(self, ledger: Ledger) -> None:
         kept, self.lost_lines = ledger.repair(), ledger.missing
         if kept is not None:
-            self.repairs.append(f"{ATTEMPTS} is damaged ({ledger.fault}): it is mended, and kept as it was in {kept}")
+            self.repairs.append(
+                f"{ATTEMPTS} is damaged ({ledger.fault}): yamsim repaired it; the damaged file is {kept}"
+            )
         if self.lost_lines:
             self._ledger = ledger
             numbers = join_ranges(sorted(self.lost_lines))
-            self.repairs.append(f"the line of attempt {numbers} in {ATTEMPTS} is lost, and made again")
+            self.repairs.append(f"the line of attempt {numbers} in {ATTEMPTS} is lost; yamsim makes it again")
         for number in range(max(ledger.known, default=-1) + 1):
             self._count(ledger.known.get(number) or placeholder_record(number, self._seed))
 
     def _check_config(self, config: Mapping[str, Any]) -> None:
         file = self.path / CONFIG
         if not file.is_file():
-            raise DatasetError(
-                f"{self.path} has no {CONFIG}, so it is no dataset that could be resumed; choose another --out"
-            )
+            raise DatasetError(f"{self.path} has no {CONFIG}, so it cannot be resumed; choose another --out")
         recorded = parse_yaml(file.read_bytes(), str(file)).data
         if MESHES in config and MESHES not in recorded:
             # Resume the dataset without this key: it would be useless in only some of the episodes.
@@ -180,7 +181,8 @@ class DatasetWriter(AttemptLog, Closable):
         record, fault = found.record, found.fault
         if record is None or fault is not None:
             self.repairs.append(
-                f"{found.directory.name}: {fault}; moved to {quarantine_episode(found.directory)}, and made again"
+                f"{found.directory.name}: {fault}; yamsim moved it to {quarantine_episode(found.directory)} and "
+                "records it again"
             )
             return None
         self.entries[found.number] = _entry(record, found.text, found.size)

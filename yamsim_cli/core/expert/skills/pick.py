@@ -84,7 +84,7 @@ class Pick(Skill):
             stroke = f"{2000 * max(hand.max_opening for hand in context.acting_hands):.0f} mm"
             size = " x ".join(f"{1000 * length:.0f}" for length in high - low)
             reasons[
-                f"it is {size} mm and has no two opposite faces less than {stroke} apart, as wide as a hand opens"
+                f"it is {size} mm and has no two opposite faces less than {stroke} apart, the largest opening of a hand"
             ] = 1
         summary = "; ".join(
             f"{why} ({number})" for why, number in sorted(reasons.items(), key=lambda item: -item[1])[:3]
@@ -172,7 +172,7 @@ class Pick(Skill):
             return None
         at = hand.solve_ik(T_at, (hand.joints, hand.ready_joints))
         if at is None:
-            return f"the {hand.side} arm does not reach it so"
+            return f"the {hand.side} arm does not reach this grasp"
         opening = min(candidate.opening + candidate.clearance, hand.max_opening)
         before, why = _approach_joints(context, hand, thing, T_at, at, opening, candidate.finger_distance)
         if before is None:
@@ -189,7 +189,7 @@ class Pick(Skill):
         T_up[2, 3] += self.lift
         up = hand.solve_ik(T_up, (at,))
         if up is None:
-            return f"the {hand.side} arm cannot lift it so"
+            return f"the {hand.side} arm cannot lift it with this grasp"
         load = AttachedObject(thing, inverse(candidate.T_pinch_in_thing), (TABLE, *context.world.object_names))
         return context.find_contact(hand, up, candidate.opening, load)
 
@@ -207,7 +207,7 @@ def _approach_joints(
     why = context.find_contact(hand, at, opening, grasped=thing, finger_clearance=finger_distance)
     if why is not None:
         return None, why
-    why = f"the {hand.side} arm does not reach the place before it"
+    why = f"the {hand.side} arm does not reach the pose before this grasp"
     for distance in _APPROACH_DISTANCES:
         before = hand.solve_ik(T_at @ pose((0.0, 0.0, -distance)), (at,), WAYPOINT_TOLERANCE)
         if before is not None:

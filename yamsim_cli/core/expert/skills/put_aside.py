@@ -78,7 +78,7 @@ def put_down_failed_object(context: PlanningContext, roles: RoleAssignment, role
     Raises:
         SkillFailedError: no hand holds the object any more, or it cannot be lowered.
     """
-    hand = require_holding_hand(context, roles.object_of(role), "taken another way")
+    hand = require_holding_hand(context, roles.object_of(role), "grasped in another way")
     hand.failed_grasps.append(context.update_held(hand))
     try:
         yield from PutAside(thing=role).run(context, roles, ())
