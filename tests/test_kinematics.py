@@ -151,7 +151,7 @@ def test_a_hand_may_lean_where_the_arm_is_too_short() -> None:
         (lambda: Kinematics().ik(np.eye(4), START[:5]), UsageError, r"start has the shape \(5,\)"),
     ],
 )
-def test_what_is_wrong_is_told(make: Callable[[], object], error: type[Exception], told: str) -> None:
+def test_invalid_arguments_are_refused(make: Callable[[], object], error: type[Exception], told: str) -> None:
     with pytest.raises(error, match=told):
         make()
 

@@ -55,7 +55,7 @@ _EPISODES_WRITTEN = 3  # episodes that are written to measure the speed of the d
 _SLOW_S = 1.0  # s to write an episode; a slower disk keeps up with one worker at most
 _FEW_EPISODES = 500  # episodes; free space for fewer gives a warning
 
-_GPUS = ("/dev/nvidia0", "/dev/dri/renderD128", "/dev/kfd")  # device files that exist if the machine has a GPU
+GPUS = ("/dev/nvidia0", "/dev/dri/renderD128", "/dev/kfd")  # device files that exist if the machine has a GPU
 
 
 class Health(StrEnum):
@@ -156,7 +156,7 @@ def _chosen_gl(wanted: str | None, found: Mapping[str, GlBackend | str]) -> Heal
         return HealthCheck("gl", Health.FAULT, "nothing can be rendered: no OpenGL backend works", INSTALL_GL)
     chosen = found[wanted] if wanted else working[0]
     assert isinstance(chosen, GlBackend)
-    gpu = next((device for device in _GPUS if Path(device).exists()), None)
+    gpu = next((device for device in GPUS if Path(device).exists()), None)
     if chosen.software and gpu:
         fix = (
             "install the EGL part of the GPU's driver (libnvidia-gl, or libegl-mesa0), and in a container enable it "
@@ -219,7 +219,7 @@ def _disk(out: Path) -> Iterator[HealthCheck]:
         yield HealthCheck("disk", Health.FAULT, f"{place} cannot be written", "choose another --out")
         return
     try:
-        seconds = _write_episodes(place)
+        seconds = write_episodes(place)
     except OSError as error:
         detail = f"writing to {place} fails: {error.strerror or error}"
         yield HealthCheck("disk", Health.FAULT, detail, "choose another --out")
@@ -240,7 +240,7 @@ def _disk(out: Path) -> Iterator[HealthCheck]:
         yield HealthCheck("disk", Health.OK, detail, figures=figures)
 
 
-def _write_episodes(place: Path) -> float:
+def write_episodes(place: Path) -> float:
     """Write a few dummy episodes as `record` does, and return the duration of the slowest, s. Delete the episodes.
 
     Raises:

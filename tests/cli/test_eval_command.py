@@ -88,7 +88,7 @@ def test_a_share_of_successes_can_be_asked_for(words: tuple[str, ...], count: in
         (
             ("--policy", "scripted", "--task", "handover", "--rig", "single"),
             2,
-            "--rig: the step `handover` needs two arms",
+            "--rig: the step `handover`",
         ),
         (("--policy", "scripted", "--video-all"), 2, "give --video"),
         (("--policy", "http://127.0.0.1:9"), 4, "no policy answers there"),

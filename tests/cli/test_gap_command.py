@@ -107,7 +107,7 @@ def test_what_was_imported_has_the_gap_that_it_had_before(logs: Path, tmp_path: 
     assert "need --rig" in yamsim("gap", real, "--revision", "v1").message
 
 
-def test_what_is_not_there_is_one_line(tmp_path: Path) -> None:
+def test_a_missing_recording_is_one_line(tmp_path: Path) -> None:
     (tmp_path / "empty").mkdir()
     for name in ("none", "empty", "none.csv"):
         run = yamsim("gap", tmp_path / name)
@@ -127,7 +127,9 @@ def test_what_is_not_there_is_one_line(tmp_path: Path) -> None:
         (("--fail-above", "-1"), 2, "--fail-above"),
     ],
 )
-def test_what_cannot_be_is_one_line(logs: Path, flags: tuple[str, ...], code: int, said: str) -> None:
+def test_contradicting_flags_of_gap_are_refused_in_one_line(
+    logs: Path, flags: tuple[str, ...], code: int, said: str
+) -> None:
     run = yamsim("gap", logs / "perfect.csv", *flags)
     assert (run.code, run.out) == (code, "")
     assert said in run.message

@@ -55,7 +55,7 @@ def seed_of(scene: Scene, epoch: int = 0) -> int:
     return derive_seed(0, scene.init_seed, epoch)
 
 
-def test_it_conforms(embodiment: YamsimEmbodiment) -> None:
+def test_the_embodiment_passes_the_conformance_check(embodiment: YamsimEmbodiment) -> None:
     assert_embodiment_conformant(embodiment.info)
     assert embodiment.info.action_space.shape == (14,)
 
@@ -187,7 +187,7 @@ def test_a_plate_is_in_a_rack_of_its_size_only_if_it_lies(
     scene = SCENES["place-in-rack-wet-slippery"]
     embodiment.reset(scene, seed=seed_of(scene))
     world = embodiment.world
-    model, data = embodiment._simulator.scene.model, world.scene.data  # type: ignore[union-attr]
+    model, data = embodiment.simulator.scene.model, world.scene.data  # type: ignore[union-attr]
     T_rack = world.scene.pose("rack")
     address = model.joint("plate").qposadr[0]
     data.qpos[address + 3 : address + 7] = quat_from_rotation(

@@ -98,7 +98,7 @@ def test_another_realization_may_have_other_things(task: dict[str, Any]) -> None
         ("kitchenbench/fold_cloth/", "fold_cloth has no scene ''"),
     ],
 )
-def test_what_cannot_be_recorded_is_told(name: str, said: str) -> None:
+def test_a_scene_that_cannot_be_recorded_is_refused(name: str, said: str) -> None:
     with pytest.raises(UsageError) as caught:
         resolve_scene_task(name)
     assert str(caught.value).startswith(f"{name}: ") and said in str(caught.value)

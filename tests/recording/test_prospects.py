@@ -71,13 +71,13 @@ def test_resuming_what_cannot_work_is_refused_before_anything_is_made(recording:
     with pytest.raises(SimulationError):
         recording.run(Inline(failing(FailureCause.UNREACHABLE)))
     executor = Inline(failing(FailureCause.UNREACHABLE))
-    with pytest.raises(SimulationError, match="cannot work as it is"):
+    with pytest.raises(SimulationError, match="task 'pickplace'"):
         recording.resume(executor)
     assert executor.made == []
     assert len(recording.causes()) == 10
 
 
-def test_where_a_start_is_better_it_goes_on(recording: Recording, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_recording_goes_on_if_a_later_start_is_better(recording: Recording, monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[int] = []
 
     def answer(session: Session, cause: FailureCause, first: int) -> bool:

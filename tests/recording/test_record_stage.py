@@ -79,7 +79,7 @@ def keep_all_in_the_stage(recording: Recording, target: Target, room: int = 0) -
     waiter = threading.Thread(target=blocked)
     waiter.start()
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(stage_module, "_HALT_SECONDS", 0.1)
+        patch.setattr(stage_module, "HALT_SECONDS", 0.1)
         with pytest.raises(InterruptedJobError):
             recording.run()
     waiter.join()
@@ -168,7 +168,7 @@ def test_a_target_that_does_not_answer_does_not_hold_the_end_up(
     target.open.set()
 
 
-def test_no_more_than_so_many_are_on_their_way(
+def test_the_number_of_staged_episodes_is_limited(
     recording: Recording, undisturbed: dict[str, bytes], target: Target, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(stage_module, "MAX_WAITING", 1)

@@ -43,7 +43,7 @@ def test_state_and_action_are_joints_and_shares_the_left_arm_first(dataset: Path
     assert np.ptp(state[:, 6]) < 0.02
 
 
-def test_it_is_whole_and_verifies(dataset: Path) -> None:
+def test_a_station_shaped_dataset_is_complete_and_verifies(dataset: Path) -> None:
     assert yamsim("summarize", dataset, "--strict").code == 0
     assert yamsim("verify", dataset, "--json").json["max_error"] == 0
 
@@ -70,7 +70,7 @@ def test_lerobot_has_no_welds_and_whole_frames_a_second(dataset: Path, tmp_path:
         (("--action", "joints"), "--action: action 'joints' cannot command a weld, but grasp is 'weld'; use grasp"),
     ],
 )
-def test_what_cannot_be_is_told(flags: tuple[str, ...], said: str, tmp_path: Path) -> None:
+def test_impossible_shapes_are_refused(flags: tuple[str, ...], said: str, tmp_path: Path) -> None:
     done = yamsim("record", *flags, "--out", tmp_path / "out")
     assert done.code != 0
     assert done.message.startswith(said)

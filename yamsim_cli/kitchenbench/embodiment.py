@@ -90,6 +90,7 @@ class YamsimEmbodiment:
 
     Attributes:
         info: the description for compatibility checks.
+        simulator: simulates the scene that was reset last; None before the first reset.
         world: answers checkers' queries about the KitchenBench scene that was reset last.
 
     Args:
@@ -126,7 +127,7 @@ class YamsimEmbodiment:
             environment_id="yamsim",
             environment_revision=__version__,
         )
-        self._simulator: Simulator | None = None
+        self.simulator: Simulator | None = None
 
     def reset(self, scene: Scene, *, seed: int | None = None) -> Observation:
         """Put a scene's objects onto the table, at rest, and the arms into their start postures.
@@ -144,30 +145,30 @@ class YamsimEmbodiment:
                 judge = KitchenJudge(kitchen, self._motion)
                 self._judge: Judge = judge
                 self.world = judge.world
-                self._simulator = kitchen.simulator
+                self.simulator = kitchen.simulator
             case str(name) if name == BENCHMARK:
                 own = build_task_scene(self._open(task=str(scene.metadata["task"])), self._seed)
                 self._motion = SceneStepper(own, self._ticks)
                 self._judge = GoalJudge(own, self._motion)
-                self._simulator = own.simulator
+                self.simulator = own.simulator
             case _:
                 raise LookupError(
                     f"scene {scene.id!r} is not a scene of KitchenBench or yamsim; yamsim supports no others"
                 )
         for line in self._judge.unrealized:
             _LOG.warning("%s: %s", scene.id, line)
-        return self._observe(self._simulator)
+        return self._observe(self.simulator)
 
     def step(self, action: Action) -> StepResult:
         """Execute an action (14,), and judge the new state."""
-        assert self._simulator is not None, "call reset first"
+        assert self.simulator is not None, "call reset first"
         self._motion.act(np.asarray(action.data, dtype=np.float64))
         reached, explanation = self._judge.evaluate()
         reason = "success" if reached else None
         if broken := self._motion.physics_failure():
             reason = f"physics broke down: {broken}"
         return StepResult(
-            observation=self._observe(self._simulator),
+            observation=self._observe(self.simulator),
             reward=float(reason == "success"),
             terminated=reason is not None,
             termination_reason=reason,
@@ -181,9 +182,9 @@ class YamsimEmbodiment:
 
     def close(self) -> None:
         """Free the scene and its renderer."""
-        if self._simulator is not None:
-            self._simulator.close()
-            self._simulator = None
+        if self.simulator is not None:
+            self.simulator.close()
+            self.simulator = None
 
     def _observe(self, simulator: Simulator) -> Observation:
         images = {}

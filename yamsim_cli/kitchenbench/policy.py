@@ -107,6 +107,7 @@ class PlanningScene:
     """A second simulation of a scene, moved by the same actions as the first; skills plan from its state.
 
     Attributes:
+        simulator: the simulator of the scene.
         motion: executes the actions in this simulation.
         context: the planning context of the skills.
 
@@ -117,8 +118,7 @@ class PlanningScene:
 
     def __init__(self, realized: BenchmarkScene | YamsimTaskScene, seed: int, ticks: int) -> None:
         self._ticks = ticks
-        self._simulator = simulator = realized.simulator
-        self._scene = simulator.scene
+        self.simulator = simulator = realized.simulator
         self.motion = SceneStepper(realized, ticks)
         if isinstance(realized, YamsimTaskScene):
             self._scene_id, program = realized.scene_id, realized.program()
@@ -163,7 +163,7 @@ class PlanningScene:
     def close(self) -> None:
         """Free the simulation and the cache of the planning context."""
         self.context.clear_cache()
-        self._simulator.close()
+        self.simulator.close()
 
 
 def is_still(segment: MotionSegment) -> bool:

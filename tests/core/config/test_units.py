@@ -67,7 +67,7 @@ SLIPS = [
 
 
 @pytest.mark.parametrize(("config", "old", "new", "parts"), SLIPS, ids=[f"{s[0]} {s[2]}" for s in SLIPS])
-def test_another_unit_is_told(
+def test_a_value_in_another_unit_is_refused_with_the_converted_value(
     tmp_path: Path, locations: Locations, config: str, old: str, new: str, parts: tuple[str, ...]
 ) -> None:
     kind, name = config.split("/")
@@ -89,7 +89,9 @@ def test_a_flag_in_another_unit_is_a_fault_of_the_command_line(locations: Locati
         load_config(RecordConfig, "record", "default", locations, flags)
 
 
-def test_what_was_recorded_stays_valid(make_config: Callable[..., RecordConfig], locations: Locations) -> None:
+def test_a_recorded_config_is_not_checked_for_units(
+    make_config: Callable[..., RecordConfig], locations: Locations
+) -> None:
     """A dataset's own config says what it was recorded with, however odd."""
     data = make_config().data_config()
     odd = data | {"task": data["task"] | {"start_joints": [0, 106, 109, -78, 0, 0]}}

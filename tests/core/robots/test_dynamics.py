@@ -97,7 +97,9 @@ def test_a_recordings_config_says_all_of_it(tmp_path: Path) -> None:
         ("arms: []\n", "single", ConfigError, "has keys of the kind 'rigs'"),
     ],
 )
-def test_what_does_not_fit_is_told(tmp_path: Path, text: str, rig: str, error: type[Exception], said: str) -> None:
+def test_dynamics_of_another_arm_are_refused(
+    tmp_path: Path, text: str, rig: str, error: type[Exception], said: str
+) -> None:
     with pytest.raises((ConfigError, UsageError), match=r"mine\.yaml") as told:
         _rig([_file(tmp_path, text)], rig)
 
@@ -105,6 +107,6 @@ def test_what_does_not_fit_is_told(tmp_path: Path, text: str, rig: str, error: t
     assert isinstance(told.value, error | ConfigError)
 
 
-def test_a_file_that_is_not_there_is_told() -> None:
+def test_a_missing_dynamics_file_is_named() -> None:
     with pytest.raises(UsageError, match=r"--robot: revision config file nope\.yaml does not exist"):
         _rig(["nope.yaml"])

@@ -95,7 +95,7 @@ def test_an_include_that_leaves_the_folder_is_refused(folder: Path, name: str) -
         ('<mujoco><worldbody><geom class="nope"/></worldbody></mujoco>', "unknown default class name 'nope'"),
     ],
 )
-def test_what_an_include_does_wrong_is_one_line(folder: Path, content: str | None, said: str) -> None:
+def test_a_faulty_include_is_refused_in_one_line(folder: Path, content: str | None, said: str) -> None:
     path = include(folder, "more.xml")
     (folder.parent / "beside.xml").write_text("<mujoco/>")
     if content is not None:

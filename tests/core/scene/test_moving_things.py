@@ -147,7 +147,7 @@ def test_parts_name_parents_that_come_before() -> None:
         thing(SLIDE, parent="door")
 
 
-def test_older_mujocos_read_it_with_the_same_physics() -> None:
+def test_older_mujoco_versions_read_joints_with_the_same_physics() -> None:
     joint = {**SLIDE, "detents": [{"at": 0.02, "width": 0.01, "effort": 1.0}]}
     spec, model, data = world(thing(joint))
     again = mujoco.MjModel.from_xml_string(classic_xml(spec, model))

@@ -75,7 +75,7 @@ def test_cloth_that_fell_into_the_table_is_taken_anew(tmp_path: Path, monkeypatc
         sunk[height] -= 0.017
         standing[height] += 0.017
         falls = iter([sunk, standing])
-        monkeypatch.setattr(crumple, "_drop_cloth", lambda *given: next(falls))
+        monkeypatch.setattr(crumple, "drop_cloth", lambda *given: next(falls))
         rng = np.random.default_rng(0)
         again = crumple.crumple(
             simulator.scene, attempt.start, "napkin", rng, 0.3, simulator.config.task.timing.timestep
@@ -262,7 +262,7 @@ def test_hands_hold_cloth_only_while_they_close_on_it(tmp_path: Path) -> None:
                 FOLD,
             ),
             {},
-            "the same number of points along both sides, not 9 x 13",
+            "equally many points along both sides, not 9 x 13",
         ),
         (
             changed({("expert",): [{"fold": {"thing": "napkin", "how": "quarters"}}]}, FOLD),
@@ -277,6 +277,8 @@ def test_hands_hold_cloth_only_while_they_close_on_it(tmp_path: Path) -> None:
         (changed({("starts", "napkin", "open"): {"lid": [0, 1]}}, FOLD), {}, "no part"),
     ],
 )
-def test_what_cloth_cannot_do_says_so(tmp_path: Path, task: dict[str, Any], given: dict[str, Any], said: str) -> None:
+def test_impossible_uses_of_cloth_are_refused(
+    tmp_path: Path, task: dict[str, Any], given: dict[str, Any], said: str
+) -> None:
     with pytest.raises((ConfigError, UsageError), match=said):
         session_of(tmp_path, task, **given)

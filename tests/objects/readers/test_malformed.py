@@ -76,7 +76,7 @@ def traps(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 
 def test_a_pipe_is_never_opened(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe.obj")
-    with pytest.raises(ResourceError, match=r"not a regular file \[not-a-file\]"):
+    with pytest.raises(ResourceError, match=r"\[not-a-file\]"):
         read_object(tmp_path / "pipe.obj", UnitOptions("m", "z"))
     with pytest.raises(RefusedError, match="not a regular file"):
         ConfinedFolder(tmp_path).read("pipe.obj")

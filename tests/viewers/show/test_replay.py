@@ -168,7 +168,7 @@ def test_without_the_library_the_extra_is_named(original: Path, tmp_path: Path, 
     (tmp_path / "av.py").write_text("raise ModuleNotFoundError(\"No module named 'av'\", name='av')")
     path = os.pathsep.join([str(tmp_path), str(repository)])
     run = yamsim("replay", original / "ep_000000", "--video", tmp_path / "a.mp4", env={"PYTHONPATH": path})
-    assert (run.code, run.message) == (4, "a video needs PyAV, which is not installed: pip install 'yamsim[video]'")
+    assert (run.code, run.message) == (4, "a video needs PyAV, which is missing: pip install 'yamsim[video]'")
 
 
 def test_actions_are_repeated_where_there_are_any(dataset: Path, locations: Locations) -> None:

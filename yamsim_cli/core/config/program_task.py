@@ -225,9 +225,8 @@ class ProgramTiming(Config):
             low, high = (1 / (self.tick * (1 + sign * _MAX_TICK_CHANGE)) for sign in (1, -1))
             valid = ", ".join(f"{low / n:.1f} to {high / n:.1f}" for n in (1, 2, 3, 4))
             raise ValueError(
-                f"at {fps:g} frames a second, a frame is not a whole number of control ticks of {self.tick * 1000:.0f} "
-                "ms; "
-                f"valid: {valid}, and so on"
+                f"at {fps:g} frames a second, a frame is not a whole number of control ticks of "
+                f"{self.tick * 1000:.0f} ms; valid: {valid}, and so on"
             )
         return {"timestep": tick / self.physics_steps_per_tick, "ticks_per_frame": ticks}
 
@@ -279,9 +278,7 @@ class ProgramTask(Config):
     @model_validator(mode="after")
     def _roles_are_there(self) -> ProgramTask:
         if TABLE in self.things:
-            raise ConflictError(
-                f"a role cannot have the name {TABLE!r}, which means the work surface", ("things", TABLE)
-            )
+            raise ConflictError(f"a role cannot have the name {TABLE!r} of the work surface", ("things", TABLE))
         for role in self.starts:
             if role not in self.things:
                 raise ConflictError(f"unknown role {role!r}; {suggest(role, self.things)}", ("starts", role))
@@ -292,10 +289,7 @@ class ProgramTask(Config):
         for role, start in self.starts.items():
             if start.on not in placed:
                 valid = suggest(start.on, placed)
-                raise ConflictError(
-                    f"the {role} cannot start on {start.on!r}, which `starts` does not list before it; {valid}",
-                    ("starts", role, "on"),
-                )
+                raise ConflictError(f"{start.on!r} is not listed before the {role}; {valid}", ("starts", role, "on"))
             placed.add(role)
         names = {*self.things, *(name for role in self.things for name in self._numbered(role))}
         for k, miss in enumerate(self.near_misses):
@@ -318,8 +312,7 @@ class ProgramTask(Config):
         for k, arrangement in enumerate(self.arrangements):
             if others := names ^ set(arrangement.places):
                 raise ConflictError(
-                    f"must have a place for each of {', '.join(sorted(names))}; missing or unknown: "
-                    f"{sorted(others)[0]!r}",
+                    f"must have a place for each of {', '.join(sorted(names))}; wrong: {sorted(others)[0]!r}",
                     ("arrangements", k, "places"),
                 )
         return self
@@ -337,9 +330,7 @@ class ProgramTask(Config):
                     f"the {role} is not cloth and cannot crumple; remove `crumpled`", ("starts", role, "crumpled")
                 )
             if self.may_be_cloth(start.on):
-                raise ConflictError(
-                    f"the {role} cannot start on the {start.on}, which is cloth", ("starts", role, "on")
-                )
+                raise ConflictError(f"the {role} cannot start on cloth, the {start.on}", ("starts", role, "on"))
         return self
 
     @model_validator(mode="after")

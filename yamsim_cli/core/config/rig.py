@@ -310,9 +310,8 @@ class RigConfig(Config):
             raise ConflictError(f"two cameras have the same name: {', '.join(self.camera_names)}", ("cameras",))
         for camera in self.cameras:
             if camera.arm is not None and camera.arm not in (names := [arm.name for arm in self.arms]):
-                raise ConflictError(
-                    f"camera {camera.name!r}: no arm {camera.arm!r}; valid: {', '.join(names)}", ("cameras",)
-                )
+                valid = ", ".join(names)
+                raise ConflictError(f"camera {camera.name!r}: no arm {camera.arm!r}; valid: {valid}", ("cameras",))
         if len(self.arms) > 1 and self.margin <= 0:
             raise ConflictError(
                 f"margin {self.margin} is not valid: {len(self.arms)} arms need a distance above 0 m", ("margin",)

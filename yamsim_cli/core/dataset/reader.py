@@ -283,9 +283,8 @@ class RecordedImages:
         image = decode_jpeg(self._episode.image(camera, frame))
         width, height = self._episode.record.cameras[camera]
         if image is None or image.shape[:2] != (height, width):
-            raise DatasetError(
-                f"{self._episode.directory}: frame {frame} of {camera} is not a JPEG of {width}x{height}"
-            )
+            place = f"{self._episode.directory}: frame {frame} of {camera}"
+            raise DatasetError(f"{place} is not a JPEG of {width}x{height}")
         return image
 
 

@@ -237,9 +237,7 @@ class _BudgetedCopy:
     def value(self, item: Any, depth: int) -> Any:
         self._values -= 1
         if depth > _MAX_DEPTH or self._values < 0:
-            raise ForbiddenPickleError(
-                f"the pickle has over {_MAX_VALUES} values, or more than {_MAX_DEPTH} nested levels"
-            )
+            raise ForbiddenPickleError(f"the pickle has over {_MAX_VALUES} values, or {_MAX_DEPTH} nested levels")
         if isinstance(item, dict):
             return {self.value(key, depth): self.value(inner, depth + 1) for key, inner in item.items()}
         if isinstance(item, list | tuple):
@@ -250,9 +248,7 @@ class _BudgetedCopy:
         if isinstance(item, str | bytes | bytearray):
             self._spend(len(item))
         elif isinstance(item, int) and item.bit_length() > _MAX_INT_BITS:
-            raise ForbiddenPickleError(
-                f"the pickle has a number of {item.bit_length()} bits; at most {_MAX_INT_BITS} are read"
-            )
+            raise ForbiddenPickleError(f"the pickle has a number of {item.bit_length()} bits, over {_MAX_INT_BITS}")
         elif item is not None and not isinstance(item, int | float):
             raise ForbiddenPickleError("the pickle holds a function or a type, which is not allowed in a frame")
         return item

@@ -88,7 +88,7 @@ def _import_av() -> Any:
     except ModuleNotFoundError as error:
         if error.name != "av":
             raise
-        raise ResourceError("a video needs PyAV, which is not installed: pip install 'yamsim[video]'") from error
+        raise ResourceError("a video needs PyAV, which is missing: pip install 'yamsim[video]'") from error
     return av
 
 
@@ -225,9 +225,7 @@ class VideoWriter:
             self._size = (width, height)
         if self._size != (width, height):
             expected = "x".join(map(str, self._size))
-            raise ValueError(
-                f"{self.path}: frame {self.frames} is {width}x{height}, but the frames before it are {expected}"
-            )
+            raise ValueError(f"{self.path}: frame {self.frames} is {width}x{height}, but earlier ones are {expected}")
         frame = VideoFrame.from_ndarray(yuv420(image, self._matrix), format="yuv420p")
         frame.colorspace, frame.color_range = self._matrix.tag, _LIMITED
         frame.pts, frame.time_base = self.frames, self._period
@@ -280,9 +278,7 @@ class VideoWriter:
             raise UsageError(f"{self.path} exists; move it aside with --overwrite, or choose another name")
 
     def _unwritable(self, error: OSError) -> ResourceError:
-        return ResourceError(
-            f"{self.path} cannot be written: {error.strerror or error}; correct this, or choose another path"
-        )
+        return ResourceError(f"{self.path} cannot be written: {error.strerror or error}; choose another path")
 
     def __enter__(self) -> VideoWriter:
         # The encoder writes nothing for its first frames. Creating the file tests whether the directory is writable.

@@ -77,5 +77,5 @@ class Dynamics(Config):
         for name in self.joints:
             if name not in names:
                 raise ValueError(
-                    f"revision {self.revision!r} has values for joint {name!r}; {arm.name} has {', '.join(names)}"
+                    f"revision {self.revision!r} names an unknown joint {name!r}; valid: {', '.join(names)}"
                 )

@@ -56,9 +56,7 @@ def merge_gripper(arm: ArmModel, gripper: Gripper, fit: Fit) -> Element:
     _check_sections(root, arm.mjcf, (*_SECTIONS, *_ARM_SECTIONS))
     _check_sections(hand, gripper.mjcf, _SECTIONS)
     if (ours := _attributes(root, "compiler")) != (theirs := _attributes(hand, "compiler")):
-        raise ConfigError(
-            f"{gripper.mjcf.file}: <compiler> has {theirs}, but {arm.mjcf.file} has {ours}; make them equal"
-        )
+        raise ConfigError(f"{gripper.mjcf.file}: <compiler> has {theirs}, but {arm.mjcf.file} {ours}; make them equal")
     flange = find_body(root, arm.flange, arm.mjcf)
     frame = _gripper_frame(hand, gripper.mjcf)
     _check_sites(frame, gripper.mjcf)
@@ -98,9 +96,7 @@ def _check_files(root: Element, mjcf: Mjcf) -> None:
             raise ConfigError(f"{mjcf.file}: <{element.tag}> is not supported here; write its content into this file")
         for key, value in element.attrib.items():
             if key.endswith("dir") and element.tag == "compiler":
-                raise ConfigError(
-                    f"{mjcf.file}: <compiler> has {key} {value!r}; leave it out: a mesh has the path <set>/<file>"
-                )
+                raise ConfigError(f"{mjcf.file}: <compiler> has {key} {value!r}; leave it out: meshes are <set>/<file>")
             if not key.startswith("file"):
                 continue
             if element.tag != "mesh":

@@ -231,9 +231,7 @@ class _FolderConfig(Config):
         name = path.absolute().parent.name
         if document.data.setdefault("name", name) != name:
             given = document.data["name"]
-            raise ConfigError(
-                f"{document.place(('name',))}: name: {given!r} is not the folder's name {name!r}; leave `name` out"
-            )
+            raise ConfigError(f"{document.place(('name',))}: name: {given!r} is in folder {name!r}; leave it out")
         file = document.data.get("mjcf")
         if isinstance(file, str):
             document.data["mjcf"] = _read_mjcf(path.with_name(file))
@@ -356,8 +354,7 @@ def find_gripper_fit(arm: ArmModel, gripper: Gripper) -> Fit:
     mine, theirs = arm.grippers.get(gripper.name), gripper.arms.get(arm.name)
     if mine and theirs:
         raise ValueError(
-            f"{arm.mjcf.file} and {gripper.mjcf.file}: both files say how {gripper.name} fits {arm.name}; remove it "
-            "from one"
+            f"{arm.mjcf.file} and {gripper.mjcf.file}: both say how {gripper.name} fits {arm.name}; keep one"
         )
     if found := mine or theirs:
         return found

@@ -23,7 +23,7 @@ from .job_server import HEADER, STOP_SIGNALS, end_with_parent, serve_jobs
 from .worker_pool import JOB_SECONDS, BaseWorkerPool, Event, Worker, WorkerDied
 
 _END_SECONDS = 5.0  # s, timeout for the end of a killed process
-_MESSAGE_SECONDS = 60.0  # s, timeout from the first byte of a message to the last
+MESSAGE_SECONDS = 60.0  # s, timeout from the first byte of a message to the last
 
 # Signals that are blocked while a process starts. SIGALRM is included, because `__main__` uses an alarm to delay a stop
 # that arrives during an import.
@@ -61,7 +61,7 @@ class _Process(Generic[J, R]):
     def receive(self) -> Event[R] | None:
         """Return the event that is arriving; None if a forked copy of the worker sent it, or for an earlier job."""
         # A worker that stops during a message would block the parent forever.
-        guard = threading.Timer(_MESSAGE_SECONDS, self._process.kill)
+        guard = threading.Timer(MESSAGE_SECONDS, self._process.kill)
         guard.daemon = True
         guard.start()
         try:

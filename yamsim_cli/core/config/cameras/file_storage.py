@@ -43,9 +43,7 @@ def parse_xml(raw: bytes, source: str) -> Document:
     """
     root = _tree(raw, source)
     if root.name != _ROOT:
-        raise ConfigError(
-            f"{source}:{root.line}: <{root.name}> is not the root of an XML file of OpenCV, which begins with <{_ROOT}>"
-        )
+        raise ConfigError(f"{source}:{root.line}: <{root.name}> is not the root of OpenCV's XML files, <{_ROOT}>")
     document = Document({}, source)
     try:
         data = _value(root, (), document)
@@ -78,9 +76,7 @@ def _tree(raw: bytes, source: str) -> _Element:
         stack[-1].text += part
 
     def doctype(*_: Any) -> None:
-        raise ConfigError(
-            f"{source}:{parser.CurrentLineNumber}: a document type is not supported: remove <!DOCTYPE ...>"
-        )
+        raise ConfigError(f"{source}:{parser.CurrentLineNumber}: no document type is allowed: remove <!DOCTYPE ...>")
 
     parser.StartElementHandler, parser.EndElementHandler = start, end
     parser.CharacterDataHandler, parser.StartDoctypeDeclHandler = text, doctype

@@ -37,9 +37,7 @@ def find_contradiction(goal: Clause, impossible: Impossible = lambda predicate: 
     for one, other in itertools.combinations(predicates, 2):
         if _are_exclusive(predicates[one], predicates[other]):
             thing = _object_role(predicates[one])
-            return found[other][
-                0
-            ], f"one clause needs the {thing} in a hand and another needs it in no hand; remove one"
+            return found[other][0], f"one clause needs the {thing} in a hand and another in no hand; remove one"
     return (), "the goal has a clause and its opposite, so it can never hold; remove one of the two"
 
 

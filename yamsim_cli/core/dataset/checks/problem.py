@@ -34,14 +34,12 @@ class ProblemCode:
 _RESUME = "run `yamsim record --resume` with the same config to repair it"
 _REMAKE = "delete the episode, then run `yamsim record --resume` to record it again"
 _TRANSFER = "copy it again from the original, or " + _REMAKE
+_RESTORE = "restore it from a copy; without it, yamsim cannot resume the recording"
 _LEAVE_OUT = "leave the episode out of training"
 _RECORDER = "correct the program that recorded it, and record again"
 
 _ERRORS = {
-    "config.damaged": (
-        "the config cannot be read",
-        "restore it from a copy; without it, yamsim cannot resume the recording",
-    ),
+    "config.damaged": ("the config cannot be read", _RESTORE),
     "manifest.damaged": ("the manifest cannot be read", "delete it; " + _RESUME),
     "manifest.differs": ("the manifest contradicts the episode", "delete the manifest; " + _RESUME),
     "ledger.missing": ("the ledger of attempts is missing", _RESUME),
@@ -49,15 +47,9 @@ _ERRORS = {
     "ledger.gap": ("attempts are missing from the ledger", _RESUME),
     "ledger.differs": ("the ledger contradicts the episode", "find out which of the two was changed"),
     "episode.missing": ("the episode is missing", _RESUME),
-    "episode.number": (
-        "the number in episode.json is not that of the directory",
-        "rename the directory to the number in episode.json",
-    ),
+    "episode.number": ("the number in episode.json is not that of the directory", "rename the directory"),
     "episode.duplicate": ("two episodes have the same data", "delete one of the two"),
-    "episode.unchecked": (
-        "every process that reads the episode ends",
-        "leave the episode out, and keep it for a bug report",
-    ),
+    "episode.unchecked": ("every process that reads the episode ends", "leave it out; keep it for a bug report"),
     "episode.outcome": ("the stored outcome contradicts the last frame", _LEAVE_OUT),
     "record.missing": ("episode.json is missing", _REMAKE),
     "record.damaged": ("episode.json cannot be read", _REMAKE),
@@ -82,10 +74,7 @@ _ERRORS = {
     "truth.cloth": ("truth/labels.json and episode.json name different cloths", _RECORDER),
     "truth.shape": ("arrays of ground truth contradict truth/labels.json", _RECORDER),
     "lowdim.damaged": ("a file is not a valid frame", _TRANSFER),
-    "lowdim.forbidden": (
-        "a pickle contains more than data",
-        "do not trust this file or its source; delete it",
-    ),
+    "lowdim.forbidden": ("a pickle contains more than data", "do not trust this file or its source; delete it"),
     "lowdim.missing": ("a key is missing", _RECORDER),
     "lowdim.shape": ("a value has an unexpected shape", _RECORDER),
     "lowdim.type": ("a value has an unexpected type", _RECORDER),
@@ -109,10 +98,7 @@ _WARNINGS = {
         "nothing to do; hashes, attempts and seeds cannot be checked",
     ),
     "dataset.mixed": ("episodes differ in how they were made", "check whether they belong in one training set"),
-    "config.missing": (
-        "config.yaml is missing",
-        "restore it from a copy; without it, yamsim cannot resume the recording",
-    ),
+    "config.missing": ("config.yaml is missing", _RESTORE),
     "manifest.missing": ("the manifest is missing", _RESUME),
     "manifest.stale": ("episodes are not in the manifest", _RESUME),
     "ledger.cut": ("the ledger's last line is cut off", _RESUME),

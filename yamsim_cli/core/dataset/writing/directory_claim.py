@@ -72,9 +72,7 @@ def claim_directory(path: Path, mode: OpenMode, *, locks_reach_others: bool) -> 
             DirectoryLock.acquire(path, reaches_others=locks_reach_others).release()
         raise _occupied_error(path)
     if not path.is_dir() and _is_occupied(path):
-        raise UsageError(
-            f"{path} is not a dataset that can be resumed: {why_not_directory(path)}; choose another --out"
-        )
+        raise UsageError(f"{path} is not a dataset to resume: {why_not_directory(path)}; choose another --out")
     path.mkdir(parents=True, exist_ok=True)
     lock = DirectoryLock.acquire(path, reaches_others=locks_reach_others)
     try:

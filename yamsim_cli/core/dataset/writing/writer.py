@@ -148,16 +148,13 @@ class DatasetWriter(AttemptLog, Closable):
             place = self.path / episode_name(attempt.episode or 0)
             if place.exists():
                 self.repairs.append(
-                    f"{place.name} is not a directory; yamsim moved it to {quarantine_episode(place)} and records it "
-                    "again"
+                    f"{place.name} is not a directory; moved to {quarantine_episode(place)}, to be recorded again"
                 )
 
     def _load_attempts(self, ledger: Ledger) -> None:
         kept, self.lost_lines = ledger.repair(), ledger.missing
         if kept is not None:
-            self.repairs.append(
-                f"{ATTEMPTS} is damaged ({ledger.fault}): yamsim repaired it; the damaged file is {kept}"
-            )
+            self.repairs.append(f"{ATTEMPTS} was damaged ({ledger.fault}): repaired; the damaged file is {kept}")
         if self.lost_lines:
             self._ledger = ledger
             numbers = join_ranges(sorted(self.lost_lines))
@@ -181,8 +178,7 @@ class DatasetWriter(AttemptLog, Closable):
         record, fault = found.record, found.fault
         if record is None or fault is not None:
             self.repairs.append(
-                f"{found.directory.name}: {fault}; yamsim moved it to {quarantine_episode(found.directory)} and "
-                "records it again"
+                f"{found.directory.name}: {fault}; moved to {quarantine_episode(found.directory)}, to be recorded again"
             )
             return None
         self.entries[found.number] = _entry(record, found.text, found.size)

@@ -77,7 +77,7 @@ class Pick(Skill):
                     found = self._find_grasp(context, roles, hand, thing, following, reasons)
                 if found is not None:
                     yield from park_free_hands(context, hand)
-                    yield from self._grasp_and_lift(context, hand, thing, found)
+                    yield from self.grasp_and_lift(context, hand, thing, found)
                     return
         if not reasons:
             low, high = context.world.local_box(thing)
@@ -102,9 +102,14 @@ class Pick(Skill):
 
         return sorted(hands, key=distance)
 
-    def _grasp_and_lift(
+    def grasp_and_lift(
         self, context: PlanningContext, hand: Hand, thing: str, found: ReachableGrasp
     ) -> Iterator[MotionSegment]:
+        """Yield the motions that grasp an object and lift it.
+
+        Raises:
+            SkillFailedError: the object slipped or fell, or no path exists.
+        """
         grip = found.candidate
         path = context.plan_free_path(hand, found.approach_joints, found.opening)
         yield context.make_segment(

@@ -30,10 +30,7 @@ from .push import Push
 from .skill import Skill
 
 # How a cloth's grid has to be divided for each fold that needs more than a grid; part of an error message.
-_GRIDS = {
-    "diagonal": "the same number of points along both sides",
-    "thirds": "6, 9, 12 or more points (a multiple of 3) along a side",
-}
+_GRIDS = {"diagonal": "equally many points along both sides", "thirds": "6, 9, 12, ... points along a side"}
 
 
 def check_task_config(config: Config) -> None:

@@ -25,7 +25,7 @@ _FORCE = 20.0  # N, force of closed fingers on cloth
 
 # m, how much lower a hand grasps on each retry after a miss, in steps of `_DEPTH_STEP`
 _DEPTH_STEP = 0.002
-_DEPTHS = (_DEPTH_STEP, 2 * _DEPTH_STEP, 3 * _DEPTH_STEP, 4 * _DEPTH_STEP)
+DEPTHS = (_DEPTH_STEP, 2 * _DEPTH_STEP, 3 * _DEPTH_STEP, 4 * _DEPTH_STEP)
 _OPEN_TICKS = 4  # control ticks in which fingers open before a retry
 
 _MAX_OPEN_OPENING = 2 * APPROACH_OPENING  # m, a finger commanded to `APPROACH_OPENING` is stuck if it is more open
@@ -138,7 +138,7 @@ def _close_with_retries(context: PlanningContext, thing: str, grasps: Sequence[P
     yield from _close(context, grasps)
     points = context.world.cloth_points(thing)
     limits = {grasp.hand: _max_depth(points, grasp) for grasp in grasps}
-    for depth in _DEPTHS:
+    for depth in DEPTHS:
         holders = context.world.holding_sides(thing)
         retried = [
             grasp
