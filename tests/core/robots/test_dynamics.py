@@ -90,7 +90,7 @@ def test_a_recordings_config_says_all_of_it(tmp_path: Path) -> None:
     ("text", "rig", "error", "said"),
     [
         (MINE, "yam_station_crank_4310_d405", UsageError, "is for 'i2rt_yam', but the rig has 'yam_v1'"),
-        (MINE.replace("joint2", "joint9"), "single", UsageError, "joint 'joint9'; i2rt_yam has joint1, joint2"),
+        (MINE.replace("joint2", "joint9"), "single", UsageError, "unknown joint 'joint9'; valid: joint1, joint2"),
         (MINE + "side: left\n", "single", UsageError, "on the left, but the rig has 'i2rt_yam' on the right"),
         (MINE.replace("damping: 0.7", "damping: -1"), "single", ConfigError, "must lie in 0..10000 N m s/rad"),
         (MINE.replace("base: i2rt_yam", ""), "single", ConfigError, "base"),
