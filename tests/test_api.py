@@ -52,13 +52,13 @@ def test_it_records_the_same_bytes_in_this_process_and_in_others(tmp_path: Path)
 
 
 def test_errors_name_the_keyword(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="unknown rig 'singl'; did you mean 'single'"):
+    with pytest.raises(ConfigError, match="'singl'"):
         yamsim_cli.record(tmp_path / "out", rig="singl")
-    with pytest.raises(UsageError, match=r"^arm=: arm 'left': rig 'single' has only a right one; leave `arm` out$"):
+    with pytest.raises(UsageError, match=r"^arm=: "):
         yamsim_cli.record(tmp_path / "out", arm="left")
     (tmp_path / "full").mkdir()
     (tmp_path / "full" / "mine").touch()
-    with pytest.raises(UsageError, match="is not empty"):
+    with pytest.raises(UsageError, match=str(tmp_path / "full")):
         yamsim_cli.record(tmp_path / "full")
     with pytest.raises(AttributeError, match="no attribute 'recrod'"):
         yamsim_cli.recrod  # noqa: B018

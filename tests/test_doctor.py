@@ -32,7 +32,7 @@ def look(locations: Locations, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     ) -> dict[str, HealthCheck]:
         found = backends or {"egl": SOFTWARE, "osmesa": "no library"}
         monkeypatch.setattr(doctor, "probe_backend", lambda name, environ: found[name])
-        monkeypatch.setattr(doctor, "_GPUS", (str(tmp_path),) if gpu else ())
+        monkeypatch.setattr(doctor, "GPUS", (str(tmp_path),) if gpu else ())
         where = replace(locations, assets=tmp_path / "assets")
         return {check.name: check for check in run_health_checks(environ or {}, where, out or tmp_path / "dataset")}
 
@@ -114,7 +114,7 @@ def test_a_disk_that_refuses_is_a_fault(look: Look, monkeypatch: pytest.MonkeyPa
 def test_a_network_mount_is_not_touched(look: Look, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     mount = Mount(1, 0, doctor.Path("/mnt"), "fuse.sshfs", "host:/data", frozenset())  # type: ignore[arg-type]
     monkeypatch.setattr(doctor, "network_mount", lambda path, mounts: mount)
-    monkeypatch.setattr(doctor, "_write_episodes", lambda place: pytest.fail("touched"))
+    monkeypatch.setattr(doctor, "write_episodes", lambda place: pytest.fail("touched"))
     check = look()["disk"]
     assert check.health is Health.WARNING
     assert "fuse.sshfs" in check.detail
@@ -134,7 +134,7 @@ def test_as_many_workers_as_cores_and_memory_allow(
     assert (check.figures["workers"], check.health) == (workers, health)
 
 
-def test_it_knows_every_extra(repository: Path) -> None:
+def test_every_extra_is_checked(repository: Path) -> None:
     project = tomllib.loads((repository / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     assert doctor.EXTRAS.keys() == project["optional-dependencies"].keys()
 

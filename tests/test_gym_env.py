@@ -140,13 +140,16 @@ def test_a_task_without_a_start_is_told(tmp_path: Path, monkeypatch: pytest.Monk
     env.close()
 
 
-def test_doing_nothing_is_truncated(config: RecordConfig) -> None:
+@pytest.mark.parametrize(("keywords", "ticks"), [({}, 625), ({"max_ticks": 228}, 228)])
+def test_an_episode_without_motion_is_truncated_at_its_time_limit(
+    config: RecordConfig, keywords: dict[str, int], ticks: int
+) -> None:
     """The environment truncates the episode at the task's time limit, or after `max_ticks`."""
-    assert gymnasium.make(ENV_ID).unwrapped._task.rules.max_ticks == config.task.max_ticks == 625
-    env = gymnasium.make(ENV_ID, max_ticks=228)
+    assert config.task.max_ticks == 625
+    env = gymnasium.make(ENV_ID, **keywords)
     observation, _ = env.reset(seed=1)
     action = np.append(observation["joints"], 0.0).astype(np.float32)
-    for _ in range(227):
+    for _ in range(ticks - 1):
         _, reward, done, truncated, _ = env.step(action)
         assert (reward, done, truncated) == (0.0, False, False)
     assert env.step(action)[1:4] == (0.0, False, True)
@@ -168,7 +171,7 @@ def test_seeds_decide_the_layout_and_resets_go_on(env: Any) -> None:
 
 
 @pytest.mark.parametrize("mode", ["sync", "async"])
-def test_it_vectorizes(mode: str) -> None:
+def test_environments_run_vectorized(mode: str) -> None:
     envs = gymnasium.make_vec(ENV_ID, num_envs=2, vectorization_mode=mode)
     try:
         observation, _ = envs.reset(seed=3)
@@ -181,7 +184,7 @@ def test_it_vectorizes(mode: str) -> None:
 
 
 @pytest.mark.render
-def test_it_renders() -> None:
+def test_the_environment_renders() -> None:
     made = gymnasium.make(ENV_ID, render_mode="rgb_array", size=(80, 60))
     made.reset(seed=0)
     image = made.render()
@@ -190,7 +193,7 @@ def test_it_renders() -> None:
     assert image.std() > 5
 
 
-def test_what_is_not_valid_is_told(env: Any) -> None:
+def test_invalid_arguments_and_actions_are_refused(env: Any) -> None:
     for options in ({"render_mode": "ansi"}, {"observation": "pixels"}):
         with pytest.raises((ValueError, gymnasium.error.Error)):
             gymnasium.make(ENV_ID, **options)

@@ -103,7 +103,7 @@ def test_a_pose_of_few_digits_is_reached_as_well_as_those_allow() -> None:
 
 def test_out_of_reach_says_how_far_off_the_nearest_is() -> None:
     kinematics = Kinematics()
-    with pytest.raises(OutOfReachError, match=r"out of the arm's reach: the nearest it gets is \d+\.\d mm") as caught:
+    with pytest.raises(OutOfReachError, match=r"out of the arm's reach: the nearest pose is \d+\.\d mm") as caught:
         kinematics.ik(pose((1.2, 0, 0.1), DOWN))
     assert isinstance(caught.value, SimulationError)
     nearest = caught.value.nearest
@@ -135,19 +135,23 @@ def test_a_hand_may_lean_where_the_arm_is_too_short() -> None:
         (lambda: Kinematics(site="tcp"), UsageError, "there is no site 'tcp'; valid: grasp_site, pinch_site"),  # type: ignore[arg-type]
         (lambda: Kinematics().fk(np.zeros(7)), UsageError, r"joints has the shape \(7,\), and needs \(6,\)"),
         (lambda: Kinematics().fk([0, 0, 0, 0, 0, math.nan]), UsageError, "joints is not finite"),
-        (lambda: Kinematics().fk("joints"), UsageError, "joints is no array of numbers"),
+        (lambda: Kinematics().fk("joints"), UsageError, "joints is not an array of numbers"),
         (
             lambda: Kinematics().fk([0, 106, 109, -78, 0, 0]),
             UsageError,
             r"joint2: 106 rad lies outside .*; is it in degrees\?",
         ),
         (lambda: Kinematics().ik(np.eye(3)), UsageError, r"T_site_in_base has the shape \(3, 3\)"),
-        (lambda: Kinematics().ik(np.zeros((4, 4))), UsageError, "is no pose: its upper left 3 x 3 is no rotation"),
-        (lambda: Kinematics().ik(pose(rotation=np.diag([1, 1, -1]))), UsageError, "is no pose"),
+        (
+            lambda: Kinematics().ik(np.zeros((4, 4))),
+            UsageError,
+            "is not a pose: its upper left 3 x 3 part is not a rotation",
+        ),
+        (lambda: Kinematics().ik(pose(rotation=np.diag([1, 1, -1]))), UsageError, "is not a pose"),
         (lambda: Kinematics().ik(np.eye(4), START[:5]), UsageError, r"start has the shape \(5,\)"),
     ],
 )
-def test_what_is_wrong_is_told(make: Callable[[], object], error: type[Exception], told: str) -> None:
+def test_invalid_arguments_are_refused(make: Callable[[], object], error: type[Exception], told: str) -> None:
     with pytest.raises(error, match=told):
         make()
 

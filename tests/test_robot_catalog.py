@@ -101,7 +101,7 @@ def test_a_users_arm_with_a_shipped_ones_revision_is_at_fault_and_the_rest_is_li
         ours = tmp_path / "robot_models" / name / "model.yaml"
         fault = items[name]["fault"]
         assert fault.startswith(f"{ours}:") and f"{shipped} is revision 'v2' of 'yam_ultra' too" in fault
-        with pytest.raises(ConfigError, match="is revision 'v2' of 'yam_ultra' too"):
+        with pytest.raises(ConfigError, match="yam_ultra_v2"):
             robot_entry(name, mine)
     assert [name for name, item in items.items() if "fault" in item] == ["a_copy", "z_copy"]
     assert items.keys() - {"a_copy", "z_copy"} == {item["name"] for item in robot_entries(locations)}
@@ -129,7 +129,7 @@ def test_a_new_arm_passes_its_check_and_overwrites_nothing(tmp_path: Path, locat
     assert found["ok"] and found["gripper"] == "linear_4310" and found["sag_rad"] < 0.02
     require_checked("my_arm", [found])
     for taken in ("my_arm", "yam_v1", "../my_arm"):
-        with pytest.raises(UsageError, match=r"is not overwritten|is no name"):
+        with pytest.raises(UsageError, match=r"is not overwritten|is not a valid name"):
             write_robot_template(taken, tmp_path, mine)
     assert {path.name for path in model.parent.iterdir()} == {"model.yaml", "arm.xml"}
     mjcf.write_text(mjcf.read_text().replace('kp="80"', 'kp="1"').replace('gravcomp="1"', ""))

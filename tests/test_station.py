@@ -115,7 +115,7 @@ def test_a_command_that_is_none_is_told_and_changes_nothing(station: Station, ro
         (StationSettings(cameras=("top",), spelling="--env.{}"), r"^--env.cameras: rig 'single' has no camera 'top'"),
         (
             StationSettings(action="joints", spelling="--env.{}"),
-            r"^--env.action: action 'joints' has no place for a weld",
+            r"^--env.action: action 'joints' cannot command a weld",
         ),
     ],
 )

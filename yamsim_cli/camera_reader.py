@@ -155,7 +155,7 @@ def _path(folder: str | Path | None) -> Path:
 
 
 def _invalid_answer(folder: str | Path | None) -> ResourceError:
-    return ResourceError(f"{_path(folder)}: what answers there is no serve-robot of this version")
+    return ResourceError(f"{_path(folder)}: the server there is not a serve-robot of this version")
 
 
 class _CameraConnection:
@@ -186,11 +186,11 @@ class _CameraConnection:
             self._socket.sendall(len(request).to_bytes(4, "little") + request)
             length = int.from_bytes(self._receive(4, deadline), "little")
             if length > _MAX_HEADER_BYTES:
-                raise ResourceError(f"{self.path}: what answers there is no serve-robot")
+                raise ResourceError(f"{self.path}: the server there is not a serve-robot")
             answer = json.loads(self._receive(length, deadline))
             size = answer.get("bytes") if isinstance(answer, dict) else None
             if type(size) is not int or not 0 <= size <= _MAX_PICTURE_BYTES:
-                raise ResourceError(f"{self.path}: what answers there is no serve-robot")
+                raise ResourceError(f"{self.path}: the server there is not a serve-robot")
             data = self._receive(size, deadline)
         except TimeoutError:
             raise

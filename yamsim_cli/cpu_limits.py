@@ -5,9 +5,9 @@ from __future__ import annotations
 import os
 from pathlib import Path, PurePosixPath
 
-_CGROUPS = Path("/sys/fs/cgroup")
-_MEMBERSHIP = Path("/proc/self/cgroup")
-_MEMINFO = Path("/proc/meminfo")
+CGROUPS = Path("/sys/fs/cgroup")
+MEMBERSHIP = Path("/proc/self/cgroup")
+MEMINFO = Path("/proc/meminfo")
 
 
 def usable_cores() -> int:
@@ -25,7 +25,7 @@ def usable_cores() -> int:
 def usable_memory() -> int | None:
     """Return the bytes that this process may still allocate; None if unknown."""
     left = []
-    for line in _read(_MEMINFO).splitlines():
+    for line in _read(MEMINFO).splitlines():
         if line.startswith("MemAvailable:"):
             left.append(int(line.split()[1]) * 1024)
     for group in _groups():
@@ -36,12 +36,12 @@ def usable_memory() -> int | None:
 
 
 def _groups() -> list[Path]:
-    """Return the control groups that limit this process: its own and their parents."""
-    for line in _read(_MEMBERSHIP).splitlines():
+    """Return the control group of this process and its parents, whose limits apply too."""
+    for line in _read(MEMBERSHIP).splitlines():
         # Source: Linux's cgroup-v2.rst: the unified hierarchy's line is "0::$PATH".
         if line.startswith("0::"):
             own = PurePosixPath(line[3:].strip().lstrip("/"))
-            return [_CGROUPS / own, *(_CGROUPS / parent for parent in own.parents)]
+            return [CGROUPS / own, *(CGROUPS / parent for parent in own.parents)]
     return []
 
 

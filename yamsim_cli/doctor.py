@@ -55,7 +55,7 @@ _EPISODES_WRITTEN = 3  # to measure the speed of the disk
 _SLOW_S = 1.0  # s to write an episode; a slower disk keeps up with one worker at most
 _FEW_EPISODES = 500  # free space for fewer gives a warning
 
-_GPUS = ("/dev/nvidia0", "/dev/dri/renderD128", "/dev/kfd")  # device files that exist if the machine has a GPU
+GPUS = ("/dev/nvidia0", "/dev/dri/renderD128", "/dev/kfd")  # device files that exist if the machine has a GPU
 
 
 class Health(StrEnum):
@@ -138,16 +138,16 @@ def _gl(environ: Mapping[str, str]) -> Iterator[HealthCheck]:
 def _chosen_gl(wanted: str | None, found: Mapping[str, GlBackend | str]) -> HealthCheck:
     working = [backend for backend in found.values() if isinstance(backend, GlBackend)]
     if wanted and not isinstance(found[wanted], GlBackend):
-        detail = f"MUJOCO_GL={wanted} is set, which does not work, and so no other is tried"
+        detail = f"MUJOCO_GL={wanted} is set but does not work; yamsim tries no other backend while it is set"
         return HealthCheck("gl", Health.FAULT, detail, "unset MUJOCO_GL" if working else INSTALL_GL)
     if not working:
         return HealthCheck("gl", Health.FAULT, "nothing can be rendered: no OpenGL backend works", INSTALL_GL)
     chosen = found[wanted] if wanted else working[0]
     assert isinstance(chosen, GlBackend)
-    gpu = next((device for device in _GPUS if Path(device).exists()), None)
+    gpu = next((device for device in GPUS if Path(device).exists()), None)
     if chosen.software and gpu:
         fix = (
-            "install the EGL part of the GPU's driver (libnvidia-gl, or libegl-mesa0), and in a container let it in "
+            "install the EGL part of the GPU's driver (libnvidia-gl, or libegl-mesa0), and in a container enable it "
             "(NVIDIA_DRIVER_CAPABILITIES=all)"
         )
         return HealthCheck("gl", Health.WARNING, f"{gpu} is there, but {chosen.renderer} renders, without a GPU", fix)
@@ -167,16 +167,16 @@ def _meshes(locations: Locations) -> Iterator[HealthCheck]:
         bad = [state for state in states if state.status is not FileStatus.OK]
         changed = [state.name for state in bad if state.status is FileStatus.CHANGED]
         if changed:
-            detail = f"not the locked files: {', '.join(changed)} in {states[0].path.parent}"
+            detail = f"files that differ from the lock: {', '.join(changed)} in {states[0].path.parent}"
             yield HealthCheck(name, Health.FAULT, detail, f"yamsim assets fetch {assets.name}")
         elif bad and assets.on_demand:
-            detail = f"fetched on demand; without, primitives are drawn: yamsim assets fetch {assets.name}"
+            detail = f"fetched on demand; until then, primitives are shown: yamsim assets fetch {assets.name}"
             yield HealthCheck(name, Health.OK, detail)
         elif bad:
             detail = f"{len(bad)} of {len(states)} files are not in {locations.assets}: primitives are shown instead"
             yield HealthCheck(name, Health.WARNING, detail, "yamsim assets fetch")
         else:
-            yield _reduced(name, f"{len(states)} files, every hash is right", store, assets)
+            yield _reduced(name, f"{len(states)} files, all with the right hash", store, assets)
 
 
 def _reduced(name: str, detail: str, store: AssetStore, assets: AssetSet) -> HealthCheck:
@@ -207,7 +207,7 @@ def _disk(out: Path) -> Iterator[HealthCheck]:
         yield HealthCheck("disk", Health.FAULT, f"{place} cannot be written", "choose another --out")
         return
     try:
-        seconds = _write_episodes(place)
+        seconds = write_episodes(place)
     except OSError as error:
         detail = f"writing to {place} fails: {error.strerror or error}"
         yield HealthCheck("disk", Health.FAULT, detail, "choose another --out")
@@ -228,8 +228,12 @@ def _disk(out: Path) -> Iterator[HealthCheck]:
         yield HealthCheck("disk", Health.OK, detail, figures=figures)
 
 
-def _write_episodes(place: Path) -> float:
-    """Write a few dummy episodes, delete them, and return the duration of the slowest, s."""
+def write_episodes(place: Path) -> float:
+    """Write a few dummy episodes as `record` does, and return the duration of the slowest, s. Delete the episodes.
+
+    Raises:
+        OSError: the disk refused a file.
+    """
     files = {f"rgb/scene_camera/{k:06d}.jpg": bytes(_IMAGE_BYTES) for k in range(_FRAMES)}
     files |= {f"lowdim/{k:06d}.pkl": bytes(_LOWDIM_BYTES) for k in range(_FRAMES)}
     worst = 0.0
@@ -252,7 +256,7 @@ def _workers() -> Iterator[HealthCheck]:
         detail = f"{detail[: detail.index(':')]}, and a worker takes {_WORKER_BYTES / 1e9:.1f}"
         yield HealthCheck("workers", Health.FAULT, detail, "give this machine or container more memory", figures)
     elif fit < cores:
-        yield HealthCheck("workers", Health.WARNING, f"{detail}, for memory's sake", "more memory", figures)
+        yield HealthCheck("workers", Health.WARNING, f"{detail}, limited by memory", "more memory", figures)
     else:
         yield HealthCheck("workers", Health.OK, detail, figures=figures)
 

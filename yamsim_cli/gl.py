@@ -15,11 +15,11 @@ from dataclasses import dataclass
 from .core.errors import ResourceError
 
 LINUX_BACKENDS = ("egl", "osmesa")  # EGL finds a GPU or Mesa's software renderer; newer Mesa has no OSMesa
-_PROBE_SECONDS = 60.0  # s, time limit of a backend's test
-# Renderer names of OpenGL implementations without a GPU: Mesa's llvmpipe, softpipe, lavapipe and swrast, and others.
+PROBE_SECONDS = 60.0  # s, time limit of the test of a backend
+# Renderer names of OpenGL implementations that use no GPU: Mesa's llvmpipe, softpipe, lavapipe and swrast, and others.
 _SOFTWARE = re.compile("llvmpipe|softpipe|lavapipe|swrast|software|swiftshader", re.IGNORECASE)
-# Tests a backend. It reads a rendered image back, since some backends render nothing.
-_PROBE = """
+# Python program that tests a backend. It reads a rendered image back, since some backends render nothing.
+PROBE = """
 import mujoco
 model = mujoco.MjModel.from_xml_string("<mujoco><worldbody><geom size='1'/></worldbody></mujoco>")
 data = mujoco.MjData(model)
@@ -75,7 +75,7 @@ def find_backend(environ: Mapping[str, str], platform: str = sys.platform) -> Gl
     chosen = "; MUJOCO_GL is set, so no other was tried: unset it" if wanted else ""
     raise ResourceError(
         f"no OpenGL backend for headless rendering works ({'; '.join(reasons)}){chosen}; {INSTALL_GL}; "
-        "yamsim doctor looks into it"
+        "run `yamsim doctor` to find the cause"
     )
 
 
@@ -92,17 +92,17 @@ def probe_backend(name: str, environ: Mapping[str, str]) -> GlBackend | str:
     environment.pop("PYOPENGL_PLATFORM", None)
     try:
         probe = subprocess.run(
-            [sys.executable, "-c", _PROBE],
+            [sys.executable, "-c", PROBE],
             env=environment,
             capture_output=True,
             text=True,
             errors="replace",
-            timeout=_PROBE_SECONDS,
+            timeout=PROBE_SECONDS,
             stdin=subprocess.DEVNULL,
             check=False,
         )
     except subprocess.TimeoutExpired:
-        return f"hangs (gave up after {_PROBE_SECONDS:g} s)"
+        return f"hangs (gave up after {PROBE_SECONDS:g} s)"
     if probe.returncode == 0:
         return GlBackend(name, probe.stdout.strip().splitlines()[-1] if probe.stdout.strip() else "")
     lines = [line for line in probe.stderr.splitlines() if line.strip()]

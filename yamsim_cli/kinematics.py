@@ -76,9 +76,7 @@ class Kinematics:
         self._arm = config.arms[number]
         model = kinematic_model(self._arm)
         if site not in [model.site(k).name for k in range(model.nsite)]:
-            raise UsageError(
-                f"{self._arm.name} of rig {config.name!r} has no {site}: its gripper has no fingers to meet"
-            )
+            raise UsageError(f"{self._arm.name} of rig {config.name!r} has no {site}: its gripper has no fingers")
         self._site = site
         self._range: Array = model.jnt_range.copy()
         self._T_base_in_world = config.T_base_in_world(number)
@@ -136,8 +134,10 @@ class Kinematics:
         """
         T = _numbers(T_site_in_base, (4, 4), "T_site_in_base")
         if np.abs(T[:3, :3].T @ T[:3, :3] - np.eye(3)).max() > _ORTHONORMAL_TOLERANCE or np.linalg.det(T[:3, :3]) < 0:
-            raise UsageError(f"T_site_in_base is no pose: its upper left 3 x 3 is no rotation: {T[:3, :3].tolist()}")
-        # Use the nearest rotation, since other programs often pass rounded poses.
+            raise UsageError(
+                f"T_site_in_base is not a pose: its upper left 3 x 3 part is not a rotation: {T[:3, :3].tolist()}"
+            )
+        # Replace R by the nearest rotation, since other programs often pass rounded poses.
         left, _, right = np.linalg.svd(T[:3, :3])
         T = pose(T[:3, 3], left @ right)
         first = self._home if start is None else self._joints(start, "start")
@@ -162,7 +162,7 @@ def _numbers(values: ArrayLike, shape: tuple[int, ...], name: str) -> Array:
     try:
         found = np.asarray(values, dtype=np.float64)
     except (TypeError, ValueError) as error:
-        raise UsageError(f"{name} is no array of numbers: {error}") from error
+        raise UsageError(f"{name} is not an array of numbers: {error}") from error
     if found.shape != shape:
         raise UsageError(f"{name} has the shape {found.shape}, and needs {shape}")
     if not np.isfinite(found).all():

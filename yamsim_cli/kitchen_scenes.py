@@ -17,6 +17,6 @@ def resolve_scene_task(name: str) -> str | dict[str, Any]:
         if (error.name or "").partition(".")[0] not in ("inspect_robots", "kitchenbench"):
             raise
         raise ResourceError(
-            f"--task {name} needs the package {error.name}, which is not here: pip install 'yamsim[inspect]'"
+            f"--task {name} needs the package {error.name}, which is missing: pip install 'yamsim[inspect]'"
         ) from error
     return recorded.scene_task_data(name.removeprefix(_PREFIX))

@@ -119,7 +119,7 @@ def main(interrupted: Callable[[], bool] = lambda: False) -> NoReturn:
         if error.errno != errno.ENAMETOOLONG:
             raise
         _fail(
-            f"{error.filename} is no path: a name may have 255 bytes, and a whole path 4,095",
+            f"{error.filename} is not a valid path: a name may have 255 bytes, and a whole path 4,095",
             ResourceError.exit_code,
         )
     except TyperException as error:

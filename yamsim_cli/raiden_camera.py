@@ -114,7 +114,7 @@ class YamsimCamera(Camera):
             RuntimeError: no picture was grabbed.
         """
         if self._picture is None:
-            raise RuntimeError(f"camera {self._name}: grab comes first")
+            raise RuntimeError(f"camera {self._name}: call grab first")
         image = self._turned(self._picture.image)[..., ::-1]
         return CameraFrame(color=np.ascontiguousarray(image), depth=None, timestamp_ns=self._picture.time_ns)
 
@@ -129,7 +129,7 @@ class YamsimCamera(Camera):
             RuntimeError: the camera is not open.
         """
         if self._reader is None:
-            raise RuntimeError(f"camera {self._name}: open comes first")
+            raise RuntimeError(f"camera {self._name}: call open first")
         form = self._reader.form
         K = form.K.copy()
         if self._name in _UPSIDE_DOWN:

@@ -214,7 +214,9 @@ def _common_fields(source: str | None, path: str, sets: Iterable[str], meshes: M
 def write_robot_template(name: str, data: Path, locations: Locations) -> tuple[Path, ...]:
     """Write the template files of a new arm below the data directory `data`, and return their paths."""
     if not _NAME.fullmatch(name):
-        raise UsageError(f"{name!r} is no name for an arm; start with a letter, then letters, digits and underscores")
+        raise UsageError(
+            f"{name!r} is not a valid name for an arm; use letters, digits and underscores, and begin with a letter"
+        )
     folder = data / "robot_models" / name
     if folder.exists() or name in locations.config_names(ARMS):
         raise UsageError(f"an arm {name!r} exists and is not overwritten; give another name, or remove {folder}")
@@ -280,7 +282,7 @@ def _check_with(arm: ArmModel, gripper: str, locations: Locations) -> dict[str, 
     off = np.abs(data.qpos[addresses.joint_qpos] - home)
     joint, sag = arm.joints[int(np.argmax(off))].name, float(off.max())
     ok = bool(np.isfinite(off).all() and sag <= _MAX_SAG)
-    detail = f"{joint} is {sag:.3f} rad off home after {_HOLD_S:g} s; at most {_MAX_SAG:g} rad is right"
+    detail = f"{joint} is {sag:.3f} rad off home after {_HOLD_S:g} s; at most {_MAX_SAG:g} rad is allowed"
     return {"gripper": gripper, "ok": ok, "sag_rad": sag, "detail": detail}
 
 

@@ -138,7 +138,7 @@ class SessionOpener:
         if (randomize := given.get("randomize")) is not None:
             if not randomize and given.get("randomization"):
                 named, no = self.setting_label("randomization"), self.setting_label("no_randomize")
-                raise UsageError(f"{named} says how things vary, and {no} that nothing does; leave one of them out")
+                raise UsageError(f"{named} and {no} contradict each other; leave one out")
             own = self.config(name, locations, **(given | {"randomize": None})).randomization.parts
             given["randomize"] = (None if own else "default") if randomize else "none"
         fps = given.pop("fps", None)
@@ -183,8 +183,8 @@ class SessionOpener:
                 raise UsageError(f"{self.setting_label(setting)}: {error}; leave it out") from None
         if setting not in task.things:
             raise UsageError(
-                f"{self.setting_label(setting)}: task {task.name!r} has no role {setting!r} whose object could "
-                f"be another; its roles: {', '.join(task.things)}"
+                f"{self.setting_label(setting)}: task {task.name!r} has no role {setting!r}; "
+                f"its roles: {', '.join(task.things)}"
             )
         return ("task", "things", setting, "of")
 
@@ -289,8 +289,8 @@ class SessionOpener:
         meshes |= {name: resolve_user_set(store, name) for name in sorted(own)}
         if lost := [name for name in sorted(own) if meshes[name] is None]:
             self.notify(
-                f"The files of {' and '.join(lost)} are not here, or not as they were imported: copy the folder of "
-                f"that name into {locations.assets}, or import the thing again."
+                f"The files of {' and '.join(lost)} are missing, or changed since the import: copy the folder of "
+                f"that name into {locations.assets}, or import the object again."
             )
         if IMPORTED in wanted:
             meshes[IMPORTED] = locations.assets / IMPORTED

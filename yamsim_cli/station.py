@@ -147,8 +147,8 @@ class Station(Closable):
         )
         if len(row) != len(self.form.environment):
             raise SimulationError(
-                f"task {config.task.name!r}: trial {self.trial} has things with other joints than usual, and so "
-                f"{len(row)} numbers for where they are and not {len(self.form.environment)}"
+                f"task {config.task.name!r}: trial {self.trial} has objects with other joints than usual, so its "
+                f"environment state has {len(row)} numbers, not {len(self.form.environment)}"
             )
         return row.astype(np.float32)
 

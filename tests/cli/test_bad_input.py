@@ -46,8 +46,8 @@ USAGE, CONFIG, MISSING = 2, 3, 4
         (["export", "raiden", "x", "out", "--pictures", "nearest"], MISSING, ["x is not a directory"]),
         (["record", "--out", "x" * 300], MISSING, ["cannot be written", "255 bytes", "choose another --out"]),
         (["summarize", "x" * 300], MISSING, ["cannot be read", "too long", "yamsim record"]),
-        (["verify", "x" * 300], MISSING, ["is no path", "255 bytes"]),
-        (["replay", "x" * 300], MISSING, ["is no path", "255 bytes"]),
+        (["verify", "x" * 300], MISSING, ["is not a valid path", "255 bytes"]),
+        (["replay", "x" * 300], MISSING, ["is not a valid path", "255 bytes"]),
         (["config", "show", "rigs", "nothing"], CONFIG, ["'nothing'", "valid:", "single"]),
         (["config", "show", "nonsense", "x"], CONFIG, ["'nonsense'", "valid:", "rigs"]),
         (["config", "show", "record"], USAGE, ["say which one; valid: default"]),
@@ -87,9 +87,7 @@ def test_output_that_is_in_the_way_is_left_alone(tmp_path: Path) -> None:
     precious.write_text("keep me")
     run = yamsim("record", "--n", "1", cwd=tmp_path)
     assert run.code == USAGE
-    assert "dataset is not empty" in run.message
-    assert "--resume" in run.message
-    assert "--overwrite" in run.message
+    assert all(part in run.message for part in ("dataset", "--resume", "--overwrite"))
     assert precious.read_text() == "keep me"
     assert [path.name for path in precious.parent.iterdir()] == ["precious.txt"]
 
@@ -99,15 +97,19 @@ def test_where_one_stands_is_not_moved_aside(command: list[str], tmp_path: Path)
     (tmp_path / "notes.txt").write_text("keep me")
     run = yamsim(*command, "--out", ".", "--overwrite", cwd=tmp_path)
     assert run.code == USAGE
-    assert f"{tmp_path} cannot be moved aside, because you are in it: run from another directory" in run.message
+    assert str(tmp_path) in run.message
     assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]
 
 
 @pytest.mark.parametrize(
     ("command", "code", "told"),
     [
-        (["record", "--n", "1"], USAGE, "is not a directory: it is a link to gone, where nothing is; move it aside"),
-        (["render-views", "--size", "64x48"], MISSING, "cannot be written: it is a link to gone, where nothing is"),
+        (
+            ["record", "--n", "1"],
+            USAGE,
+            "is not a directory: it is a link to gone, which does not exist; move it aside",
+        ),
+        (["render-views", "--size", "64x48"], MISSING, "cannot be written: it is a link to gone, which does not exist"),
         (["compose-xml"], USAGE, "exists; move it aside with --overwrite"),
     ],
     ids=lambda value: value[0] if isinstance(value, list) else None,
@@ -124,7 +126,7 @@ def test_resuming_what_is_no_dataset_leaves_it_alone(tmp_path: Path) -> None:
     (tmp_path / "notes.txt").write_text("keep me")
     run = yamsim("record", "--n", "1", "--out", tmp_path, "--resume")
     assert run.code == MISSING
-    assert "no dataset" in run.message
+    assert "cannot be resumed" in run.message
     assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]
 
 
@@ -146,7 +148,7 @@ def test_no_gl_backend_is_said_before_anything_is_made(tmp_path: Path) -> None:
 def test_without_opengl_an_export_says_what_needs_none(tmp_path: Path) -> None:
     run = yamsim("export", "raiden", tmp_path, tmp_path / "out", env={"MUJOCO_GL": "glfw", "DISPLAY": ""})
     assert run.code == MISSING
-    assert run.message.endswith("or draw nothing, with --pictures nearest or --fps source")
+    assert run.message.endswith("give --pictures nearest or --fps source")
 
 
 def test_help_needs_nothing_heavy(tmp_path: Path) -> None:

@@ -44,7 +44,7 @@ def test_a_png_a_board(run, tmp_path):
 
 @pytest.mark.parametrize(
     ("out", "message"),
-    [("boards.svg", "end it in .pdf or .png"), ("no/b.pdf", "there is no directory .*/no; make it first")],
+    [("boards.svg", "must end in .pdf or .png"), ("no/b.pdf", "there is no directory .*/no; create it first")],
 )
 def test_a_bad_out_is_the_command_lines_fault(run, out, message):
     with pytest.raises(UsageError, match=message):

@@ -16,11 +16,11 @@ def test_every_check_has_a_name_and_a_health(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_fault_is_said_with_its_fix_and_4(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_fault_is_printed_with_its_fix_and_exits_with_4(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("MUJOCO_GL", "nonsense")
     run = yamsim("doctor", "--out", tmp_path / "d")
     assert run.code == 4
-    assert run.err.startswith("yamsim: gl: MUJOCO_GL=nonsense is set, which does not work")
+    assert run.err.startswith("yamsim: gl: MUJOCO_GL=nonsense is set but does not work")
     assert [line.split()[0] for line in run.out.splitlines()].count("fault") == 1
     assert "  -> unset MUJOCO_GL" in run.out
 

@@ -73,8 +73,8 @@ def test_a_share_of_successes_can_be_asked_for(words: tuple[str, ...], count: in
     counts = run.json.get("stats", run.json)
     assert counts["success_rate"] < 0.9
     assert run.err.splitlines()[-1] == (
-        f"yamsim: {counts['n_success']} of {count} trials succeeded, a share of {counts['success_rate']:g}: "
-        "--min-success asks for 0.9"
+        f"yamsim: {counts['n_success']} of {count} trials succeeded, a share of {counts['success_rate']:g}; "
+        "--min-success requires 0.9"
     )
     share = f"{counts['success_rate']}"
     assert yamsim(*words, "--workers", "1", "--min-success", share).code == 0
@@ -87,7 +87,7 @@ def test_a_share_of_successes_can_be_asked_for(words: tuple[str, ...], count: in
         (
             ("--policy", "scripted", "--task", "handover", "--rig", "single"),
             2,
-            "--rig: the step `handover` takes two arms",
+            "--rig: the step `handover`",
         ),
         (("--policy", "scripted", "--video-all"), 2, "give --video"),
         (("--policy", "http://127.0.0.1:9"), 4, "http://127.0.0.1:9"),

@@ -104,10 +104,10 @@ def test_what_was_imported_has_the_gap_that_it_had_before(logs: Path, tmp_path: 
     before, after, one = (yamsim("gap", path, "--json").json for path in (logs / "late.csv", real, real / "ep_000000"))
     assert after["rms_rad"] == pytest.approx(before["rms_rad"], rel=1e-4)
     assert one["recordings"][0]["rms_rad"] == after["rms_rad"]
-    assert "change a rig that is named" in yamsim("gap", real, "--revision", "v1").message
+    assert "need --rig" in yamsim("gap", real, "--revision", "v1").message
 
 
-def test_what_is_not_there_is_one_line(tmp_path: Path) -> None:
+def test_a_missing_recording_is_one_line(tmp_path: Path) -> None:
     (tmp_path / "empty").mkdir()
     for name in ("none", "empty", "none.csv"):
         run = yamsim("gap", tmp_path / name)
@@ -117,8 +117,8 @@ def test_what_is_not_there_is_one_line(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("flags", "code", "said"),
     [
-        (("--from", "2", "--to", "1"), 2, "--from 2 and --to 1: nothing lies between"),
-        (("--from", "50"), 4, "50 s"),
+        (("--from", "2", "--to", "1"), 2, "--from 2 and --to 1: --from must be below --to"),
+        (("--from", "50"), 4, "0 measured samples from 50 s"),
         (("--camera", "camera.yaml"), 2, "give --pictures N with them"),
         (("--pictures", "3"), 2, "--pictures"),
         (("--html", "."), 2, "is a directory"),
@@ -127,7 +127,9 @@ def test_what_is_not_there_is_one_line(tmp_path: Path) -> None:
         (("--fail-above", "-1"), 2, "--fail-above"),
     ],
 )
-def test_what_cannot_be_is_one_line(logs: Path, flags: tuple[str, ...], code: int, said: str) -> None:
+def test_contradicting_flags_of_gap_are_refused_in_one_line(
+    logs: Path, flags: tuple[str, ...], code: int, said: str
+) -> None:
     run = yamsim("gap", logs / "perfect.csv", *flags)
     assert (run.code, run.out) == (code, "")
     assert said in run.message

@@ -58,12 +58,12 @@ def test_a_real_dataset_is_exported(log: Path, tmp_path: Path) -> None:
     ("arguments", "code", "message"),
     [
         (["mp4", "real", "out"], 4, "real has no pictures"),
-        (["lerobot", "real", "out", "--environment-state"], 2, "nobody recorded where things were"),
+        (["lerobot", "real", "out", "--environment-state"], 2, "the poses of its objects were not recorded"),
         (["lerobot", "real", "out", "--episodes", "7"], 2, "has no episode 7"),
         (["lerobot", "real", "out", "--fps", "0"], 2, "--fps"),
     ],
 )
-def test_what_a_real_dataset_has_not_is_one_line(
+def test_exports_that_need_simulation_are_refused_for_real_datasets(
     log: Path, tmp_path: Path, arguments: list[str], code: int, message: str
 ) -> None:
     assert yamsim("import", "log.csv", cwd=tmp_path).code == 0
@@ -84,7 +84,9 @@ def test_what_a_real_dataset_has_not_is_one_line(
         (["log.csv", "--mirror-gripper", "no"], 2, "--mirror-gripper"),
     ],
 )
-def test_what_cannot_be_is_one_line(log: Path, tmp_path: Path, arguments: list[str], code: int, message: str) -> None:
+def test_impossible_imports_are_refused_in_one_line(
+    log: Path, tmp_path: Path, arguments: list[str], code: int, message: str
+) -> None:
     run = yamsim("import", *arguments, cwd=tmp_path)
     assert (run.code, message in run.message) == (code, True), run.err
     assert not (tmp_path / "real").exists()

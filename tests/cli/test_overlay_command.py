@@ -215,13 +215,17 @@ def test_limits_end_with_4(folder: Path) -> None:
     [
         ([], 2, "give either --img or --episode"),
         (["--img", "photo.png", "--episode", "ep"], 2, "give either --img or --episode"),
-        (["--img", "photo.png", "--episode-camera", "c"], 2, "--episode-camera goes with --episode"),
-        (["--episode", "ep", "--camera", "camera.yaml"], 2, "--camera goes with --img: a recorded episode has its own"),
+        (["--img", "photo.png", "--episode-camera", "c"], 2, "--episode-camera needs --episode"),
+        (
+            ["--episode", "ep", "--camera", "camera.yaml"],
+            2,
+            "--camera needs --img; a recorded episode has its own camera",
+        ),
         (["--img", "photo.png", "--min-iou", "0.5"], 2, "--min-iou needs --mask-image"),
         (["--img", "photo.png", "--opacity", "2"], 2, "--opacity"),
         (["--img", "photo.png", "--rig", "nothing"], 3, "unknown rig 'nothing'"),
         (["--img", "photo.png", "--camera", "none.yaml"], 3, "camera config file none.yaml does not exist"),
-        (["--img", "photo.png", "--camera", "calibration_results.json"], 3, "2 cameras are in it: name one, as in"),
+        (["--img", "photo.png", "--camera", "calibration_results.json"], 3, "calibration_results.json: has 2 cameras"),
         (["--img", "photo.png", "--camera", "no"], 3, "unknown camera 'no'; valid: example_640x480"),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else None,
@@ -317,4 +321,4 @@ def test_an_episode_is_drawn_with_its_own_rig(tmp_path: Path) -> None:
     other = yamsim("overlay", "--episode", episode, "--rig", "single", "--out", tmp_path / "s", "--json")
     assert (other.code, "rig 'single'" in other.err) in ((3, True), (0, False))
     moved = yamsim("overlay", "--episode", episode, "--margin", "0.6", "--out", tmp_path / "m")
-    assert (moved.code, "an episode's arms stand as they were recorded" in moved.message) == (2, True)
+    assert (moved.code, "give --rig with --margin" in moved.message) == (2, True)

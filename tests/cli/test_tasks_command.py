@@ -26,7 +26,7 @@ def test_a_bad_task_is_told_before_anything_runs(tmp_path: Path) -> None:
         kind = ("--kind", "tasks") if command[0] == "config" else ()
         run = yamsim(*command, file, *kind)
         assert run.code == 3
-        assert run.message.startswith(f"{file}:") and "the cube is in no hand here: pick it first" in run.message
+        assert run.message.startswith(f"{file}:") and "expert[0].place" in run.message
     assert not (tmp_path / "out").exists()
 
 

@@ -76,7 +76,7 @@ def test_large_numbers_count_relative_to_what_is_stored():
         (np.zeros(3), "gone", ("float64 (3,)", "gone")),
     ],
 )
-def test_what_is_no_number_has_to_be_equal(stored, got, shown):
+def test_values_that_are_not_numbers_must_be_equal(stored, got, shown):
     result = compare_values({"a": stored}, {"a": got}, 1e9)
     assert result.first_difference == Difference(None, None, "a", *shown, None)
 

@@ -85,7 +85,7 @@ def test_a_whole_dataset(sample: SampleDataset, report: Any) -> None:
         "How it was made",
     ]
     assert pictures_are_well_formed(text) == 7
-    assert "Whole: every file was opened" in reader.text
+    assert "Complete: every file was opened" in reader.text
     assert "Made by a test." in reader.text
     assert "failed attempt" in reader.text
     assert sum(name == "img" for name, _ in reader.tags) == 9
@@ -101,7 +101,7 @@ def test_a_damaged_dataset_shows_its_problems_first(sample: SampleDataset, repor
     text = report(sample, spoil)
     assert headings(text)[1] == "Problems"
     reader = needs_nothing_else(text)
-    assert "1 error and 12 warnings: not to be trained on" in reader.text
+    assert "1 error and 12 warnings: do not train on" in reader.text
     assert "frames.gap" in reader.text
     assert "ep_000001/lowdim/000002.pkl: 2; valid: 0 to 5" in reader.text
     assert "<code>yamsim record --resume</code>" in text
@@ -115,7 +115,7 @@ def test_a_dataset_without_episodes(sample: SampleDataset, report: Any) -> None:
     text = report(sample)
     needs_nothing_else(text)
     assert headings(text) == ["dataset", "Problems"]
-    assert "There is no episode in it yet." in text
+    assert "The dataset has no episodes yet." in text
 
 
 def test_a_plain_recording(sample: SampleDataset, tmp_path: Path, locations: Locations) -> None:

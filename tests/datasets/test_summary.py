@@ -132,7 +132,7 @@ def test_problems_are_listed_with_all_that_is_known(sample: SampleDataset, summa
     report = summary(sample)
     assert report["errors"] == 1
     (problem,) = report["problems"]
-    title, value = "the stored outcome is not what the last frame shows", "40.0 mm from the target's centre"
+    title, value = "the stored outcome contradicts the last frame", "40.0 mm from the target's centre"
     assert problem == {
         "code": "episode.outcome",
         "severity": "error",

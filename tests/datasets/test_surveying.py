@@ -40,7 +40,7 @@ def test_workers_find_what_one_process_finds(
     assert capfd.readouterr() == ("", "")
 
 
-def test_an_interruption_is_told_as_one(dataset: Path, locations: Locations) -> None:
+def test_an_interruption_is_an_interrupted_job_error(dataset: Path, locations: Locations) -> None:
     def interrupt(done: int, total: int) -> None:
         raise KeyboardInterrupt
 

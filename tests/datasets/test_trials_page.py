@@ -46,7 +46,7 @@ def test_the_page_has_the_figures_and_a_panel_for_each_object(report: dict[str, 
     text = trials_page(report, BOXES, "Made by a test.")
     page = needs_nothing_else(text)
     for figure in (
-        "pickplace on single_linear, held by contact",
+        "pickplace on single_linear, grasp contact",
         "75.0",
         "3.5 mm",
         "81",

@@ -39,4 +39,4 @@ def test_ctrl_c_finishes_what_is_in_hand_and_resume_goes_on(tmp_path: Path) -> N
 def test_an_address_without_ray_is_refused(tmp_path: Path) -> None:
     code, err = run(tmp_path / "d", "--address", "auto")
     assert code == 2
-    assert "--address is of a Ray cluster; give --executor ray with it" in err
+    assert "--address needs --executor ray" in err

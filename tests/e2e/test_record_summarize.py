@@ -170,7 +170,8 @@ def test_interrupted_then_resumed_gives_the_same_bytes(
     assert process.returncode == 130, err
     whole = len(list(path.glob("ep_*")))
     assert err.splitlines()[-1] == (
-        f"yamsim: interrupted: {whole} of 3 episodes are whole in {path}, {3 - whole} are left; continue with --resume"
+        f"yamsim: interrupted: {whole} of 3 episodes are complete in {path}, {3 - whole} are left; "
+        "continue with --resume"
     )
     assert whole == (1 if second else 2)
     assert not (path / ".lock").exists()

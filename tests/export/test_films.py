@@ -68,10 +68,10 @@ def test_a_sheet_has_a_row_for_each_episode_from_first_frame_to_last(
 
 def test_a_sheet_that_cannot_be_is_refused_before_the_work(dataset: Path, locations: Locations, tmp_path: Path) -> None:
     source = open_source(dataset, None, locations)
-    for out, message in (("sheet.gif", "end it in .jpg"), ("no/sheet.jpg", "there is no directory")):
+    for out, message in (("sheet.gif", "must end in .jpg"), ("no/sheet.jpg", "there is no directory")):
         with pytest.raises(UsageError, match=re.escape(message)):
             export_sheet(source, tmp_path / out, (), ignore)
-    with pytest.raises(UsageError, match="16000 is the most: take fewer with --episodes"):
+    with pytest.raises(UsageError, match="at most 16000 px: give fewer --episodes"):
         export_sheet(source, tmp_path / "sheet.jpg", (), ignore, columns=100, width=1920)
     (tmp_path / "sheet.jpg").write_text("mine")
     with pytest.raises(UsageError, match="move it aside with --overwrite"):

@@ -139,7 +139,7 @@ def test_things_with_other_joints_are_not_exported_together(
     source = open_source(dataset, None, locations)
     record = source.first.record.model_copy(update={"joints": {"cabinet": ("slide",)}})
     other = replace(source, first=replace(source.first, record=record))
-    with pytest.raises(DatasetError, match=r"ep_000000 has things with other joints than ep_000000"):
+    with pytest.raises(DatasetError, match=r"ep_000000 has objects with other joints than ep_000000"):
         export_lerobot(other, tmp_path / "out", ignore, pictures=False, environment_state=True)
     assert not (tmp_path / "out").exists()
 

@@ -150,6 +150,6 @@ def test_pictures_that_would_differ_are_not_drawn(
 ) -> None:
     write_dataset(tmp_path / "dataset", make_config({("wrist",): True}), locations, 1, jpeg)
     source = open_source(tmp_path / "dataset", None, locations)
-    with pytest.raises(DatasetError, match=r"rendered anew is not what was recorded .* --pictures nearest"):
+    with pytest.raises(DatasetError, match=r"rendered again is not what was recorded .* --pictures nearest"):
         export_raiden(source, tmp_path / "out", locations, lambda *_: None, RaidenOptions(), workers=1)
     assert not (tmp_path / "out").exists()

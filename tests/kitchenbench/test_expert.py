@@ -111,7 +111,7 @@ def test_only_what_waits_is_still(expert_bench: PlanningContext) -> None:
 def test_cutlery_has_places_in_its_compartment_and_beside_the_tray() -> None:
     planning = _planning_scene("sort-cutlery-balanced-pile")
     try:
-        bench, roles = planning.context, planning._simulator.roles
+        bench, roles = planning.context, planning.simulator.roles
         assert roles is not None
         put = PlaceInCompartment(thing="knife_1", into="compartment_knife", beside="sortable")
         inside = put.goals(bench, roles, "knife_1")
@@ -162,12 +162,12 @@ def test_a_leaning_piece_gets_the_height_of_its_attitude() -> None:
     """At an upright object's height, its lower end would be pressed into the floor."""
     planning = _planning_scene("sort-cutlery-balanced-pile")
     try:
-        bench, roles = planning.context, planning._simulator.roles
+        bench, roles = planning.context, planning.simulator.roles
         assert roles is not None
-        address = planning._scene.object_qpos["knife_1"]
+        address = planning.simulator.scene.object_qpos["knife_1"]
         leaning = rotation_from_vector([0.0, math.radians(15.0), 0.0])
         bench.world.data.qpos[address + 3 : address + 7] = quat_from_rotation(leaning)
-        mujoco.mj_kinematics(planning._scene.model, bench.world.data)
+        mujoco.mj_kinematics(planning.simulator.scene.model, bench.world.data)
         put = PlaceInCompartment(thing="knife_1", into="compartment_knife", beside="sortable")
         for skill, onto in ((put, "compartment_knife"), (PutBesideTray(thing="knife_1"), "table")):
             goals = skill.goals(bench, roles, "knife_1")
@@ -188,11 +188,11 @@ def test_a_grip_that_slipped_is_not_tried_again(expert_bench: PlanningContext, m
         raise SkillFailedError(FailureCause.SLIPPED, "between the fingers is nothing")
         yield
 
-    monkeypatch.setattr(Pick, "_grasp_and_lift", slips)
+    monkeypatch.setattr(Pick, "grasp_and_lift", slips)
     grab = PickNarrow(thing=thing)
     with pytest.raises(SkillFailedError):
         list(
-            grab._grasp_and_lift(
+            grab.grasp_and_lift(
                 expert_bench, hand, thing, ReachableGrasp(grip, hand.ready_joints, hand.ready_joints, grip.opening)
             )
         )
@@ -204,7 +204,7 @@ def test_a_piece_is_put_down_where_it_can_be_taken_on() -> None:
     """Where a hand grasps it by the most reliable grip."""
     planning = _planning_scene("sort-cutlery-balanced-pile")
     try:
-        bench, roles = planning.context, planning._simulator.roles
+        bench, roles = planning.context, planning.simulator.roles
         assert roles is not None
 
         class Onwards(PutBesideTray):
@@ -300,7 +300,7 @@ def test_a_dish_goes_into_the_slot_that_is_asked_for_or_the_nearest_that_fits(
     assert [1000 * x for x in place.at] == pytest.approx([expected_mm, 0.0])
 
 
-def test_what_nobody_can_do_is_named() -> None:
+def test_a_goal_without_an_expert_is_named() -> None:
     blueprint = build_blueprint(next(scene for name, scene in SCENES.items() if name.startswith("pour")), 0)
     with pytest.raises(LookupError, match="no expert for goals of kind 'pour_into'"):
         build_scene_program(blueprint, {}, BASES)
@@ -347,7 +347,7 @@ def test_actions_that_were_changed_are_noticed() -> None:
     for action in actions:
         seen = embodiment.step(action).observation
     moved = {**seen.state, JOINTS: seen.state[JOINTS] + 0.01}
-    with pytest.raises(RuntimeError, match=r"the arms are 0\.0100 off where the expert's actions lead"):
+    with pytest.raises(RuntimeError, match=r"the arms are 0\.0100 away from where the expert's actions lead"):
         expert.act(type(seen)(state=moved))
     embodiment.close()
     expert.close()

@@ -34,7 +34,7 @@ def embodiment() -> Iterator[YamsimEmbodiment]:
     made.close()
 
 
-def test_each_of_our_tasks_is_one() -> None:
+def test_each_yamsim_task_is_a_benchmark_task() -> None:
     assert set(ENTRY_POINTS) == {f"yamsim/{path.stem}" for path in (ROOT / "configs" / "tasks").glob("*.yaml")}
 
 

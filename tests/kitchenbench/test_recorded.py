@@ -93,12 +93,12 @@ def test_another_realization_may_have_other_things(task: dict[str, Any]) -> None
     [
         ("kitchenbench/stak/cups", "unknown task 'stak'; did you mean 'stack'?"),
         ("kitchenbench/stack/cubs", "stack has no scene 'cubs'; did you mean 'cups'?"),
-        ("kitchenbench/stack/cups@two", "'two' is no realization; give a number from 0 on"),
-        ("kitchenbench/sort_cutlery/sparse", "goals of kind 'sort' are not recorded; those are: place_on, stack"),
+        ("kitchenbench/stack/cups@two", "'two' is not a realization; give a whole number"),
+        ("kitchenbench/sort_cutlery/sparse", "goals of kind 'sort' cannot be recorded; valid: place_on, stack"),
         ("kitchenbench/fold_cloth/", "fold_cloth has no scene ''"),
     ],
 )
-def test_what_cannot_be_recorded_is_told(name: str, said: str) -> None:
+def test_a_scene_that_cannot_be_recorded_is_refused(name: str, said: str) -> None:
     with pytest.raises(UsageError) as caught:
         resolve_scene_task(name)
     assert str(caught.value).startswith(f"{name}: ") and said in str(caught.value)

@@ -99,7 +99,7 @@ def test_objects_that_failed_their_certificate_are_not_recorded(
 ) -> None:
     job = recording(make_config, tmp_path, locations)
     path = store_certificate(tmp_path / "assets", plate_of(job), load_lock(locations), BAD, {})
-    with pytest.raises(ResourceError, match=r"plate has failed its certificate: rest\.moves; mend it and run"):
+    with pytest.raises(ResourceError, match=r"plate has failed its certificate: rest\.moves; correct it and run"):
         job.run()
     assert not job.path.exists()
     path.unlink()

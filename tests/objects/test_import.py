@@ -137,7 +137,7 @@ def test_objects_and_targets_are_named_by_number_or_without(locations: Locations
         ("054_softball", "024_bowl", "object 'softball' is too wide to be picked up: 95 mm, and gripper crank of rig"),
         ("024_bowl", "029_plate", "object 'bowl' has no `grasp`"),
         ("013_apple", "014_lemon", "target 'lemon' has neither a floor nor a flat top"),
-        ("013_apple", "013_apple", "the target may be called 'apple', as the object is"),
+        ("013_apple", "013_apple", "the target and the object can both have the name 'apple'"),
     ],
 )
 def test_unsuitable_objects_of_a_task_are_refused(item: str, target: str, said: str, locations: Locations) -> None:

@@ -61,8 +61,8 @@ def test_ten_that_fail_in_one_way_are_enough_where_no_start_is_better(
     assert asked == [(FailureCause.UNREACHABLE, 10)]
     message = str(caught.value)
     assert message == (
-        "task 'pickplace' cannot work as it is: its first 10 attempts all failed in one way, and 100 more would start "
-        "no better; 10 unreachable (failed for the 9th time); look at `starts`, the steps of `expert`, and where "
+        "task 'pickplace' cannot work as it is: its first 10 attempts all failed with one cause, and 100 more have "
+        "no better start; 10 unreachable (failed for the 9th time); look at `starts`, the steps of `expert`, and where "
         "the rig's arms stand; then record with --overwrite, or to another --out"
     )
 
@@ -71,13 +71,13 @@ def test_resuming_what_cannot_work_is_refused_before_anything_is_made(recording:
     with pytest.raises(SimulationError):
         recording.run(Inline(failing(FailureCause.UNREACHABLE)))
     executor = Inline(failing(FailureCause.UNREACHABLE))
-    with pytest.raises(SimulationError, match="cannot work as it is"):
+    with pytest.raises(SimulationError, match="task 'pickplace'"):
         recording.resume(executor)
     assert executor.made == []
     assert len(recording.causes()) == 10
 
 
-def test_where_a_start_is_better_it_goes_on(recording: Recording, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_recording_goes_on_if_a_later_start_is_better(recording: Recording, monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[int] = []
 
     def answer(session: Session, cause: FailureCause, first: int) -> bool:
@@ -129,7 +129,7 @@ def test_a_task_that_works_too_rarely_is_given_up_with_what_there_is(recording: 
         "gave up after 100 attempts: the task works too rarely, 4 of 100 times and at least 1 in 20 is needed; "
         "96 slipped (failed for the 99th time); look at the object's `grasp.friction`"
     )
-    assert message.endswith(f"; 4 of 5 episodes are whole in {recording.path}")
+    assert message.endswith(f"; 4 of 5 episodes are complete in {recording.path}")
     assert "--resume" not in message
     assert caught.value.exit_code == 6
 

@@ -71,7 +71,7 @@ class TestOnACluster:
     def test_a_job_that_ends_every_actor_is_given_up_and_the_rest_goes_on(self, open_pool: Any, job: str) -> None:
         with open_pool(2, job_seconds=1.0) as pool:
             pool.submit(job)
-            with pytest.raises(LostJobError, match=f"^{job} was given up after 3 tries: its worker was "):
+            with pytest.raises(LostJobError, match=f"^{job} "):
                 pool.result()
             pool.submit(7)
             assert pool.result() == (7, 49)
@@ -83,9 +83,7 @@ class TestOnACluster:
         noted = config.model_copy(update={"meshes": {"i2rt_yam_crank": "full " + "0" * 64, "ycb": "primitives"}})
         with RayExecutorFactory(cluster[0].address).open(Session(noted, locations), 1) as executor:
             executor.submit(AttemptJob(0, 0))
-            with pytest.raises(
-                ResourceError, match=r"^a worker on \S+ would show other meshes .*: i2rt_yam_crank: full 0"
-            ):
+            with pytest.raises(ResourceError, match="i2rt_yam_crank: full 0"):
                 executor.result()
 
     def test_more_workers_than_cpus_are_refused(self, open_pool: Any) -> None:

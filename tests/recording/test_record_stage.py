@@ -79,7 +79,7 @@ def keep_all_in_the_stage(recording: Recording, target: Target, room: int = 0) -
     waiter = threading.Thread(target=blocked)
     waiter.start()
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(stage_module, "_HALT_SECONDS", 0.1)
+        patch.setattr(stage_module, "HALT_SECONDS", 0.1)
         with pytest.raises(InterruptedJobError):
             recording.run()
     waiter.join()
@@ -168,7 +168,7 @@ def test_a_target_that_does_not_answer_does_not_hold_the_end_up(
     target.open.set()
 
 
-def test_no_more_than_so_many_are_on_their_way(
+def test_the_number_of_staged_episodes_is_limited(
     recording: Recording, undisturbed: dict[str, bytes], target: Target, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(stage_module, "MAX_WAITING", 1)
@@ -204,7 +204,8 @@ def test_a_stage_of_another_recording_is_moved_not_thrown_away(
     (moved,) = recording.stage.iterdir()
     assert sorted(path.name for path in moved.glob("ep_*")) == kept
     assert any(
-        f"The stage held episodes of another recording: they are now in {moved}" in w for w in recording.warnings
+        f"The staging directory held episodes of another recording: they are now in {moved}" in w
+        for w in recording.warnings
     )
 
 
@@ -221,7 +222,9 @@ def test_several_datasets_can_share_a_stage(recording: Recording, tmp_path: Path
 
 def test_a_stage_that_cannot_be_used_is_named(recording: Recording, tmp_path: Path) -> None:
     (tmp_path / "stage").write_text("a file")
-    with pytest.raises(ResourceError, match=r"the stage .*/stage/dataset-.* cannot be used: .* another --stage"):
+    with pytest.raises(
+        ResourceError, match=r"the staging directory .*/stage/dataset-.* cannot be used: .* another --stage"
+    ):
         recording.run()
     recording.stage = None
     recording.resume()

@@ -12,7 +12,6 @@ from pathlib import Path
 
 import pytest
 
-from tests.attempts import planned
 from tests.core.dataset.making import tree
 from tests.meshes import box
 from tests.programs import session_of
@@ -54,7 +53,9 @@ def go_on(recording: Recording, meshes: Meshes, mode: OpenMode = OpenMode.RESUME
     recording.run(mode=mode)
 
 
-def test_the_config_and_every_episode_say_it(recording: Recording, meshes: Meshes, locations: Locations) -> None:
+def test_the_config_and_every_episode_name_the_meshes(
+    recording: Recording, meshes: Meshes, locations: Locations
+) -> None:
     recording.meshes = meshes | {YCB: None}
     recording.run()
     said = load_yaml(recording.path / "config.yaml").data["meshes"]
@@ -73,8 +74,8 @@ def test_meshes_that_came_since_do_not_go_into_the_same_dataset(recording: Recor
         go_on(recording, meshes)
     changes = "; ".join(rf"{name}: primitives there, full \w{{12}} now" for name in (ARM, YCB))
     assert re.search(
-        rf"dataset was recorded with other meshes: {changes}; to go on with primitives, set YAMSIM_ASSETS to an empty "
-        r"folder, or record into another --out$",
+        rf"dataset was recorded with other meshes: {changes}; to continue with primitives, set YAMSIM_ASSETS to an "
+        r"empty folder, or record into another --out$",
         str(caught.value),
     )
     assert tree(recording.path) == before
@@ -88,7 +89,7 @@ def test_meshes_that_went_since_do_not_either(recording: Recording, meshes: Mesh
     with pytest.raises(ConfigError) as caught:
         go_on(recording, meshes | {ARM: None})
     assert re.search(
-        rf"dataset was recorded with other meshes: {ARM}: full \w{{12}} there, primitives now; `yamsim assets fetch`",
+        rf"dataset was recorded with other meshes: {ARM}: full \w{{12}} there, primitives now; run `yamsim ",
         str(caught.value),
     )
     assert tree(recording.path) == before
@@ -102,7 +103,7 @@ def test_other_meshes_do_not_either(
     recording.meshes = meshes
     recording.run()
     others = stand_ins(tmp_path / "others", locations, ARM, **change)
-    with pytest.raises(ConfigError, match=rf"{ARM}: full \w+ there, \w+ \w+ now; set YAMSIM_ASSETS to the meshes that"):
+    with pytest.raises(ConfigError, match=rf"{ARM}: full \w+ there, \w+ \w+ now; set YAMSIM_ASSETS to the meshes of"):
         go_on(recording, meshes | others)
 
 
@@ -164,8 +165,8 @@ class TestOfAnEarlierVersion:
         go_on(old, meshes)
         (told,) = old.warnings
         assert told.startswith(
-            f"{old.path}/config.yaml does not say which meshes the episodes show, as an earlier yamsim recorded them. "
-            f"New ones show {ARM}: full "
+            f"{old.path}/config.yaml does not name the meshes of the episodes, because an earlier yamsim recorded "
+            f"them. New episodes show {ARM}: full "
         )
         assert f"`yamsim verify {old.path} --sample 1 --images` shows whether" in told
         assert len(open_episodes(old.path)) == 3
@@ -201,7 +202,7 @@ def test_a_worker_that_would_draw_otherwise_is_refused_at_the_start(recording: R
     assert re.fullmatch(
         r"a worker on \S+ would show other meshes than the recorder: "
         rf"{YCB}: full \w{{12}} for the recorder, primitives there; "
-        r"they changed meanwhile, or yamsim is another one there: mend that, and go on with --resume",
+        r"install the same meshes and the same yamsim there, then continue with --resume",
         str(caught.value),
     )
     assert json.loads((recording.path / "manifest.json").read_text())["episodes"] == []
@@ -238,7 +239,7 @@ def test_every_cast_of_a_task_shows_the_meshes_that_the_recording_states(tmp_pat
         other = stand_ins(tmp_path / mesh, session.locations, "i2rt_yam_linear_4310", YCB, SMALL, OBJECTS)
         assert other[OBJECTS] is not None
         (other[OBJECTS] / f"{mesh}.stl").write_bytes(stl_bytes(*box(0.021, cuts=1)))
-        with pytest.raises(ResourceError, match=f"would show other meshes than the recorder: {OBJECTS}: full"):
+        with pytest.raises(ResourceError, match=f"{OBJECTS}: full"):
             AttemptRunner(replace(session, locations=replace(session.locations, meshes=other)), render=True)
 
 
@@ -269,5 +270,5 @@ def test_a_runner_needs_nothing_but_its_packed(
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     config = make_config({("image", "size_px"): [16, 16]})
     with unpacked_runner(pack_session(Session(config, locations))) as runner:
-        assert planned(runner._simulators.get(AttemptJob(0, 0)), 0).states
+        assert runner.run(AttemptJob(0, 0)).outcome.success
     assert list(tmp_path.iterdir()) == [], "something is left on the node"

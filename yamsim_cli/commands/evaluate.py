@@ -93,8 +93,8 @@ def evaluate(
     end: Annotated[
         Literal["success", "actor"],
         typer.Option(
-            help="What ends a trial: success, once the goal has held for its hold time, or actor, the policy itself, "
-            "so that the goal has to hold at the end."
+            help="What ends a trial: success (the goal has held for its hold time), or actor (the policy ends it, and "
+            "the goal must hold then)."
         ),
     ] = "success",
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Rename older videos, and replace reports.")] = False,

@@ -31,14 +31,15 @@ RealFps = Annotated[
         "--fps",
         min=1,
         max=_MAX_FPS,
-        help="Of real recordings: frames at even times, each the nearest recorded one.  [default: the recorded frames]",
+        help="Real recordings: rate of evenly spaced frames, each the nearest recorded one.  [default: the recorded "
+        "frames]",
         show_default=False,
     ),
 ]
 RealActions = Annotated[
     Literal["recorded", "measured", "none"] | None,
     typer.Option(
-        help="Of real recordings: the commands, the joints measured one frame later, or none.  [default: recorded]",
+        help="Real recordings: the commands, the joints measured one frame later, or none.  [default: recorded]",
         show_default=False,
     ),
 ]
@@ -145,7 +146,7 @@ def lerobot(
     actions: RealActions = None,
     environment_state: Annotated[
         bool,
-        typer.Option("--environment-state", help="Also write the things' poses, as observation.environment_state."),
+        typer.Option("--environment-state", help="Also write the objects' poses, as observation.environment_state."),
     ] = False,
     pictures: Annotated[
         bool, typer.Option("--pictures/--no-pictures", help="Write videos, and the cameras' matrices.")
@@ -168,7 +169,9 @@ def lerobot(
     with progress_bar("exporting", "episodes") as advance:
         if isinstance(source, RealSource):
             if environment_state:
-                raise UsageError(f"--environment-state: {dataset} is real, and nobody recorded where things were")
+                raise UsageError(
+                    f"--environment-state: {dataset} is real, and the poses of its objects were not recorded"
+                )
             done = export_real_lerobot(
                 source, out, advance, pictures=pictures, actions=actions or "recorded", overwrite=overwrite
             )
@@ -190,7 +193,9 @@ def mp4(
     sheet: Annotated[bool, typer.Option("--sheet", help="One picture instead, with a row per episode.")] = False,
     columns: Annotated[int, typer.Option(min=1, max=100, help="With --sheet: images in a row.")] = 8,
     width: Annotated[int, typer.Option(min=16, max=1920, help="With --sheet: width of each image, px.")] = 160,
-    speed: Annotated[float, typer.Option(min=0.01, max=1000, help="How fast time passes in videos.")] = 1.0,
+    speed: Annotated[
+        float, typer.Option(min=0.01, max=1000, help="Playback speed of the videos; 0.5 is slow motion.")
+    ] = 1.0,
     fps: RealFps = None,
     episodes: Episodes = None,
     overwrite: Rename = False,
@@ -244,7 +249,7 @@ def _with_renderer(locations: Locations) -> Locations:
     try:
         return opener.use_gl(locations, workers=True)
     except ResourceError as error:
-        raise ResourceError(f"{error}; or draw nothing, with --pictures nearest or --fps source") from None
+        raise ResourceError(f"{error}; or render nothing: give --pictures nearest or --fps source") from None
 
 
 def _source(dataset: Path, episodes: str | None, fps: float | None = None) -> SimulatedSource | RealSource:

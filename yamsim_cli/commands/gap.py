@@ -44,9 +44,13 @@ def gap(
         ),
     ] = None,
     begin: Annotated[
-        float | None, typer.Option("--from", min=0, metavar="S", help="Compare from here on, s after the first sample.")
+        float | None,
+        typer.Option("--from", min=0, metavar="S", help="Compare from this time on, s after the first sample."),
     ] = None,
-    end: Annotated[float | None, typer.Option("--to", min=0, metavar="S", help="Compare up to here, s.")] = None,
+    end: Annotated[
+        float | None,
+        typer.Option("--to", min=0, metavar="S", help="Compare up to this time, s after the first sample."),
+    ] = None,
     pictures: Annotated[
         int, typer.Option(min=0, metavar="N", help="Also compare up to N photos of the recordings.")
     ] = 0,
@@ -71,7 +75,7 @@ def gap(
     Example: yamsim gap log.csv --rig single --html gap.html
     """
     if begin is not None and end is not None and begin >= end:
-        raise UsageError(f"--from {begin:g} and --to {end:g}: nothing lies between; give --from below --to")
+        raise UsageError(f"--from {begin:g} and --to {end:g}: --from must be below --to")
     if (camera or episode_camera) and not pictures:
         raise UsageError("--camera and --episode-camera are for photos; give --pictures N with them")
     require_unused_reports(out, html, overwrite=overwrite)
@@ -149,7 +153,7 @@ def _rig(
     datasets = [path for path in (recording, recording.absolute().parent) if (path / CONFIG).is_file()]
     if name is None and recording.is_dir() and datasets:
         if margin is not None or revision is not None or robot:
-            raise UsageError("--margin, --revision and --robot change a rig that is named; give --rig with them")
+            raise UsageError("--margin, --revision and --robot need --rig; give --rig with them")
         return (real_config if is_real(datasets[0]) else dataset_config)(datasets[0], locations).rig
     return opener.rig(name or "single", locations, margin, revision, robot)
 

@@ -25,7 +25,7 @@ def excite(
     margin: Margin = None,
     arm: Annotated[
         Literal["left", "right"] | None,
-        typer.Option(help="Which arm of a rig with two moves; the other rests.  [default: right]"),
+        typer.Option(help="The arm that moves, in a rig with two; the other rests.  [default: right]"),
     ] = None,
     out: Annotated[Path, typer.Option(help="The CSV of commands.")] = Path("motion.csv"),
     seconds: Annotated[float, typer.Option(min=20, max=600, help="Duration of the motion.")] = 60.0,
@@ -72,7 +72,7 @@ def excite(
     start = ", ".join(f"{angle:g}" for angle in _start(found))
     print_line(f"Bring the arm slowly to {start} rad first: the motion begins and ends there")
     if log is not None:
-        print_line(f"{log}: what the simulated arm did")
+        print_line(f"{log}: log of the simulated arm")
 
 
 def _excitation(found: Excitation, out: Path, log: Path | None) -> dict[str, Any]:
@@ -95,7 +95,7 @@ def _start(found: Excitation) -> list[float]:
 def _require_arm(arm: str | None, rig: RigConfig) -> None:
     sides = [each.side for each in rig.arms]
     if arm is not None and arm not in sides:
-        raise UsageError(f"--arm {arm}: rig {rig.name!r} has only a {sides[0]} one; leave --arm out")
+        raise UsageError(f"--arm {arm}: rig {rig.name!r} has only a {sides[0]} arm; leave --arm out")
 
 
 def identify(
@@ -108,7 +108,7 @@ def identify(
     robot: Robot = None,
     margin: Margin = None,
     out: Annotated[
-        Path, typer.Option(help="The revision's file; of two arms, one for each, with `_left` and `_right`.")
+        Path, typer.Option(help="File of the revision; with two arms, one file each, ending in `_left` and `_right`.")
     ] = Path("my_arm.yaml"),
     arm: Annotated[
         Literal["left", "right"] | None, typer.Option(help="Only this arm of a rig with two.  [default: both]")
@@ -128,7 +128,7 @@ def identify(
     settings = opener.rig(rig, where, margin, revision, robot)
     _require_arm(arm, settings)
     if out.suffix not in (".yaml", ".yml"):
-        raise UsageError(f"--out {out}: the file of a revision ends in .yaml")
+        raise UsageError(f"--out {out}: the file of a revision must end in .yaml")
     sides = [each.side for each in settings.arms if arm in (None, each.side)]
     for file in {out, *(_file(out, side, len(sides)) for side in sides)}:
         require_unused("--out", file, overwrite=overwrite)

@@ -48,10 +48,10 @@ def overlay(
     mask: Annotated[bool, typer.Option("--mask", help="Also write a mask: 0 where no arm is, else 1 or 2.")] = False,
     mask_image: Annotated[Path | None, typer.Option(help="Your mask of the robot, or a folder of masks.")] = None,
     max_turn: Annotated[
-        float, typer.Option(min=0, help="A pose whose turn has a larger standard deviation is uncertain, degrees.")
+        float, typer.Option(min=0, help="Largest standard deviation of the rotation of a certain pose, degrees.")
     ] = 1.5,
     max_shift: Annotated[
-        float, typer.Option(min=0, help="A pose whose position has a larger standard deviation is uncertain, mm.")
+        float, typer.Option(min=0, help="Largest standard deviation of the position of a certain pose, mm.")
     ] = 10.0,
     max_reprojection: Annotated[
         float | None, typer.Option(min=0, help="Exit 4 if a board's reprojection error is larger, px.")
@@ -76,11 +76,11 @@ def overlay(
     if bool(img) == bool(episode):
         raise UsageError("give either --img or --episode")
     if episode_camera and not episode:
-        raise UsageError("--episode-camera goes with --episode")
+        raise UsageError("--episode-camera needs --episode")
     if camera and episode:
-        raise UsageError("--camera goes with --img: a recorded episode has its own")
+        raise UsageError("--camera needs --img; a recorded episode has its own camera")
     if min_iou is not None and mask_image is None:
-        raise UsageError("--min-iou needs --mask-image: a mask to overlap with")
+        raise UsageError("--min-iou needs --mask-image")
     if video is not None:
         require_unused("--video", video, overwrite=overwrite)
     where = opener.locations()
@@ -143,13 +143,13 @@ def _rig(
 
     datasets = {path.resolve() if (path / CONFIG).is_file() else path.resolve().parent for path in recordings}
     if name is None and len(datasets) > 1:
-        raise UsageError("--episode: episodes of several datasets; give --rig with them")
+        raise UsageError("--episode: the episodes are of several datasets; give --rig")
     if name is None and any((dataset / CONFIG).is_file() for dataset in datasets):
         if margin is not None:
-            raise UsageError(f"--margin {margin:g}: an episode's arms stand as they were recorded; give --rig with it")
+            raise UsageError(f"--margin {margin:g}: an episode has the rig of its recording; give --rig with --margin")
         if revision is not None:
             raise UsageError(
-                f"--revision {revision}: an episode's arms are those it was recorded with; give --rig with it"
+                f"--revision {revision}: an episode has the rig of its recording; give --rig with --revision"
             )
         return recorded_rig(datasets.pop(), locations)
     return opener.rig(name or "single", locations, margin, revision)

@@ -54,7 +54,7 @@ def record(
         float | None, typer.Option(min=1, max=100, help="Frames a second: 30, 15 or 10.  [default: 15.625]")
     ] = None,
     size: flags.Size = None,
-    jpeg_quality: Annotated[int | None, typer.Option(help="1 to 100.")] = None,
+    jpeg_quality: Annotated[int | None, typer.Option(help="JPEG quality, 1 to 100.")] = None,
     quality: flags.Quality = None,
     resume: Annotated[bool, typer.Option("--resume", help="Continue a dataset that was interrupted.")] = False,
     overwrite: Rename = False,
@@ -101,7 +101,7 @@ def _executors(kind: str, address: str | None, attempt_timeout: float) -> Execut
 
     if kind == "process":
         if address is not None:
-            raise UsageError("--address is of a Ray cluster; give --executor ray with it")
+            raise UsageError("--address needs --executor ray")
         return ProcessExecutorFactory(attempt_timeout)
     # Ray would otherwise send usage statistics over the network.
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")

@@ -54,7 +54,7 @@ def replay(
         if given:
             raise UsageError(f"{flag} is for {'a video: give' if video is None else 'the viewer: leave out'} --video")
     if size and not render:
-        raise UsageError(f"--size {size}: recorded images have their own size; give --render to render them anew")
+        raise UsageError(f"--size {size}: recorded images have their own size; give --render to render them again")
     if not 0.01 <= speed <= 1000:
         raise UsageError(f"--speed {speed:g} is not valid: it must lie in 0.01..1000")
 

@@ -130,8 +130,8 @@ def _meshes(item: Mapping[str, Any]) -> str:
     missing = [name for name, here in item["meshes"].items() if not here]
     if not item["meshes"]:
         return "none"
-    return f"yamsim assets fetch {' '.join(missing)}" if missing else "here"
+    return f"yamsim assets fetch {' '.join(missing)}" if missing else "present"
 
 
 def _mesh_states(meshes: Mapping[str, bool]) -> str:
-    return ", ".join(f"{name}: {'here' if here else 'not here'}" for name, here in meshes.items()) or "none"
+    return ", ".join(f"{name}: {'present' if here else 'missing'}" for name, here in meshes.items()) or "none"

@@ -30,7 +30,8 @@ if TYPE_CHECKING:
 _ANSWER_GAP_US = 571.0
 
 Folder = Annotated[
-    Path | None, typer.Option(metavar="DIRECTORY", help="Folder of the buses' sockets.  [default: one of yours]")
+    Path | None,
+    typer.Option(metavar="DIRECTORY", help="Folder of the buses' sockets.  [default: a folder of your user]"),
 ]
 
 
@@ -47,14 +48,16 @@ def serve_robot(
         typer.Option(help="Name of an arm's bus, the left one's first.  [default: can0, or can_left and can_right]"),
     ] = None,
     start: Annotated[
-        str, typer.Option(metavar="rest|home|task", help="First pose of the arms, without power.")
+        str, typer.Option(metavar="rest|home|task", help="Pose of the arms at the start, without power.")
     ] = "rest",
     fault: Annotated[
         list[str] | None,
-        typer.Option(metavar="FAULT", help="lost:motor=3,at=5,for=2; hot:motor=2; drop:share=0.1; or stuck."),
+        typer.Option(
+            metavar="FAULT", help="Simulated fault: lost:motor=3,at=5,for=2; hot:motor=2; drop:share=0.1; or stuck."
+        ),
     ] = None,
     gap: Annotated[
-        float, typer.Option("--answer-gap", metavar="US", min=0, max=100_000, help="Time from one answer to the next.")
+        float, typer.Option("--answer-gap", metavar="US", min=0, max=100_000, help="Time between two answers.")
     ] = _ANSWER_GAP_US,
     kernel: Annotated[
         bool, typer.Option("--kernel", help="Use the kernel's CAN interfaces, such as vcan, instead of sockets.")
@@ -65,12 +68,12 @@ def serve_robot(
         typer.Option(
             min=0,
             max=65534,
-            help="Also answer portal's calls on this port, as 11333; for the second arm on the next port.",
+            help="Also answer portal's calls on this port, such as 11333; for the second arm on the next port.",
         ),
     ] = None,
     chiral: Annotated[
         int | None,
-        typer.Option(min=0, max=65535, help="Also serve raiden's policies on this port, as 8765."),
+        typer.Option(min=0, max=65535, help="Also serve raiden's policies on this port, such as 8765."),
     ] = None,
     host: Annotated[
         str,
@@ -119,7 +122,7 @@ def serve_robot(
             if chiral is not None:
                 policy_robot = make_policy_robot(session, served, source)
                 ports.append(_chiral(stack, policy_robot, host, chiral))
-        print_note("Ctrl-C ends" if kernel else "yamsim can-run -- PROGRAM finds them; Ctrl-C ends")
+        print_note("Ctrl-C ends" if kernel else "start programs with `yamsim can-run -- PROGRAM`; Ctrl-C ends")
         sys.stderr.flush()
 
         def drive() -> None:

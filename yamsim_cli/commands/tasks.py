@@ -26,7 +26,7 @@ def list_tasks(json: Json = False) -> None:
     """
     from yamsim_cli.task_validation.task_catalog import task_entries
 
-    print_items(task_entries(opener.locations()), ["name", "things", "skills", "what is said"], _row, json)
+    print_items(task_entries(opener.locations()), ["name", "things", "skills", "instruction"], _row, json)
 
 
 @app.command()

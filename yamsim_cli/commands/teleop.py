@@ -24,7 +24,7 @@ _ENDING = "Ending once recorded attempts are judged and rendered. Another signal
 def teleop(
     stream: Annotated[
         Path | None,
-        typer.Option("--input", metavar="STREAM.jsonl", help="Commands with their times, in place of the page."),
+        typer.Option("--input", metavar="STREAM.jsonl", help="File of timed commands, in place of the page."),
     ] = None,
     realtime: Annotated[
         bool, typer.Option("--realtime", help="With --input: at the clock's pace instead of as fast as possible.")

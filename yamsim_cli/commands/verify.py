@@ -35,7 +35,8 @@ def verify(
     ] = None,
     workers: Annotated[int, typer.Option(min=1, help="Worker processes.")] = 2,
     tolerance: Annotated[
-        float, typer.Option(min=0.0, help="How much a number may differ: m, rad, or relative where it is above 1.")
+        float,
+        typer.Option(min=0.0, help="Largest difference of a number: m, rad, or relative where the number is above 1."),
     ] = 0.0,
     images: Annotated[bool, typer.Option("--images", help="Render again too, and compare the JPEG files.")] = False,
     image_tolerance: Annotated[
@@ -132,4 +133,4 @@ def _hint(report: dict[str, Any]) -> str:
     unequal = any(divergence["difference"] is None for divergence in report["divergences"])
     if unequal or report["problems"] or not report["tolerance"] < report["max_error"] <= _MAX_ROUNDING:
         return ""
-    return f"; if it was recorded on another kind of processor, rounding does that: --tolerance {_MAX_ROUNDING:g}"
+    return f"; if it was recorded on another kind of processor, rounding can cause this: --tolerance {_MAX_ROUNDING:g}"

@@ -48,7 +48,7 @@ def view(
         if episode is not None and value is not None:
             raise UsageError(f"{flag} is not for --episode, which shows the rig and the task that were recorded")
     if seed is not None and task is None:
-        raise UsageError(f"--seed {seed} decides a task's layout; give --task with it")
+        raise UsageError(f"--seed {seed} determines the layout of a task; give --task with it")
     page = choose_viewer(web, port, host)
     where = opener.locations()
     if episode is not None:

@@ -12,4 +12,4 @@ def require_library(feature: str, library: str, extra: str) -> None:
     except ModuleNotFoundError as error:
         if error.name != library:
             raise
-        raise ResourceError(f"{feature} needs {library}, which is not here: pip install 'yamsim[{extra}]'") from error
+        raise ResourceError(f"{feature} needs {library}, which is missing: pip install 'yamsim[{extra}]'") from error

@@ -21,7 +21,7 @@ def refusal_reason(hosts: Sequence[str], origins: Sequence[str], bound: str) -> 
     `bound` is `0.0.0.0` or `::` for all addresses of this machine.
     """
     if len(hosts) > 1 or len(origins) > 1:
-        return "more than one Host or Origin"
+        return "more than one Host or Origin header"
     host = _split(f"//{hosts[0]}") if hosts else None
     if hosts and (host is None or not _is_own(host.hostname or "", bound)):
         return f"Host {hosts[0][:100]!r} is not this server"

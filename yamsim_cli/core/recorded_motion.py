@@ -42,14 +42,14 @@ class RecordedMotion:
     def __post_init__(self) -> None:
         n = len(self.times)
         if n and (self.times[0] != 0 or np.any(np.diff(self.times) <= 0)):
-            raise ValueError("times begin at 0 and increase")
+            raise ValueError("times must begin at 0 and increase")
         for arm in self.arms:
             for rows in (arm.joints, arm.commands, arm.velocities):
                 if rows is not None and rows.shape != (n, arm.joints.shape[1]):
-                    raise ValueError(f"{rows.shape} are not ({n}, {arm.joints.shape[1]})")
+                    raise ValueError(f"values have the shape {rows.shape}, not ({n}, {arm.joints.shape[1]})")
             for values in (arm.openings, arm.commanded_openings):
                 if values is not None and values.shape != (n,):
-                    raise ValueError(f"{values.shape} are not ({n},)")
+                    raise ValueError(f"values have the shape {values.shape}, not ({n},)")
 
     @property
     def duration(self) -> float:

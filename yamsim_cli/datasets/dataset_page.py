@@ -81,12 +81,12 @@ def group_by_code(problems: Sequence[Mapping[str, Any]]) -> list[tuple[str, list
 def _verdict(summary: Mapping[str, Any]) -> Markup:
     errors, warnings = problem_counts(summary)
     if summary["errors"]:
-        return verdict(f"{errors} and {warnings}: not to be trained on as it is.", "error")
+        return verdict(f"{errors} and {warnings}: do not train on the dataset as it is.", "error")
     if not summary["episodes"]:
-        return verdict("There is no episode in it yet.", "warning")
+        return verdict("The dataset has no episodes yet.", "warning")
     if summary["warnings"]:
-        return verdict(f"Whole, with {warnings} to look at.", "warning")
-    return verdict("Whole: every file was opened and is as it should be.", "fine")
+        return verdict(f"Complete, with {warnings} to look at.", "warning")
+    return verdict("Complete: every file was opened and is valid.", "fine")
 
 
 def _figures(summary: Mapping[str, Any]) -> Markup:

@@ -22,7 +22,7 @@ def leaderboard_page(reports: Sequence[Mapping[str, Any]], pairs: Sequence[Mappi
     title = f"{first['task']} on {first['rig']}"
     headings = ("policy", "success", "95 % interval", "answer, median", "answer, 95 %", "actions", "stale", "waited")
     body = [
-        html_tag("p", f"{len(first['trials'])} trials of seed {first['seed']}, held by {first['grasp']}"),
+        html_tag("p", f"{len(first['trials'])} trials of seed {first['seed']}, grasp {first['grasp']}"),
         html_table(headings, map(_row, ranked)),
         _pairs(first, pairs),
         _instances(ranked),

@@ -72,7 +72,7 @@ def _facts_of_crash(error: LostJobError) -> EpisodeFacts:
     directory = error.job
     assert isinstance(directory, EpisodeDirectory)
     problems = ProblemCollector(directory.path.name)
-    problems.add("episode.unchecked", value=f"{error.tries} processes were ended by it, the last one {error.reason}")
+    problems.add("episode.unchecked", value=f"{error.tries} processes that read it ended, the last one {error.reason}")
     return EpisodeFacts(directory.path.name, directory.number, problems=problems.list())
 
 

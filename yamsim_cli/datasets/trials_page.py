@@ -52,7 +52,7 @@ def trials_page(report: Mapping[str, Any], boxes: Mapping[str, Box], made: str) 
         _workspace(good, failed, boxes),
         _failures(failed),
     ]
-    heading = f"{report['task']} on {report['rig']}, held by {report['grasp']}"
+    heading = f"{report['task']} on {report['rig']}, grasp {report['grasp']}"
     return html_page(f"{report['task']}: trials", "Trials", heading, body, made)
 
 
@@ -71,7 +71,7 @@ def _figures(report: Mapping[str, Any]) -> Markup:
         figures += [
             (percent(margins["velocity_share"], 0), "of a motor's speed at most"),
             (percent(margins["torque_share"], 0), "of a drive's torque at most"),
-            (f"{margins['joint_rad']:.2f} rad", "from a joint's stop at least"),
+            (f"{margins['joint_rad']:.2f} rad", "from a joint limit at least"),
         ]
     return key_figures(figures)
 
@@ -119,7 +119,7 @@ def _workspace(
         )
         box, title = boxes.get(name), f"{name}, start"
         grid = compute_coverage(succeeded, *box, CELL_M) if box else None
-        caption = f"{grid.cells_hit} of {grid.cells} cells with a success" if grid else "it starts on another thing"
+        caption = f"{grid.cells_hit} of {grid.cells} cells with a success" if grid else "it starts on another object"
         panels.append(
             captioned(title, plot_workspace(ObjectPlaces(succeeded, (), others, grid), box, "world", title), caption)
         )

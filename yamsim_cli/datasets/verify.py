@@ -110,12 +110,12 @@ class EpisodeVerifier(Closable):
             changed = self._changed_versions(episode)
             frames = _read_frames(episode, problems)
             if episode.record.source != "record":
-                skipped[SEED] = f"it comes from {episode.record.source!r} and not from a seed"
-            elif (engine := episode.record.versions["engine"]) != ENGINE:
+                skipped[SEED] = f"it comes from {episode.record.source!r}, not from a seed"
+            elif (engine := _engine(episode.record)) != ENGINE:
                 version = episode.record.versions.get("yamsim", "unknown")
                 skipped[SEED] = (
                     f"it was made by engine revision {engine} of yamsim {version}; this version's revision {ENGINE} "
-                    "makes other episodes of the same seeds; its actions are repeated"
+                    "makes other episodes from the same seeds; only its actions are repeated"
                 )
                 if self._tolerances.images is not None:
                     skipped[IMAGES] = skipped[SEED]
@@ -152,8 +152,9 @@ class EpisodeVerifier(Closable):
             return checks
         if (looks := record.versions["looks"]) != APPEARANCE_REVISION:
             skipped[IMAGES] = (
-                f"its pictures are of looks revision {looks}, and this version draws revision {APPEARANCE_REVISION}: "
-                "they differ as intended, which is no damage"
+                f"its images have appearance revision {looks}, but this version renders revision "
+                f"{APPEARANCE_REVISION}: "
+                "they differ as intended and are not damaged"
             )
         elif done.states:
             images = encode_images(simulator, done.attempt, [state.qpos for state in done.states])

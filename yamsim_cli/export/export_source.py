@@ -151,8 +151,8 @@ class RealSource(ExportSource):
             usual = episode.record.frame_period_s
             if not self.is_resampled and abs(usual / self.period - 1) > _MAX_UNEVENNESS:
                 raise DatasetError(
-                    f"{directory} has a frame every {1000 * usual:.1f} ms, and the chosen episodes usually every "
-                    f"{1000 * self.period:.1f}: export it apart, see --episodes, or give --fps"
+                    f"{directory} has a frame every {1000 * usual:.1f} ms, but the chosen episodes usually every "
+                    f"{1000 * self.period:.1f} ms: export it separately with --episodes, or give --fps"
                 )
             yield self._chosen(episode)
 
@@ -189,8 +189,8 @@ class RealSource(ExportSource):
             return self.with_gripper_shares([frame["joints"] for frame in (*frames[1:], frames[-1])])
         if not all("ctrl" in frame for frame in frames):
             raise DatasetError(
-                f"{episode.directory} has no commands: they were not recorded. --actions measured takes what was "
-                "measured one frame later"
+                f"{episode.directory} has no commands, because they were not recorded; --actions measured takes the "
+                "joints measured one frame later"
             )
         return self.with_gripper_shares([frame["ctrl"] for frame in frames])
 
@@ -201,8 +201,8 @@ class RealSource(ExportSource):
             return None
         return (
             f"{episode.directory.name}: its frames were recorded {1000 * pauses.min():.1f} to "
-            f"{1000 * pauses.max():.1f} ms apart, and are {1000 * self.period:.1f} ms apart here, "
-            f"{len(pauses) * self.period:.2f} s instead of {pauses.sum():.2f}; --fps has frames at even times"
+            f"{1000 * pauses.max():.1f} ms apart, but are exported {1000 * self.period:.1f} ms apart, "
+            f"{len(pauses) * self.period:.2f} s instead of {pauses.sum():.2f} s; --fps gives evenly spaced frames"
         )
 
 
@@ -212,7 +212,7 @@ def _require_alike(episode: RecordedEpisode, first: RecordedEpisode, keys: Seque
         if here != there:
             raise DatasetError(
                 f"{episode.directory} has other {key} than {first.directory.name} ({here}, not {there}): "
-                "export them apart, see --episodes"
+                "export them separately with --episodes"
             )
 
 

@@ -30,7 +30,7 @@ from .output_directory import ExportResult, export_directory
 
 Values = dict[str, NDArray[Any]]  # feature -> values (frames, ...) of one episode
 
-_UNLIKE_FIRST = "unlike the first one: export them apart, see --episodes"
+_UNLIKE_FIRST = "unlike the first episode: export them separately with --episodes"
 
 
 def export_lerobot(
@@ -124,8 +124,8 @@ class _SimulatedContent(_Content):
         joints, first = episode.record.joints, self._source.first
         if self._things and joints != first.record.joints:
             raise DatasetError(
-                f"{episode.directory} has things with other joints than {first.directory.name} ({joints}, not "
-                f"{first.record.joints}): export them apart, see --episodes, or without --environment-state"
+                f"{episode.directory} has objects with other joints than {first.directory.name} ({joints}, not "
+                f"{first.record.joints}): export them separately with --episodes, or without --environment-state"
             )
         if BETWEEN_BASES in frames[0]:
             self.about[BETWEEN_BASES] = frames[0][BETWEEN_BASES].tolist()

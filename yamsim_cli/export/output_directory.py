@@ -43,4 +43,4 @@ def export_directory(final: Path, *, overwrite: bool) -> Iterator[StagedDirector
 def require_parent(out: Path) -> None:
     """Raise UsageError if the parent directory of `out` does not exist."""
     if not out.absolute().parent.is_dir():
-        raise UsageError(f"{out}: there is no directory {out.absolute().parent}; make it, or choose another OUT")
+        raise UsageError(f"{out}: there is no directory {out.absolute().parent}; create it, or choose another OUT")

@@ -84,7 +84,7 @@ def _with_recorded_size(source: SimulatedSource) -> RecordConfig:
     sizes = set(source.cameras.values())
     if len(sizes) > 1:
         raise DatasetError(
-            f"{source.path} has pictures of several sizes, which cannot be rendered: take --pictures nearest"
+            f"{source.path} has pictures of several sizes, which cannot be rendered: use --pictures nearest"
         )
     image = source.config.image.model_copy(update={"size_px": sizes.pop()})
     return source.config.model_copy(update={"image": image})
@@ -126,10 +126,12 @@ def export_real_raiden(
         actions: "recorded" for commands, or "measured" for joints one frame later.
     """
     if actions == "none":
-        raise UsageError("--actions none: each frame of raiden's layout has one; take measured, or export as lerobot")
+        raise UsageError(
+            "--actions none: each frame of raiden's layout needs an action; give measured, or export as lerobot"
+        )
     if not source.cameras:
         raise DatasetError(
-            f"{source.path} has no pictures, and raiden's layout keeps its times beside them: export it as lerobot"
+            f"{source.path} has no pictures, which raiden's layout needs for its times: export it as lerobot"
         )
     names = {camera: camera for camera in source.cameras}
     single = options.single or len(source.rig.recording_order) == 1
@@ -167,7 +169,7 @@ def _convert_episode(
 ) -> list[dict[str, Any]]:
     if source.first.record.drives != source.rig.drives:
         raise DatasetError(
-            f"{source.path} has no grippers, since they were not recorded, and raiden's layout has one of each arm: "
+            f"{source.path} has no grippers, because they were not recorded, but raiden's layout needs one per arm: "
             "export it as lerobot"
         )
     joints = source.with_gripper_shares([frame["joints"] for frame in recorded])

@@ -90,8 +90,8 @@ class EpisodeConverter(Closable):
         depths = depth_cameras(episode)
         if depths and not self._truth:
             raise DatasetError(
-                f"{episode.directory} has depth, and its dataset was recorded without --truth, so how to make it is "
-                "not known; take the recorded pictures with --pictures nearest"
+                f"{episode.directory} has depth, but its dataset was recorded without --truth, so depth cannot be "
+                "rendered again; use the recorded pictures with --pictures nearest"
             )
         for k, camera, image in recorded_pictures(simulator, made.attempt, made.qpos):
             name = self._names[camera]
@@ -112,8 +112,9 @@ class EpisodeConverter(Closable):
             difference = float(np.abs(rendered.astype(np.int16) - recorded).mean())
         if difference > _MAX_DIFFERENCE:
             raise DatasetError(
-                f"{episode.directory}: {camera} rendered anew is not what was recorded ({difference:.1f} of 255 off in "
-                f"the mean, at most {_MAX_DIFFERENCE:g}): run `yamsim assets fetch` if meshes are missing, or take "
+                f"{episode.directory}: {camera} rendered again is not what was recorded (mean difference "
+                f"{difference:.1f} of 255, at most {_MAX_DIFFERENCE:g}): run `yamsim assets fetch` if meshes are "
+                "missing, or use "
                 "the recorded pictures with --pictures nearest"
             )
 
@@ -146,7 +147,9 @@ def _write(path: Path, data: bytes) -> None:
 def _decoded(episode: RecordedEpisode, camera: str, frame: int, data: bytes) -> Image:
     image = decode_jpeg(data)
     if image is None:
-        raise DatasetError(f"{episode.directory}: frame {frame} of {camera} is no whole JPEG; --images jpg copies it")
+        raise DatasetError(
+            f"{episode.directory}: frame {frame} of {camera} is not a valid JPEG; --images jpg copies it unchanged"
+        )
     return image
 
 

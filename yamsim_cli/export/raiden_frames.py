@@ -69,7 +69,8 @@ class _ArmConverter:
         if robot.dof != schema.JOINTS or robot.fingers is None:
             hand = "a gripper" if robot.fingers else "no gripper"
             raise UsageError(
-                f"raiden's layout is of arms with {schema.JOINTS} joints and a gripper, and {arm.name} ({robot.model}) "
+                f"raiden's layout is for arms with {schema.JOINTS} joints and a gripper, but {arm.name} "
+                f"({robot.model}) "
                 f"has {robot.dof} and {hand}: export it as lerobot or rerun"
             )
         if frame in _KINEMATICS_FILES:
@@ -78,7 +79,7 @@ class _ArmConverter:
             except ResourceError:
                 raise UsageError(
                     f"--hand-frame: {robot.model} has no {_KINEMATICS_FILES[frame]} in its folder of robot_models/, "
-                    "where that hand would be: take --hand-frame yamsim"
+                    "which this frame needs: give --hand-frame yamsim"
                 ) from None
             self._kinematics = ArmKinematics(mujoco.MjModel.from_xml_path(str(file)))
         else:

@@ -65,7 +65,7 @@ def resample_episode(simulator: Simulator, episode: StoredEpisode, fps: float) -
     found = recorded_actions(recorded, scene.model.nq, scene.model.nu)
     if found is None:
         raise DatasetError(
-            f"{episode.directory} holds no sim_qpos, sim_ctrl and sim_magnet, so nothing between its frames can be "
+            f"{episode.directory} holds no sim_qpos, sim_ctrl and sim_magnet, so no frames between its frames can be "
             "made: export it with --fps source"
         )
     start, actions = found
@@ -121,6 +121,7 @@ def _require_same(episode: StoredEpisode, recorded: Sequence[Mapping[str, Any]],
         )
         raise DatasetError(
             f"{episode.directory}: its control ticks, repeated in physics, lead {deviation[k]:.2g} m or rad away by "
-            f"frame {k}{f' ({changed})' if changed else ''}, so nothing between its frames can be made: export it with "
+            f"frame {k}{f' ({changed})' if changed else ''}, so no frames between its frames can be made: export it "
+            "with "
             "--fps source, and see `yamsim verify`"
         )

@@ -65,7 +65,7 @@ def export_sheet(
     """
     chosen = _cameras(source, cameras or tuple(source.cameras)[:1])
     if out.suffix.lower() not in (".jpg", ".jpeg"):
-        raise UsageError(f"{out} is not a name for a sheet: end it in .jpg")
+        raise UsageError(f"{out} is not a valid name for a sheet; it must end in .jpg")
     require_parent(out)
     if out.exists() and not overwrite:
         raise UsageError(f"{out} exists; move it aside with --overwrite, or choose another OUT")
@@ -73,8 +73,8 @@ def export_sheet(
     size = (columns * width, len(source) * sum(heights.values()))
     if max(size) > _MAX_SIDE_PX:
         raise UsageError(
-            f"{len(source)} episodes make a sheet of {size[0]}x{size[1]} px, and {_MAX_SIDE_PX} is the most: take "
-            "fewer with --episodes, or a smaller --width"
+            f"{len(source)} episodes make a sheet of {size[0]}x{size[1]} px, but a side has at most {_MAX_SIDE_PX} px: "
+            "give fewer --episodes, or a smaller --width"
         )
     moved = None
     try:
@@ -98,7 +98,7 @@ def _row(episode: RecordedEpisode, camera: str, columns: int, size: tuple[int, i
     for k in np.linspace(0, episode.record.frames - 1, columns).round().astype(int):
         image = decode_jpeg(episode.image(camera, int(k)))
         if image is None:
-            raise DatasetError(f"{episode.directory}: frame {k} of {camera} is no JPEG")
+            raise DatasetError(f"{episode.directory}: frame {k} of {camera} is not a JPEG")
         images.append(resize_area(image, *size))
     return draw_labels(np.concatenate(images, axis=1), {}, episode.directory.name)
 
@@ -111,5 +111,5 @@ def _cameras(source: ExportSource, wanted: Sequence[str]) -> tuple[str, ...]:
             raise UsageError(f"--camera {name!r} is not valid; {suggest(name, source.cameras)}")
     chosen = tuple(wanted) or tuple(source.cameras)
     if len({source.cameras[name][1] for name in chosen}) > 1:
-        raise UsageError(f"the images of {' and '.join(chosen)} differ in height: choose one --camera")
+        raise UsageError(f"the images of {' and '.join(chosen)} differ in height: give one --camera")
     return chosen

@@ -47,7 +47,7 @@ def require_unused(flag: str, files: Path | Iterable[Path], *, overwrite: bool) 
         if file.exists() and not overwrite:
             raise UsageError(f"{flag} {file} exists; replace it with --overwrite, or give another path")
         if one and not folder.is_dir():
-            raise UsageError(f"{flag} {file}: there is no directory {folder}; make it first")
+            raise UsageError(f"{flag} {file}: there is no directory {folder}; create it first")
         _require_writable(flag, nearest_directory(folder))
 
 

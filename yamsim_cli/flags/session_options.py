@@ -71,7 +71,7 @@ Threshold = Annotated[
 Wrist = Annotated[bool | None, typer.Option("--wrist/--no-wrist", help="Also record the wrist camera.")]
 Randomize = Annotated[
     bool | None,
-    typer.Option("--randomize/--no-randomize", help="Vary lights, camera, looks, weights, and more."),
+    typer.Option("--randomize/--no-randomize", help="Vary lights, camera, appearance, masses, and more."),
 ]
 Randomization = Annotated[
     str | None,
@@ -125,6 +125,6 @@ Offline = Annotated[
     typer.Option(
         "--offline",
         callback=_set_offline,
-        help="Fetch no missing meshes and draw primitives in their place, as with YAMSIM_OFFLINE=1.",
+        help="Do not fetch missing meshes; show primitives in their place, as with YAMSIM_OFFLINE=1.",
     ),
 ]

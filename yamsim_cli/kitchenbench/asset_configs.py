@@ -64,7 +64,7 @@ def object_config_of(
     """
     if item.asset not in _OBJECT_CONFIGS:
         raise LookupError(
-            f"object {item.name!r}: asset {item.asset!r} is not realized; those are: {', '.join(_OBJECT_CONFIGS)}"
+            f"object {item.name!r}: asset {item.asset!r} is not supported; valid: {', '.join(_OBJECT_CONFIGS)}"
         )
     base = load_config(ObjectConfig, "objects", _OBJECT_CONFIGS[item.asset], locations)
     assert base.shape is not None, "the kitchen's things are made from sizes"
@@ -121,7 +121,7 @@ def cloth_config_of(item: SceneObject, blueprint: SceneBlueprint, locations: Loc
     """
     if item.asset not in SHEETS:
         raise LookupError(
-            f"object {item.name!r}: asset {item.asset!r} is no cloth that is realized; those are: {', '.join(SHEETS)}"
+            f"object {item.name!r}: asset {item.asset!r} is not a supported cloth; valid: {', '.join(SHEETS)}"
         )
     base = load_config(ObjectConfig, "objects", SHEETS[item.asset], locations).cloth
     assert base is not None, "sheets are cloth"

@@ -134,8 +134,8 @@ def build_benchmark_scene(blueprint: SceneBlueprint, base: Session) -> Benchmark
     """
     if blueprint.target_kind not in KINDS:
         raise LookupError(
-            f"scene {blueprint.scene_id!r}: goals of kind {blueprint.target_kind!r} are not realized; "
-            f"those are: {', '.join(sorted(KINDS))}"
+            f"scene {blueprint.scene_id!r}: goals of kind {blueprint.target_kind!r} are not supported; "
+            f"valid: {', '.join(sorted(KINDS))}"
         )
     things = [item for item in blueprint.objects if item.asset != COMPARTMENT]
     nests = blueprint.target_kind != _HANDED_OVER
@@ -248,12 +248,12 @@ def _unrealized(blueprint: SceneBlueprint, offsets: Mapping[str, float]) -> tupl
     lines = []
     for name, value in blueprint.conditions.items():
         if name in _POLICY_CONDITIONS:
-            lines.append(f"{name}={value}: up to the policy; nothing holds it to that")
+            lines.append(f"{name}={value}: up to the policy, and not enforced")
         elif name not in _REALIZED_CONDITIONS:
-            lines.append(f"{name}={value}: not realized")
+            lines.append(f"{name}={value}: not simulated")
     for item in blueprint.objects:
         if item.amount_g is not None:
-            lines.append(f"{item.name}: amount_g={item.amount_g:g}: not realized")
+            lines.append(f"{item.name}: amount_g={item.amount_g:g}: not simulated")
         if (off := offsets.get(item.name, 0.0)) > _MAX_OFFSET_MM:
-            lines.append(f"{item.name}: came to rest {off:.0f} mm from where it was asked for")
+            lines.append(f"{item.name}: came to rest {off:.0f} mm from its requested place")
     return tuple(lines)

@@ -44,9 +44,10 @@ LABELS = tuple(
 
 _LOG = logging.getLogger("yamsim")
 
-_NOTES = """Two arms of six joints, 0.61 m apart, before a table. An action is 14 absolute targets: six joints of the
-left arm (rad), its gripper (0 closed and pressing .. 1 open), then the right arm's. Over an action, references go
-evenly from the last targets to the new ones, as far as motors' speeds let them. At zero an arm is folded."""
+_NOTES = """Two arms of six joints, 0.61 m apart, in front of a table. An action is 14 absolute targets: six joints of
+the left arm (rad), its gripper (0 closed and pressing .. 1 open), then the same of the right arm. During an action,
+the references move linearly from the last targets to the new ones, within the motors' speed limits. With all joints at
+zero, an arm is folded."""
 
 
 def action_space(config: RecordConfig, period: float) -> Box:
@@ -71,7 +72,9 @@ def ticks_per_action(control_hz: float) -> int:
     ticks = round(TICK_HZ / control_hz) if control_hz > 0 else 0
     if not 1 <= ticks <= TICK_HZ or abs(TICK_HZ / control_hz - ticks) > 1e-9:
         valid = ", ".join(f"{TICK_HZ / k:g}" for k in (1, 2, 3, 5, 6, 10, 12, 15, 30))
-        raise UsageError(f"control_hz={control_hz:g} is no whole number of ticks of 1/{TICK_HZ} s; give one of {valid}")
+        raise UsageError(
+            f"control_hz={control_hz:g} is not a whole number of ticks of 1/{TICK_HZ} s; give one of {valid}"
+        )
     return ticks
 
 
@@ -81,6 +84,8 @@ class YamsimEmbodiment:
     After each action, KitchenBench's checker judges its scenes, and a yamsim task's goal judges that task.
 
     Attributes:
+        info: the description for compatibility checks.
+        simulator: simulates the scene that was reset last; None before the first reset.
         world: answers checkers' queries about the KitchenBench scene that was reset last.
 
     Args:
@@ -113,7 +118,7 @@ class YamsimEmbodiment:
             environment_id="yamsim",
             environment_revision=__version__,
         )
-        self._simulator: Simulator | None = None
+        self.simulator: Simulator | None = None
 
     def reset(self, scene: Scene, *, seed: int | None = None) -> Observation:
         """Put a scene's objects onto the table, at rest, and the arms into their start postures.
@@ -129,30 +134,30 @@ class YamsimEmbodiment:
                 judge = KitchenJudge(kitchen, self._motion)
                 self._judge: Judge = judge
                 self.world = judge.world
-                self._simulator = kitchen.simulator
+                self.simulator = kitchen.simulator
             case str(name) if name == BENCHMARK:
                 own = build_task_scene(self._open(task=str(scene.metadata["task"])), self._seed)
                 self._motion = SceneStepper(own, self._ticks)
                 self._judge = GoalJudge(own, self._motion)
-                self._simulator = own.simulator
+                self.simulator = own.simulator
             case _:
                 raise LookupError(
-                    f"scene {scene.id!r} is none of KitchenBench's or yamsim's, and yamsim realizes no others"
+                    f"scene {scene.id!r} is not a scene of KitchenBench or yamsim; yamsim supports no others"
                 )
         for line in self._judge.unrealized:
             _LOG.warning("%s: %s", scene.id, line)
-        return self._observe(self._simulator)
+        return self._observe(self.simulator)
 
     def step(self, action: Action) -> StepResult:
         """Execute an action (14,), and judge the new state."""
-        assert self._simulator is not None, "reset comes first"
+        assert self.simulator is not None, "call reset first"
         self._motion.act(np.asarray(action.data, dtype=np.float64))
         reached, explanation = self._judge.evaluate()
         reason = "success" if reached else None
         if broken := self._motion.physics_failure():
             reason = f"physics broke down: {broken}"
         return StepResult(
-            observation=self._observe(self._simulator),
+            observation=self._observe(self.simulator),
             reward=float(reason == "success"),
             terminated=reason is not None,
             termination_reason=reason,
@@ -166,9 +171,9 @@ class YamsimEmbodiment:
 
     def close(self) -> None:
         """Free the scene and its renderer."""
-        if self._simulator is not None:
-            self._simulator.close()
-            self._simulator = None
+        if self.simulator is not None:
+            self.simulator.close()
+            self.simulator = None
 
     def _observe(self, simulator: Simulator) -> Observation:
         images = {}

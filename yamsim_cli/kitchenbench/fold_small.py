@@ -116,7 +116,9 @@ class FoldSmall(Skill):
                 continue
             folds += 1
         if bounding_box_area(context.world.cloth_points(thing)) > self.area:
-            raise SkillFailedError(FailureCause.UNREACHABLE, f"no hands reach what would make the {thing} smaller")
+            raise SkillFailedError(
+                FailureCause.UNREACHABLE, f"no hands reach points that would make the {thing} smaller"
+            )
 
     def _sorted_folds(self, points: Array, first: bool) -> list[CreaseFold]:
         """Return folds, the best first: by sufficient area, few layers, whole sides, and small area."""

@@ -69,14 +69,16 @@ class YamsimExpert:
 
         Raise RuntimeError if observed and simulated joints differ: something changed the actions.
         """
-        assert self._scene is not None, "reset comes first"
+        assert self._scene is not None, "call reset first"
         if self._planning is None:
             seed = int(observation.state[SEED][0])
             self._planning = PlanningScene(self._realize(self._scene, seed), seed, self._ticks)
         planning = self._planning
         off = float(np.abs(np.asarray(observation.state[JOINTS]) - planning.motion.state()).max())
         if off > _STATE_TOLERANCE:
-            raise RuntimeError(f"the arms are {off:.4f} off where the expert's actions lead: something changes them")
+            raise RuntimeError(
+                f"the arms are {off:.4f} away from where the expert's actions lead: something changes the actions"
+            )
         return ActionChunk([Action(action) for action in planning.next_actions()], control_hz=self.info.control_hz)
 
     def close(self) -> None:
@@ -101,12 +103,21 @@ class YamsimExpert:
 
 
 class PlanningScene:
-    """A second simulation of a scene, moved by the same actions; skills plan from its state."""
+    """A second simulation of a scene, moved by the same actions as the first; skills plan from its state.
+
+    Attributes:
+        simulator: the simulator of the scene.
+        motion: executes the actions in this simulation.
+        context: the planning context of the skills.
+
+    Args:
+        seed: the scene's seed, from which the random path searches are seeded.
+        ticks: control ticks in an action.
+    """
 
     def __init__(self, realized: BenchmarkScene | YamsimTaskScene, seed: int, ticks: int) -> None:
         self._ticks = ticks
-        self._simulator = simulator = realized.simulator
-        self._scene = simulator.scene
+        self.simulator = simulator = realized.simulator
         self.motion = SceneStepper(realized, ticks)
         if isinstance(realized, YamsimTaskScene):
             self._scene_id, program = realized.scene_id, realized.program()
@@ -151,7 +162,7 @@ class PlanningScene:
     def close(self) -> None:
         """Free the simulation and the planning context's cache."""
         self.context.clear_cache()
-        self._simulator.close()
+        self.simulator.close()
 
 
 def is_still(segment: MotionSegment) -> bool:

@@ -38,7 +38,7 @@ def scene_task_data(name: str) -> dict[str, Any]:
     first = _blueprint(scene, epoch)
     if first.target_kind not in _KINDS:
         raise UsageError(
-            f"kitchenbench/{name}: goals of kind {first.target_kind!r} are not recorded; those are: {', '.join(_KINDS)}"
+            f"kitchenbench/{name}: goals of kind {first.target_kind!r} cannot be recorded; valid: {', '.join(_KINDS)}"
         )
     base = open_station_session("64x48", images=False)
     if table_for_scene(base.config, first) != base.config.scene.table:
@@ -83,7 +83,7 @@ def _scene(name: str) -> tuple[Scene, int]:
     if instance not in scenes:
         raise UsageError(f"kitchenbench/{name}: {task} has no scene {instance!r}; {suggest(instance, scenes)}")
     if epoch and not epoch.isdecimal():
-        raise UsageError(f"kitchenbench/{name}: {epoch!r} is no realization; give a number from 0 on")
+        raise UsageError(f"kitchenbench/{name}: {epoch!r} is not a realization; give a whole number, 0 or more")
     return scenes[instance], int(epoch or 0)
 
 

@@ -404,11 +404,12 @@ class PickNarrow(Pick):
 
     WAIT_FOR_REST: ClassVar[bool] = False
 
-    def _grasp_and_lift(
+    def grasp_and_lift(
         self, context: PlanningContext, hand: Hand, thing: str, found: ReachableGrasp
     ) -> Iterator[MotionSegment]:
+        """Yield the motions of `Pick`; note a grasp that slips, so that it is not tried again."""
         try:
-            yield from super()._grasp_and_lift(context, hand, thing, found)
+            yield from super().grasp_and_lift(context, hand, thing, found)
         except SkillFailedError as error:
             if error.cause in (FailureCause.SLIPPED, FailureCause.DROPPED):
                 hand.failed_grasps.append(HeldObject(thing, inverse(found.candidate.T_pinch_in_thing)))

@@ -189,16 +189,14 @@ class Collector:
 
     def _not_reproduced_error(self, payload: AttemptPayload, episode: int) -> DatasetError:
         return DatasetError(
-            f"{self._sink.path}: attempt {payload.job.attempt} gave {episode_name(episode)} once and fails now "
+            f"{self._sink.path}: attempt {payload.job.attempt} is {episode_name(episode)} but fails now "
             f"({payload.outcome.cause}): this machine or its packages differ from those that recorded it"
         )
 
     def _log_again(self, payload: AttemptPayload) -> None:
         number = missing_episode(self._sink.attempts, payload.job.attempt)
         if payload.outcome.success and number is None:  # the original attempt had lost its workers
-            detail = (
-                "its line in the ledger was lost; made again it succeeds, and the episodes after it do not count it"
-            )
+            detail = "its line in the ledger was lost; repeated, it succeeds, but the episodes after it do not count it"
             payload = replace(payload, outcome=Outcome(False, FailureCause.WORKER_LOST, detail), files={})
         episode = number if payload.outcome.success else None
         if episode is not None:
@@ -217,7 +215,7 @@ class Collector:
         if self._renderer and payload.renderer and payload.renderer != self._renderer:
             self._watch.warn(
                 f"Workers render with different OpenGL ({self._renderer}; {payload.renderer}): "
-                "which of them rendered an episode decides its images' bytes."
+                "the bytes of an image depend on the worker that rendered it."
             )
         self._renderer = payload.renderer or self._renderer
 

@@ -95,7 +95,7 @@ def check_space(place: Path, episodes: int, size: EpisodeSize) -> str | None:
     )
     there = f"{place} has room for {_format_size(free)}" + ("" if inodes == math.inf else f" in {inodes} files")
     if fit < episodes:
-        raise ResourceError(f"{takes}, but {there}: {fit} fit; make room, choose another --out, or a smaller --n")
+        raise ResourceError(f"{takes}, but {there}: {fit} fit; free some space, choose another --out, or a smaller --n")
     if free < size.likely * episodes or inodes < size.inodes * episodes:
         return (
             f"{takes}, probably {size.inodes * episodes} files and {_format_size(size.likely * episodes)}, "

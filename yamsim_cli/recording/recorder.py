@@ -67,13 +67,11 @@ def _check_certificates(session: Session, callbacks: RecordCallbacks) -> None:
         found = find_certificate(locations.assets, item, lock)
         if found.status is CertificateStatus.FAILED:
             raise ResourceError(
-                f"{item.name} has failed its certificate: {', '.join(found.failed)}; mend it and run `yamsim assets "
+                f"{item.name} has failed its certificate: {', '.join(found.failed)}; correct it and run `yamsim assets "
                 f"certify` again, or delete {found.path} to record it as it is"
             )
         if found.status is CertificateStatus.STALE:
-            callbacks.warn(
-                f"The certificate of {item.name} is of what it was before: run `yamsim assets certify` again."
-            )
+            callbacks.warn(f"The certificate of {item.name} is out of date: run `yamsim assets certify` again.")
 
 
 @contextlib.contextmanager
@@ -85,7 +83,7 @@ def _report_on_early_end(
 
     def whole() -> str:
         complete = collector.complete_episodes
-        return f"{complete} of {config.episodes} episodes are whole in {place}{destination.describe_staged}"
+        return f"{complete} of {config.episodes} episodes are complete in {place}{destination.describe_staged}"
 
     def state() -> str:
         return f"{whole()}, {collector.remaining_episodes} are left; continue with --resume"

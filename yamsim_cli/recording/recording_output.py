@@ -115,15 +115,16 @@ def _check_mounts(config: RecordConfig, output: RecordingOutput, callbacks: Reco
         files = files_per_episode(frames, len(config.recorded_cameras), truth=config.truth)
         seconds = files * _ROUND_TRIPS_PER_FILE * _ROUND_TRIP
         callbacks.warn(
-            f"{output.path} is on {mount.point}, which is {mount.kind} ({mount.source}): an episode is {files} files, "
-            f"so writing one takes some {seconds:.0f} s where the server is 10 ms away, and workers wait meanwhile. "
-            "With --stage DIR, a local directory, finished episodes are moved there in the background."
+            f"{output.path} is on {mount.point}, which is {mount.kind} ({mount.source}): an episode has {files} files, "
+            f"so writing one takes about {seconds:.0f} s at a latency of 10 ms, while workers wait. "
+            "With --stage DIR, a local directory, yamsim writes episodes to DIR and moves them in the background."
         )
     if output.mode is OpenMode.RESUME and mount is not None:
         callbacks.warn(f"Every file in {output.path} is read and compared first; over a network that may take minutes.")
     if output.stage is not None and (other := network_mount(output.stage, mounts)) is not None:
         callbacks.warn(
-            f"The stage {output.stage} is on {other.kind} ({other.source}), so it is no help: choose a local disk."
+            f"The staging directory {output.stage} is also on a network, {other.kind} ({other.source}): choose a local "
+            "disk."
         )
     return mount
 

@@ -33,15 +33,15 @@ HAND_HEIGHT = 0.05  # m above the table, assumed height of grasps
 
 # Failure cause -> parts of a task to inspect.
 _TASK_PARTS: Mapping[str, str] = {
-    FailureCause.NO_LAYOUT: "`starts` (their regions and `apart`), and how large the things are",
+    FailureCause.NO_LAYOUT: "`starts` (their regions and `apart`), and the sizes of the objects",
     FailureCause.UNREACHABLE: "`starts`, the steps of `expert`, and where the rig's arms stand",
     FailureCause.SLIPPED: "the object's `grasp.friction` and mass",
     FailureCause.DROPPED: "the object's `grasp`, and what it is put on",
-    FailureCause.COLLIDED: "`start_joints`, and the things' `collision`",
+    FailureCause.COLLIDED: "`start_joints`, and `collision` of the objects",
     FailureCause.LIMITS: "`starts`, and `start_joints`",
-    FailureCause.OFF_TARGET: "the radius in `goal`, and both things' `collision` and `contact`",
+    FailureCause.OFF_TARGET: "the radius in `goal`, and `collision` and `contact` of both objects",
     FailureCause.UNSTABLE: "`timing` (timestep, settle_ticks), `start_joints`, and the objects' masses and inertias",
-    FailureCause.GOAL: "`goal`, and the steps of `expert` that are to bring it about",
+    FailureCause.GOAL: "`goal`, and the steps of `expert` that lead to it",
     FailureCause.TIME: "`time_limit_s`, and how many steps `expert` has",
     FailureCause.WORKER_LOST: "the machine, by `yamsim doctor`",
 }
@@ -83,7 +83,7 @@ class RetryLimit:
         self._checked = True
         if not self._no_better_start(FailureCause(str(last.cause)), tried):
             return None
-        more = f"its first {tried} attempts all failed in one way, and {STARTS_TO_CHECK} more would start no better"
+        more = f"its first {tried} attempts all failed with one cause, and {STARTS_TO_CHECK} more have no better start"
         return self._infeasible_task_error(more, attempts)
 
     def _infeasible_task_error(self, why: str, attempts: Sequence[AttemptRecord]) -> SimulationError:

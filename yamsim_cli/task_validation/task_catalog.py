@@ -89,7 +89,9 @@ def _as_data(config: Config) -> Mapping[str, Any]:
 def write_task_template(name: str, folder: Path) -> Path:
     """Write the template of a task, and return its file."""
     if not _NAME.fullmatch(name):
-        raise UsageError(f"{name!r} is no name for a task; start with a letter, then letters, digits and underscores")
+        raise UsageError(
+            f"{name!r} is not a valid name for a task; use letters, digits and underscores, and begin with a letter"
+        )
     path = folder / f"{name}.yaml"
     if path.exists():
         raise UsageError(f"{path} exists and is not overwritten; give another name, or remove it")

@@ -222,7 +222,7 @@ def validate_task(session: Session, minimum: float, progress: Progress) -> dict[
 def _near_misses(simulators: Simulators, report: Mapping[str, Any]) -> TaskCheck:
     success = next((trial for trial in report["trials"] if trial["outcome"]["success"]), None)
     if success is None:
-        return TaskCheck("near_misses", None, None, "no attempt succeeded that things could be put off from")
+        return TaskCheck("near_misses", None, None, "no attempt succeeded, so there is no state to move objects from")
     job = AttemptJob(success["seed"], success["trial"])
     simulator = simulators.get(job)
     return check_near_misses(simulator, demonstrate(simulator, sample_attempt(simulator, job)))

@@ -91,7 +91,7 @@ def print_note(text: str) -> None:
 def note_moved(path: Path, moved: Path | None) -> None:
     """Note that an older output at `path` was renamed to `moved`, unless `moved` is None."""
     if moved:
-        print_note(f"What was at {path} is now at {moved}.")
+        print_note(f"Moved the existing {path} to {moved}.")
 
 
 def note_at_end(text: str) -> None:

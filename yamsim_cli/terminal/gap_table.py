@@ -58,7 +58,7 @@ def _interval(row: Mapping[str, Any]) -> str:
 
 def _joints(report: Mapping[str, Any]) -> ItemTable:
     headings = ("joint", "RMS mrad", "95 %", "max", "delay ms", "sag mrad", "overshoot mrad")
-    table = ItemTable(headings, "Measured less simulated", whole=True)
+    table = ItemTable(headings, "Measured minus simulated", whole=True)
     for joint in report["joints"]:
         delay = "" if joint["delay_s"] is None else f"{round(joint['delay_s'] * 1000, 1) + 0.0:.1f}"
         table.add_row(
@@ -68,7 +68,7 @@ def _joints(report: Mapping[str, Any]) -> ItemTable:
 
 
 def _phases(report: Mapping[str, Any]) -> ItemTable:
-    table = ItemTable(("the joint is", "share", "RMS mrad", "95 %", "max"), "By phase of motion")
+    table = ItemTable(("phase", "share", "RMS mrad", "95 %", "max"), "By phase of motion")
     for phase in report["phases"]:
         table.add_row(phase["name"], f"{phase['share']:.0%}", *_errors(phase))
     return table

@@ -83,7 +83,7 @@ def _workspace(workspace: Mapping[str, Any]) -> ItemTable:
 
 def _problems(report: Mapping[str, Any]) -> RenderableType:
     if not report["problems"]:
-        return Text("No problems: every file was opened and is as it should be.", style="green")
+        return Text("No problems: every file was opened and is valid.", style="green")
     title = ", ".join(problem_counts(report))
     table = ItemTable(["problem", "times", "what, where, and what to do"], title, numbers_to=2, whole=True)
     for code, problems in group_by_code(report["problems"]):

@@ -63,7 +63,7 @@ def _batch(report: dict[str, Any]) -> Iterator[tuple[str, str]]:
         yield (
             "worst motion",
             f"{margins['velocity_share']:.0%} of a motor's speed, {margins['torque_share']:.0%} of a drive's torque, "
-            f"{margins['joint_rad']:.2f} rad from a stop",
+            f"{margins['joint_rad']:.2f} rad from a joint limit",
         )
     if margins and margins["slip_m"] is not None:
         yield (
@@ -86,8 +86,8 @@ def _evaluation(report: dict[str, Any]) -> Iterator[tuple[str, str]]:
     if chunks["actions"] > chunks["chunks"] or chunks["stale"] or chunks["waited_s"]:
         yield (
             "actions",
-            f"{chunks['actions']} in {chunks['chunks']} chunks; {chunks['stale']} came when their time had passed, "
-            f"and for {chunks['waited_s']:.2f} s there was none",
+            f"{chunks['actions']} in {chunks['chunks']} chunks; {chunks['stale']} came too late, "
+            f"and for {chunks['waited_s']:.2f} s no action was available",
         )
     if len(stats["by_instance"]) > 1:
         for one in stats["by_instance"]:

@@ -193,7 +193,9 @@ def write_file_storage(
 @pytest.mark.parametrize("shape", [(5, 1), (1, 5), (5,)], ids=str)
 @pytest.mark.parametrize("comment", ["", "flags: +fix_aspectRatio, +zero_tangent_dist"], ids=["plain", "commented"])
 @pytest.mark.parametrize("ending", ["yaml", "yml", "json", "xml"])
-def test_what_opencv_writes(ending: str, comment: str, shape: tuple[int, ...], locations: Locations) -> None:
+def test_files_written_by_opencv_are_read(
+    ending: str, comment: str, shape: tuple[int, ...], locations: Locations
+) -> None:
     write_file_storage(f"c.{ending}", np.array(DISTORTION).reshape(shape), comment)
     assert (comment in Path(f"c.{ending}").read_text()) == bool(comment) or not comment
     assert read(f"c.{ending}", locations) == WANTED
@@ -273,7 +275,7 @@ def echoed(flow: bool) -> str:
 
 
 @pytest.mark.parametrize("flow", [False, True])
-def test_what_ros2_topic_echo_prints(flow: bool, locations: Locations) -> None:
+def test_output_of_ros2_topic_echo_is_read(flow: bool, locations: Locations) -> None:
     Path("c.yaml").write_text(echoed(flow))
     assert read("c.yaml", locations) == WANTED
     Path("c.yaml").write_text(echoed(flow) * 3)
@@ -341,7 +343,7 @@ def test_faults_in_a_chain(changes: dict[str, Any], part: str, locations: Locati
 
 
 @pytest.mark.parametrize("key", ["camera_model", "distortion_model", "distortion_coeffs", "intrinsics", "resolution"])
-def test_what_a_chain_lacks_is_named(key: str, locations: Locations) -> None:
+def test_a_missing_key_of_a_kalibr_chain_is_named(key: str, locations: Locations) -> None:
     camera = kalibr_camera()
     del camera[key]
     write_camchain(cam0=camera)
@@ -373,11 +375,11 @@ def test_raidens_calibration(locations: Locations) -> None:
     write_raiden({"left_wrist_camera": raiden_camera("hand_eye"), "scene_camera": raiden_camera("scene")})
     assert read("calibration_results.json:scene_camera", locations) == WANTED
     assert refusal("calibration_results.json", locations) == (
-        "calibration_results.json: 2 cameras are in it: name one, as in calibration_results.json:left_wrist_camera; "
+        "calibration_results.json: has 2 cameras; name one, as in calibration_results.json:left_wrist_camera; "
         "valid: left_wrist_camera, scene_camera"
     )
     assert refusal("calibration_results.json:scene_cam", locations) == (
-        "calibration_results.json: there is no camera 'scene_cam' in it; did you mean 'scene_camera'? "
+        "calibration_results.json: has no camera 'scene_cam'; did you mean 'scene_camera'? "
         "valid: left_wrist_camera, scene_camera"
     )
     bare = {key: value for key, value in raiden_camera("scene").items() if key != "intrinsics"}
@@ -399,14 +401,14 @@ def test_the_cameras_of_a_file(locations: Locations) -> None:
         assert list(map(str, CameraConfig.paths_in_file(Path(name)))) == parts
 
 
-def test_a_name_where_there_is_none_and_files_that_are_not_there(locations: Locations) -> None:
+def test_a_camera_name_for_a_single_camera_and_a_missing_file_are_refused(locations: Locations) -> None:
     write_file_storage("c.json", np.array(DISTORTION))
-    assert refusal("c.json:head", locations) == "c.json: the camera in it has no name: leave out ':head'"
+    assert refusal("c.json:head", locations) == "c.json: its camera has no name: leave out ':head'"
     Path("c.txt").write_text("width: 640\n")
     for name, part in {
         "none.json": "camera config file none.json does not exist",
         "none.xml:head": "camera config file none.xml does not exist",
-        "c.txt": "unknown camera 'c.txt'; valid: example_640x480; the name of a file has to end in .yaml or",
+        "c.txt": "unknown camera 'c.txt'; valid: example_640x480; the name of a file must end in .yaml or",
     }.items():
         with pytest.raises(ConfigError) as caught:
             load_config(CameraConfig, "cameras", name, locations)
@@ -426,14 +428,17 @@ FILE_OF_OURS = """<!DOCTYPE x SYSTEM "file:///etc/passwd"><opencv_storage><a>1</
 @pytest.mark.parametrize(
     ("text", "part"),
     [
-        (BOMB, "c.xml:2: a document type is not read: remove <!DOCTYPE ...>"),
-        (FILE_OF_OURS, "c.xml:1: a document type is not read"),
+        (BOMB, "c.xml:2: no document type is allowed: remove <!DOCTYPE ...>"),
+        (FILE_OF_OURS, "c.xml:1: no document type is allowed"),
         ("<opencv_storage>&a;</opencv_storage>", "c.xml:1: not valid XML: undefined entity"),
-        ("<opencv_storage>" + "<a>" * 60 + "</a>" * 60 + "</opencv_storage>", "nested more than 50 deep"),
+        ("<opencv_storage>" + "<a>" * 60 + "</a>" * 60 + "</opencv_storage>", "nested more than 50 levels deep"),
         ("<opencv_storage><a>1</opencv_storage>", "not valid XML: mismatched tag"),
         ("", "not valid XML: no element found"),
         ('<?xml version="1.0" encoding="none"?><opencv_storage/>', "not valid XML: unknown encoding"),
-        ("<calibration>\n</calibration>", "c.xml:1: <calibration> is not OpenCV's: its XML files begin with <opencv_s"),
+        (
+            "<calibration>\n</calibration>",
+            "c.xml:1: <calibration> is not the root of OpenCV's XML files, <opencv_s",
+        ),
         ("<opencv_storage>\n<a>1</a>\n<a>2</a></opencv_storage>", "c.xml:3: duplicate key 'a'; remove one"),
         ("<opencv_storage>1 2</opencv_storage>", "the top level must be a mapping"),
         ("<opencv_storage><width>" + "9" * 5000 + "</width></opencv_storage>", "c.xml: not valid: "),
@@ -441,6 +446,6 @@ FILE_OF_OURS = """<!DOCTYPE x SYSTEM "file:///etc/passwd"><opencv_storage><a>1</
     ],
     ids=range(12),
 )
-def test_xml_that_is_no_camera_or_would_do_harm(text: str, part: str, locations: Locations) -> None:
+def test_xml_without_a_camera_or_with_an_attack_is_refused(text: str, part: str, locations: Locations) -> None:
     Path("c.xml").write_text(text)
     assert part in refusal("c.xml", locations)

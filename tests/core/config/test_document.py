@@ -59,15 +59,15 @@ def test_scalars_are_read_by_the_core_schema(text, wanted):
         *("0x1F", "0b101", "0o17", "1_000", "1e", "e5", ".", "-", "=", "1.2.3", "inf", "nan", "tRue"),
     ],
 )
-def test_what_only_old_yaml_would_convert_stays_text(text):
-    # A single dash is a list.
+def test_words_that_only_yaml_1_1_converts_stay_text(text):
+    # A lone dash is a list's.
     assert value_of(text if text != "-" else "'-'") == text
 
 
 @pytest.mark.parametrize("text", ["base: &b {x: 1}\nother: *b\n", "a: &a [*a]\n", "a: &a 1\nb: [2,\n *a]\n"])
 def test_aliases_are_refused_with_their_line(text):
     message = refusal(text)
-    assert "alias *" in message and "an error message could not name the one line" in message
+    assert "alias *" in message and "an error message could not name the line" in message
     assert message.startswith(f"f.yaml:{text[: text.index('*')].count(chr(10)) + 1}: ")
 
 
@@ -112,7 +112,7 @@ def test_a_key_must_be_text(text):
         "key: " + "9" * 5000,
     ],
 )
-def test_what_is_no_yaml_is_refused(text):
+def test_invalid_yaml_is_refused(text):
     assert "not valid YAML" in refusal(text)
 
 
@@ -157,7 +157,7 @@ def test_every_value_knows_its_line():
     assert {path: document.place(path) for path in lines} == {path: f"f.yaml:{n}" for path, n in lines.items()}
 
 
-def test_the_place_of_what_is_not_there_is_that_of_the_nearest_around_it():
+def test_a_missing_key_has_the_line_of_the_mapping_around_it():
     document = parse_yaml("a: 1\nb:\n  c: {x: 1}\n", "f.yaml")
     assert document.place(("b", "c", "missing", 3)) == "f.yaml:3"
     assert Document({}, "f.yaml").place(("a",)) == "f.yaml"

@@ -90,7 +90,7 @@ def test_small_types_accept_and_refuse(kind, good, bad):
         adapter.validate_python(bad)
 
 
-def test_what_decides_the_data_leaves_out_how_much_and_by_whom(config):
+def test_settings_that_determine_the_data_exclude_counts_and_workers(config):
     data = config.data_config()
     assert set(data) == set(RecordConfig.model_fields) - {"episodes", "workers"}
     assert config.model_copy(update={"arm": "left"}).data_config() == data | {"arm": "left"}

@@ -76,7 +76,7 @@ def _shipped(name: str, locations: Locations) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize("name", OLDER)
-def test_what_was_shipped_before_means_what_is_shipped_now(name: str, tmp_path: Path, locations: Locations) -> None:
+def test_an_older_shipped_task_equals_the_current_one(name: str, tmp_path: Path, locations: Locations) -> None:
     older = _loaded(tmp_path, OLDER[name], locations, name)
     ours = load_config(ProgramTask, "tasks", name, locations)
     assert ours.model_copy(update={"near_misses": (), "timing": older.timing}).model_dump() == older.model_dump()

@@ -40,17 +40,17 @@ BAD = {
     "arrangement without a thing": (
         {("arrangements",): [{"seed": 0, "places": {"plate": [0.4, -0.15, 0]}}]},
         "arrangements[0].places",
-        "has to give a place to each of cube, plate, and differs in 'cube'",
+        "must have a place for each of cube, plate; wrong: 'cube'",
     ),
     "sizes of what has no shape": (
         {("things", "cube"): {"of": ["cube_red", "011_banana"], "sizes": [1.0, 1.2]}},
         "things.cube.sizes[1]",
-        "the banana has no `shape`, and only what is made from its sizes has others",
+        "the banana has no `shape`, so its size is fixed",
     ),
     "sizes that cannot be made": (
         {("things", "plate"): {"of": "kitchen_plate", "sizes": [8]}},
         "things.plate.sizes[0]",
-        "the plate cannot be made 8 times as large: vessel.diameter_mm: ",
+        "the plate cannot be scaled by 8: vessel.diameter_mm: ",
     ),
     "unknown key of a role": ({("things", "cube", "cuont"): 2}, "things.cube.cuont", "did you mean 'count'?"),
     "unknown skill": ({("expert",): [{"pikc": {"thing": "cube"}}]}, "expert[0].pikc", "unknown skill 'pikc'; did you"),
@@ -67,7 +67,7 @@ BAD = {
     "placed before it is picked": (
         {("expert",): [{"place": {"thing": "cube", "on": "plate"}}]},
         "expert[0].place",
-        "the cube is in no hand here: pick it first",
+        "no hand holds the cube at this step; pick it first",
     ),
     "no hand left": (
         {
@@ -77,7 +77,7 @@ BAD = {
             ("expert",): [PICK, {"pick": {"thing": "plate"}}, {"lift": {"thing": "third"}}],
         },
         "expert[2].lift",
-        "no hand is free for the third: the cube and the plate is held",
+        "no hand is free for the third; put the cube and the plate down",
     ),
     "no such part": (
         {("expert",): [{"operate": {"thing": "cube", "joint": "lid", "to": 1}}]},
@@ -94,12 +94,12 @@ BAD = {
         "goal.hung.thing",
         "the cube_red has no handle 'eye'; valid: (none)",
     ),
-    "no start": ({("starts", "cube"): None}, "starts", "nothing says where the cube starts"),
+    "no start": ({("starts", "cube"): None}, "starts", "the cube has no start region"),
     "start of nobody": ({("starts", "cap"): {"x": [0, 1], "y": [0, 1]}}, "starts.cap", "unknown role 'cap'"),
     "on what comes later": (
         {("starts", "plate", "on"): "cube"},
         "starts.plate.on",
-        "'cube' is not placed before",
+        "'cube' is not listed before",
     ),
     "opened what has no parts": (
         {("starts", "cube", "open"): {"lid": [0, 1]}},
@@ -137,22 +137,22 @@ BAD = {
             }
         },
         "goal",
-        "asks for a clause and for its opposite",
+        "has a clause and its opposite",
     ),
     "in a hand and in none": (
         {("goal",): {"all": [{"on": {"thing": "cube", "surface": "plate"}}, {"handed_over": {"thing": "cube"}}]}},
         "goal.all[1].handed_over",
-        "one clause needs the cube in a hand and another needs it in none",
+        "one clause needs the cube in a hand and another in no hand",
     ),
     "held out and said": (
         {("phrasings", "held_out"): ["the cube goes onto the plate"]},
         "phrasings.held_out",
-        "so it is not held out",
+        "is also in `training`",
     ),
     "several things by one name": (
         {("things", "cube"): {"of": ["cube_red", "cube_blue"], "count": 2, "named": "object"}},
         "things.cube.named",
-        "`named: object` is for a role that one thing plays, and 2 play this one",
+        "`named: object` needs a role of one object, but this role has 2",
     ),
     "two roles by one name": (
         {
@@ -160,7 +160,7 @@ BAD = {
             ("things", "plate"): {"of": ["kitchen_plate", "cube_blue"], "named": "object"},
         },
         "things.cube.named",
-        "the cube may be called 'cube_blue', as the plate is",
+        "the cube and the plate can both have the name 'cube_blue'",
     ),
     "the name of another role": (
         {
@@ -169,12 +169,12 @@ BAD = {
             ("starts", "cube_red"): {"x": [0.3, 0.4], "y": [0, 0.1]},
         },
         "things.cube.named",
-        "the cube may be called 'cube_red', as the cube_red is",
+        "the cube and the cube_red can both have the name 'cube_red'",
     ),
     "from an arm on a thing": (
         {("starts", "cube"): {"on": "plate", "from_arm": "first", "x": [0, 0.1], "y": [0, 0]}},
         "starts.cube.from_arm",
-        "a region on the plate is given in its frame, and not from an arm",
+        "a region on the plate is in the frame of the plate, not of an arm",
     ),
     "unknown placeholder": (
         {("phrasings", "held_out"): ["serve the {cub}"]},
@@ -194,7 +194,7 @@ BAD = {
     "handed over by one arm": (
         {("arms",): "one", ("expert",): [PICK, {"handover": {"thing": "cube"}}]},
         "expert[1].handover",
-        "the step `handover` takes two arms; use a rig with two, and no `arms: one`",
+        "the step `handover` needs two arms; use a rig with two arms, without `arms: one`",
     ),
     "put onto what carries nothing": (
         {("things", "plate"): {"of": "013_apple"}},
@@ -236,7 +236,7 @@ def test_the_line_is_that_of_the_key(tmp_path: Path, locations: Locations) -> No
 def test_a_region_out_of_reach_is_told(tmp_path: Path) -> None:
     far = changed({("starts", "cube", "x"): [1.0, 1.2]})
     with pytest.raises(
-        ConfigError, match=r"small.yaml:\d+: task.starts.cube.x: all of the region of the cube is out of reach"
+        ConfigError, match=r"small.yaml:\d+: task.starts.cube.x: the whole region of the cube is out of reach"
     ):
         session_of(tmp_path, far)
 
@@ -259,7 +259,7 @@ def test_a_place_out_of_reach_is_told(tmp_path: Path) -> None:
         (
             {("starts", "cube", "x"): [0.40, 0.40], ("starts", "cube", "y"): [-0.15, -0.15]},
             "task.starts.cube",
-            "no free place for the cube where it is to start; none of the first 3",
+            "the cube in its start region",
         ),
     ],
 )
@@ -333,7 +333,7 @@ def test_on_one_arm_first_and_second_are_the_same(tmp_path: Path) -> None:
     assert config.starts["target"].y == (-0.16, -0.14)
 
 
-def test_what_is_said_has_the_names_of_what_is_there(tmp_path: Path) -> None:
+def test_an_instruction_names_the_objects_and_arms_of_the_attempt(tmp_path: Path) -> None:
     config = session_of(tmp_path, ONE_ARM, rig="yam_station_linear_4310_d405", arm="left").config
     assert config.task.language_prompt == "by the left, not the right: cube red on it"
     played = config.task.with_objects_of(config.task.assign_roles({"object": (1,), "target": (0,)}))
@@ -353,9 +353,9 @@ def test_the_first_grasp_of_a_task_is_its_own(tmp_path: Path) -> None:
     assert session_of(tmp_path, both).config.grasp == "weld"
     assert session_of(tmp_path, both, rig="single").config.grasp == "weld"
     assert session_of(tmp_path, both, grasp="contact").config.grasp == "contact"
-    with pytest.raises(UsageError, match="--grasp: task 'small' cannot be done with grasp 'weld'; it has contact"):
+    with pytest.raises(UsageError, match="--grasp: task 'small' does not support grasp 'weld'; give contact"):
         session_of(tmp_path, changed({}), grasp="weld")
-    with pytest.raises(UsageError, match="--rig: grasp 'contact' needs a gripper with pads"):
+    with pytest.raises(UsageError, match=r"^--rig: "):
         session_of(tmp_path, changed({}), rig="single")
 
 
@@ -363,7 +363,7 @@ def test_a_weld_needs_fingers_that_open_wide_enough(tmp_path: Path) -> None:
     wide = changed(
         {("grasps",): ["weld"], ("things", "cube", "of"): ["cube_red", "054_softball"], ("phrasings", "held_out"): []}
     )
-    with pytest.raises(UsageError, match="--task: object 'softball' is too wide to be picked up"):
+    with pytest.raises(UsageError, match=r"^--task: object 'softball'"):
         session_of(tmp_path, wide)
 
 
@@ -373,7 +373,7 @@ def test_flags_reach_into_a_task_with_their_roles(tmp_path: Path) -> None:
     assert task.target_predicate is not None
     assert [item.name for item in task.objects] == ["cube_green", "bin"]
     assert task.target_predicate.radius == 0.03
-    with pytest.raises(UsageError, match=r"--object: task 'small' has no role 'object' .*; its roles: plate, cube"):
+    with pytest.raises(UsageError, match=r"--object: task 'small' has no role 'object'; its roles: plate, cube"):
         session_of(tmp_path, changed({}), object="cube_green")
     with pytest.raises(UsageError, match="--threshold: task 'small' has no `on` with a `radius` in its goal"):
         session_of(tmp_path, changed({}), threshold=0.03)

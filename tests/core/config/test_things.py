@@ -42,7 +42,7 @@ def thing(name: str, locations: Locations) -> ObjectConfig:
     return load_config(ObjectConfig, "objects", f"kitchen_{name}", locations)
 
 
-def test_the_list_is_whole() -> None:
+def test_every_kitchen_object_is_listed() -> None:
     files = {path.stem.removeprefix("kitchen_") for path in (ROOT / "configs" / "objects").glob("kitchen_*.yaml")}
     assert files == set(SIZES)
 
@@ -81,7 +81,7 @@ def test_sizes_are_parameters(tmp_path: Path, locations: Locations) -> None:
     assert max(disc[2] for disc in large.footprint) == pytest.approx(0.0985, abs=0.002)
 
 
-def test_what_is_given_is_kept(tmp_path: Path, locations: Locations) -> None:
+def test_given_values_override_generated_ones(tmp_path: Path, locations: Locations) -> None:
     text = (ROOT / "configs" / "objects" / "kitchen_bowl.yaml").read_text()
     (tmp_path / "mine.yaml").write_text(text + "contact: {friction: [0.3, 0.005, 0.0005], condim: 4}\n")
     mine = load_config(ObjectConfig, "objects", str(tmp_path / "mine.yaml"), locations)
@@ -92,7 +92,7 @@ def test_what_is_given_is_kept(tmp_path: Path, locations: Locations) -> None:
 @pytest.mark.parametrize(
     ("name", "change", "said"),
     [
-        ("bowl", ("wall_mm: 2.4", "wall_mm: 40"), "leaves no inside"),
+        ("bowl", ("wall_mm: 2.4", "wall_mm: 40"), "leaves no interior"),
         ("bowl", ("diameter_mm: 160", "diameter_mm: 0.16"), "diameter_mm"),
         ("bowl", ("body:", "lid:"), "body is missing"),
         ("bowl", ("family: vessel", "family: vase"), "family"),
@@ -100,7 +100,7 @@ def test_what_is_given_is_kept(tmp_path: Path, locations: Locations) -> None:
         ("dish_rack", ("tine_mm: 40", "tine_mm: 130"), "tines of 130 mm"),
     ],
 )
-def test_sizes_that_make_no_thing_are_told_with_their_line(
+def test_impossible_sizes_are_refused_with_their_line(
     name: str, change: tuple[str, str], said: str, tmp_path: Path, locations: Locations
 ) -> None:
     text = (ROOT / "configs" / "objects" / f"kitchen_{name}.yaml").read_text()
@@ -144,7 +144,7 @@ def test_dishes_stand_in_the_rack_and_not_on_top_of_it(name: str, locations: Loc
 
 
 @pytest.mark.parametrize(("asked", "found"), [("spoon", "kitchen_spoon"), ("bowl", "024_bowl"), ("cup", "kitchen_cup")])
-def test_a_name_without_what_stands_in_front(asked: str, found: str, locations: Locations) -> None:
+def test_an_object_is_found_by_its_name_without_prefix(asked: str, found: str, locations: Locations) -> None:
     assert locations.config_file("objects", asked).stem == found
 
 

@@ -28,8 +28,8 @@ SLIPS = [
     ("tasks/pickplace", "x: [0.30, 0.55]", "x: [300, 550]", ("starts.object.x[0]: 300", "in mm? Then give 0.3")),
     ("tasks/pickplace", "x: [0.30, 0.55]", "x: [30, 55]", ("starts.object.x[0]: 30", "in cm? Then give 0.3")),
     ("tasks/pickplace", "apart: 0.01", "apart: 10", ("starts.object.apart: 10", "in mm? Then give 0.01")),
-    ("tasks/pickplace", "[-90, 90]", "[-1.5708, 1.5708]", ("hardly a turn", "in radians? Then give [-90, 90]")),
-    ("tasks/pickplace", "[-90, 90]", "[-3.14, 3.14]", ("hardly a turn", "in radians? Then give [-180, 180]")),
+    ("tasks/pickplace", "[-90, 90]", "[-1.5708, 1.5708]", ("a small range", "in radians? Then give [-90, 90]")),
+    ("tasks/pickplace", "[-90, 90]", "[-3.14, 3.14]", ("a small range", "in radians? Then give [-180, 180]")),
     ("tasks/pickplace", "[-90, 90]", "[-1800, 1800]", ("object.yaw_deg[0]: -1800", "-360..360 degrees")),
     ("tasks/pickplace", "starts:", "start_joints: [0, 106, 1, 1, 0, 0]\nstarts:", ("start_joints[1]: 106", "1.85")),
     ("tasks/pickplace", "starts:", "timing: {timestep: 2}\nstarts:", ("timing.timestep: 2", "in ms? Then give 0.002")),
@@ -68,7 +68,7 @@ SLIPS = [
 
 
 @pytest.mark.parametrize(("config", "old", "new", "parts"), SLIPS, ids=[f"{s[0]} {s[2]}" for s in SLIPS])
-def test_another_unit_is_told(
+def test_a_value_in_another_unit_is_refused_with_the_converted_value(
     tmp_path: Path, locations: Locations, config: str, old: str, new: str, parts: tuple[str, ...]
 ) -> None:
     kind, name = config.split("/")
@@ -90,8 +90,10 @@ def test_a_flag_in_another_unit_is_a_fault_of_the_command_line(locations: Locati
         load_config(RecordConfig, "record", "default", locations, flags)
 
 
-def test_what_was_recorded_stays_valid(make_config: Callable[..., RecordConfig], locations: Locations) -> None:
-    """A dataset's config may have any values."""
+def test_a_recorded_config_is_not_checked_for_units(
+    make_config: Callable[..., RecordConfig], locations: Locations
+) -> None:
+    """A dataset's own config says what it was recorded with, however odd."""
     data = make_config().data_config()
     odd = data | {"task": data["task"] | {"start_joints": [0, 106, 109, -78, 0, 0]}}
     odd["scene"] = data["scene"] | {"scene_camera": data["scene"]["scene_camera"] | {"fovy_deg": 1.2}}

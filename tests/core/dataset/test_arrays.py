@@ -21,12 +21,12 @@ def test_arrays_come_back_as_they_were() -> None:
         assert found[name].dtype == array.dtype
 
 
-def test_numpy_reads_it_too() -> None:
+def test_numpy_reads_the_written_arrays() -> None:
     with np.load(io.BytesIO(dump_arrays(ARRAYS))) as archive:
         np.testing.assert_array_equal(archive["depth"], ARRAYS["depth"])
 
 
-def test_what_numpy_wrote_is_read() -> None:
+def test_arrays_written_by_numpy_are_read() -> None:
     stream = io.BytesIO()
     np.savez_compressed(stream, a=np.asfortranarray(np.arange(6.0).reshape(2, 3)))
     np.testing.assert_array_equal(load_arrays(stream.getvalue(), MOST)["a"], np.arange(6.0).reshape(2, 3))
@@ -68,7 +68,7 @@ def npy(header: str, content: bytes = b"") -> bytes:
     ids=["empty", "start", "cut", "altered", "no array", "huge shape", "objects", "negative", "code"],
 )
 def test_damage_is_told_and_nothing_is_run(data: bytes) -> None:
-    with pytest.raises(DatasetError, match="not a whole npz"):
+    with pytest.raises(DatasetError, match="not a valid npz"):
         load_arrays(data, MOST)
 
 
@@ -77,7 +77,7 @@ def test_an_archive_that_unpacks_to_gigabytes_is_not_unpacked() -> None:
         load_arrays(archive_of(bytes(1_000_000)), MOST)
 
 
-def test_depth_is_raidens() -> None:
+def test_depth_has_the_format_of_raiden() -> None:
     depth = np.array([[0, 1000], [2500, 65535]], np.uint16)
     with np.load(io.BytesIO(dump_depth(depth))) as archive:
         assert archive.files == ["depth"]

@@ -93,7 +93,7 @@ def test_a_lock_that_its_holder_just_removed_is_not_mistaken_for_the_new_one(
         real(descriptor, operation)
 
     monkeypatch.setattr(fcntl, "flock", slow)
-    with pytest.raises(ResourceError, match="is being recorded into"):
+    with pytest.raises(ResourceError, match=str(os.getpid())):
         DirectoryLock.acquire(tmp_path)
     third[0].release()
 

@@ -25,7 +25,7 @@ def episodes(dataset: Path) -> StoredEpisodes:
     return yamsim_cli.open_dataset(dataset)  # type: ignore[no-any-return]
 
 
-def test_it_is_a_sequence(episodes: StoredEpisodes) -> None:
+def test_a_dataset_is_a_sequence_of_episodes(episodes: StoredEpisodes) -> None:
     assert isinstance(episodes, Sequence)
     assert (len(episodes), bool(episodes)) == (3, True)
     assert [episodes[k].record.episode for k in (0, 2, -1, -3)] == [0, 2, 2, 0]
@@ -34,12 +34,12 @@ def test_it_is_a_sequence(episodes: StoredEpisodes) -> None:
     assert len(episodes[1].frames()) == FRAMES
 
 
-def test_it_can_be_gone_through_again_and_again(episodes: StoredEpisodes) -> None:
+def test_a_dataset_can_be_iterated_repeatedly(episodes: StoredEpisodes) -> None:
     assert next(iter(episodes)).record.episode == 0
     assert numbers(episodes) == numbers(episodes) == [0, 1, 2]
 
 
-def test_a_slice_is_one_too(episodes: StoredEpisodes) -> None:
+def test_a_slice_of_a_dataset_is_a_sequence(episodes: StoredEpisodes) -> None:
     assert numbers(episodes[1:]) == [1, 2]
     assert numbers(episodes[::-2]) == [2, 0]
     assert episodes[1:][0].record.episode == 1
@@ -48,11 +48,11 @@ def test_a_slice_is_one_too(episodes: StoredEpisodes) -> None:
 
 @pytest.mark.parametrize("place", [3, -4])
 def test_a_place_that_is_not_there_is_an_index_error(episodes: StoredEpisodes, place: int) -> None:
-    with pytest.raises(IndexError, match=rf"dataset has 3 episodes, and none at place {place}$"):
+    with pytest.raises(IndexError, match=rf"dataset has 3 episodes, but none at index {place}$"):
         episodes[place]
 
 
-def test_it_tells_what_it_is(episodes: StoredEpisodes, dataset: Path) -> None:
+def test_the_repr_of_a_dataset_has_its_length_and_path(episodes: StoredEpisodes, dataset: Path) -> None:
     assert repr(episodes) == f"<3 episodes of {dataset}>"
 
 
@@ -80,7 +80,7 @@ def test_a_dataset_without_an_episode_is_an_empty_one(dataset: Path, tmp_path: P
         ("x" * 300, r"cannot be read: File name too long; .* give the directory that `yamsim record` wrote"),
     ],
 )
-def test_what_is_no_dataset_is_told_at_once(dataset: Path, tmp_path: Path, path: str, told: str) -> None:
+def test_a_path_without_a_dataset_is_refused_when_opened(dataset: Path, tmp_path: Path, path: str, told: str) -> None:
     with pytest.raises(DatasetError, match=told):
         yamsim_cli.open_dataset(tmp_path / path)
 

@@ -84,7 +84,7 @@ def test_a_missing_key_is_named(key):
 @pytest.mark.parametrize(
     "text", [b"", b"{", b"null", b"[]", b"\xff\xfe", b"{}{}", '{"a": "\ud800"}'.encode("utf8", "ignore")]
 )
-def test_what_is_no_record_is_a_dataset_error(text):
+def test_an_invalid_record_is_a_dataset_error(text):
     with pytest.raises(DatasetError, match=r"^here: "):
         from_json(AttemptRecord, text, "here")
 

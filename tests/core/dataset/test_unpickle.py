@@ -145,7 +145,7 @@ def test_the_parts_of_a_bomb_make_an_array_when_they_fit() -> None:
     assert array.tolist() == [0.0]
 
 
-def test_what_is_too_long_is_not_even_begun() -> None:
+def test_a_pickle_over_the_size_limit_is_not_read() -> None:
     with pytest.raises(ForbiddenPickleError, match=f"at most {MAX_BYTES} are read"):
         read_pickle(pickle.dumps(bytes(MAX_BYTES)))
 
@@ -165,7 +165,7 @@ def test_what_is_too_long_is_not_even_begun() -> None:
         (frame(named("os\x1b[2J", "system")), "names os\N{REPLACEMENT CHARACTER}[2J.system"),
     ],
 )
-def test_what_is_no_data_is_named(code: bytes, said: str) -> None:
+def test_forbidden_content_of_a_pickle_is_named(code: bytes, said: str) -> None:
     with pytest.raises(ForbiddenPickleError) as caught:
         read_pickle(code)
     assert said in str(caught.value)

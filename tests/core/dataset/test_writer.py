@@ -63,14 +63,14 @@ def test_what_is_in_a_directory_is_never_written_over_unasked(dataset):
 
 
 @pytest.mark.parametrize(
-    ("what", "obstacle"), [("file", "it is a file"), ("link", "it is a link to gone, where nothing is")]
+    ("what", "obstacle"), [("file", "it is a file"), ("link", "it is a link to gone, which does not exist")]
 )
 def test_a_path_that_is_no_directory_is_refused_and_can_be_moved_aside(tmp_path, what, obstacle):
     path = tmp_path / "out"
     path.write_text("precious") if what == "file" else path.symlink_to("gone")
     with pytest.raises(UsageError, match=f"{path} is not a directory: {obstacle}; move it aside with --overwrite"):
         resume(path, CONFIG, OpenMode.NEW)
-    with pytest.raises(UsageError, match=f"{path} is no dataset to resume: {obstacle}; choose another --out"):
+    with pytest.raises(UsageError, match=f"{path} is not a dataset to resume: {obstacle}; choose another --out"):
         resume(path)
     assert [path.name for path in tmp_path.iterdir()] == ["out"]
     assert resume(path, CONFIG, OpenMode.OVERWRITE).moved_aside == tmp_path / "out.old-1"
@@ -111,9 +111,9 @@ def test_resuming_and_finishing_changes_nothing(dataset):
     assert tree(dataset) == before
 
 
-def test_what_is_no_dataset_is_not_resumed(tmp_path):
+def test_a_directory_without_a_dataset_is_not_resumed(tmp_path):
     (tmp_path / "thesis.tex").write_text("")
-    with pytest.raises(DatasetError, match=r"has no config\.yaml, so it is no dataset"):
+    with pytest.raises(DatasetError, match=r"has no config\.yaml, so it cannot be resumed"):
         resume(tmp_path)
 
 
@@ -243,8 +243,8 @@ def test_the_line_of_an_episode_is_read_from_the_episode(with_failures, number, 
     kept = with_failures / ".damaged/attempts.jsonl.1"
     if broken.strip():
         assert kept.read_bytes() == spoiled
-        assert writer.repairs[0].startswith(f"attempts.jsonl is damaged (line {number + 1}: ")
-        assert writer.repairs[0].endswith(f"): it is mended, and kept as it was in {kept}")
+        assert writer.repairs[0].startswith(f"attempts.jsonl was damaged (line {number + 1}: ")
+        assert writer.repairs[0].endswith(f"): repaired; the damaged file is {kept}")
     else:
         assert not kept.exists(), "nothing was in it that is not in the new one"
     assert resume(with_failures).repairs == []
@@ -261,7 +261,7 @@ def test_the_line_of_a_failure_has_to_be_made_again(with_failures, broken):
         assert writer.lost_lines == {1}
         assert numbers(writer) == [(0, 0), (1, None), (2, 1), (3, 2), (4, None), (5, 3)]
         assert writer.attempts[1].outcome == LOST_LINE_OUTCOME
-        assert writer.repairs[-1] == "the line of attempt 1 in attempts.jsonl is lost, and made again"
+        assert writer.repairs[-1] == "the line of attempt 1 in attempts.jsonl is lost; yamsim makes it again"
     writer.log(failed_attempt(1))
     assert (writer.lost_lines, writer.attempts[1]) == (set(), failed_attempt(1))
     assert (with_failures / "attempts.jsonl").read_bytes() == whole
@@ -297,17 +297,17 @@ def test_other_lines_stay_the_bytes_that_they_were(with_failures):
 @pytest.mark.parametrize(
     ("change", "fault"),
     [
-        (lambda lines: lines.insert(2, lines[1]), "line 3: attempt 1 is there twice"),
-        (lambda lines: lines.__setitem__(1, to_json(failed_attempt(4))), "line 5: attempt 4 is there twice"),
+        (lambda lines: lines.insert(2, lines[1]), "line 3: attempt 1 is listed twice"),
+        (lambda lines: lines.__setitem__(1, to_json(failed_attempt(4))), "line 5: attempt 4 is listed twice"),
         (lambda lines: lines.__setitem__(4, to_json(failed_attempt(99))), "attempt 99 is there, and 6 is not"),
-        (lambda lines: lines.__setitem__(4, to_json(failed_attempt(-4))), "line 5: attempt: -4 is no number"),
+        (lambda lines: lines.__setitem__(4, to_json(failed_attempt(-4))), "line 5: attempt: -4 is not the number"),
         (
             lambda lines: lines.__setitem__(3, to_json(made(2, 93).attempt)),
-            "attempt 93 is to be ep_000002, which is attempt 3",
+            "attempt 93 is listed as ep_000002, but that is attempt 3",
         ),
     ],
 )
-def test_a_line_that_tells_what_cannot_be_is_left_out(with_failures, change, fault):
+def test_an_impossible_line_of_the_ledger_is_dropped(with_failures, change, fault):
     whole = damage(with_failures, change)
     writer = resume(with_failures)
     assert f"({fault}" in writer.repairs[0]
@@ -323,7 +323,7 @@ def test_lines_out_of_order_are_put_into_order(with_failures):
     assert (with_failures / "attempts.jsonl").read_bytes() == whole
 
 
-def test_what_contradicts_its_episode_is_not_resumed(with_failures):
+def test_a_ledger_that_contradicts_an_episode_is_not_resumed(with_failures):
     damage(with_failures, lambda lines: lines.__setitem__(2, to_json(failed_attempt(2))))
     before = tree(with_failures)
     with pytest.raises(DatasetError, match=r"ep_000001 is attempt 2, which attempts\.jsonl contradicts"):
@@ -393,7 +393,7 @@ def test_a_file_in_the_place_of_an_episode_is_moved_out_of_the_way(dataset):
     (dataset / "ep_000001").write_text("")
     writer = resume(dataset)
     assert [attempt.episode for attempt in writer.missing] == [1]
-    assert "ep_000001 is no directory" in writer.repairs[0]
+    assert "ep_000001 is not a directory" in writer.repairs[0]
     writer.publish(made(1).record, made(1).files)
 
 
@@ -428,7 +428,7 @@ def test_a_damaged_episode_is_moved_out_of_the_way_named_and_made_again(dataset,
     assert len(writer.repairs) == 1
     aside = dataset / ".damaged/ep_000001.1"
     assert writer.repairs[0].startswith(f"ep_000001: {fault}")
-    assert writer.repairs[0].endswith(f"; moved to {aside}, and made again")
+    assert writer.repairs[0].endswith(f"; moved to {aside}, to be recorded again")
     assert tree(aside) == damaged, "nothing is thrown away"
 
     writer.publish(made(1).record, made(1).files)
@@ -465,7 +465,7 @@ def test_what_a_crash_left_half_written_is_removed_and_never_counted(dataset):
 
 @pytest.mark.parametrize("name", [".lock", ".staging", ".config.yaml.0123456789abcdef0123456789abcdef.part"])
 @pytest.mark.parametrize("mode", OpenMode)
-def test_what_a_crash_left_of_an_empty_dataset_is_in_nobodys_way(tmp_path, name, mode):
+def test_leftovers_of_a_crash_in_an_empty_dataset_do_not_block_a_new_recording(tmp_path, name, mode):
     (tmp_path / name).mkdir() if name == ".staging" else (tmp_path / name).touch()
     writer = resume(tmp_path, mode=mode)
     assert writer.moved_aside is None

@@ -120,7 +120,7 @@ def test_the_same_commands_in_pieces_or_at_once_give_the_same_bits(
     assert_same(ticks.finish(), whole)
 
 
-def test_what_happened_in_another_episode_leaves_no_trace(
+def test_an_episode_does_not_depend_on_earlier_episodes(
     simulator: Simulator, done: SimulatedAttempt, over_plate: Array
 ) -> None:
     """The compiled model is shared, and welds change it."""
@@ -202,11 +202,11 @@ def test_the_goal_has_to_hold_for_its_hold_time(simulator: Simulator, over_plate
     episode = open_at(simulator, over_plate)
     episode.run_commands(still(simulator, over_plate, first + HOLD - 1))
     assert (episode.held_ticks, episode.succeeds) == (HOLD - 1, False)
-    assert episode.status == "the goal holds, and has to for 0.0 s more"
+    assert episode.status == "the goal holds, and must hold for 0.0 s more"
     played = episode.finish()
     assert played.end == EpisodeEnd(
         EndReason.ACTOR, first + HOLD - 1, FailureCause.GOAL,
-        "the goal has held for 0.22 s, and has to hold for 0.26 s",
+        "the goal has held for 0.22 s, but must hold for 0.26 s",
     )  # fmt: skip
     # The verdict is that of the last tick at which the goal did not hold.
     assert played.verdict is not None and not played.verdict.reached
@@ -253,7 +253,7 @@ def test_success_ends_at_the_first_tick_at_which_it_has_held_and_an_actor_goes_o
 
 
 @pytest.mark.parametrize("held", [HOLD - 1, HOLD + 5])
-def test_what_is_put_and_taken_back_counts_only_where_success_ends_the_episode(
+def test_a_success_that_is_undone_counts_only_if_success_ends_the_episode(
     simulator: Simulator, start: Array, over_plate: Array, held: int
 ) -> None:
     first = _first_held(simulator, over_plate)
@@ -286,7 +286,7 @@ def test_an_interruption_starts_the_hold_time_anew(simulator: Simulator, start: 
     assert episode.held_ticks == HOLD
 
 
-def test_the_time_limit_ends_it(simulator: Simulator, start: Array, over_plate: Array) -> None:
+def test_the_time_limit_ends_an_episode(simulator: Simulator, start: Array, over_plate: Array) -> None:
     episode = open_at(simulator, start, EpisodeRules(max_ticks=5))
     episode.run_commands(still(simulator, start, 9))
     assert episode.end == EpisodeEnd(EndReason.TIME_LIMIT, 5, FailureCause.GOAL, "on(banana, plate): they do not touch")

@@ -208,13 +208,13 @@ def test_slip_is_how_far_a_settled_thing_moved_in_the_hand(in_hand: InHand) -> N
     assert in_hand.watch(3)[0] == pytest.approx(0.005, abs=1e-6)
 
 
-def test_what_moves_while_the_fingers_close_does_not_slip(in_hand: InHand) -> None:
+def test_motion_while_the_fingers_close_is_not_slip(in_hand: InHand) -> None:
     in_hand.watch(SETTLED_TICKS - 1)
     in_hand.watch(1, moved=0.01)
     assert in_hand.watch(5, moved=0.01)[0] == pytest.approx(0.0, abs=1e-6)
 
 
-def test_what_is_taken_anew_settles_anew(in_hand: InHand) -> None:
+def test_an_object_grasped_again_settles_again(in_hand: InHand) -> None:
     in_hand.watch(2 * SETTLED_TICKS)
     in_hand.watch(1, on=False)
     assert in_hand.watch(2 * SETTLED_TICKS, moved=0.02)[0] == pytest.approx(0.0, abs=1e-6)

@@ -116,7 +116,7 @@ def test_fingers_that_never_close_reach_nothing(simulators: Simulators) -> None:
     assert not outcome.success and outcome.cause in (FailureCause.SLIPPED, FailureCause.DROPPED, FailureCause.GOAL)
 
 
-def test_all_tries_are_told_of_what_no_arm_reaches(tmp_path: Path) -> None:
+def test_every_failed_try_for_an_object_out_of_reach_is_recorded(tmp_path: Path) -> None:
     away = changed({("starts", "cube"): {"x": [0.70, 0.72], "y": [0.30, 0.32]}})
     with Simulators(session_of(tmp_path, away)) as simulators:
         simulator, attempt = first_attempt(simulators)
@@ -138,15 +138,15 @@ def test_a_goal_that_holds_at_the_start_is_no_task(tmp_path: Path) -> None:
         simulator, attempt = first_attempt(simulators)
         outcome = demonstrate(simulator, attempt).outcome
     assert attempt.layout is None and outcome.cause is FailureCause.NO_LAYOUT
-    assert "the goal holds already at the start, in each of 20 draws" in outcome.detail
+    assert "the goal holds already at the start, in each of 20 samples" in outcome.detail
 
 
-def test_what_has_no_room_is_told(tmp_path: Path) -> None:
+def test_an_object_without_room_is_named(tmp_path: Path) -> None:
     tight = changed({("starts", "cube", "x"): [0.40, 0.40], ("starts", "cube", "y"): [-0.15, -0.15]})
     with Simulators(session_of(tmp_path, tight)) as simulators:
         simulator, attempt = first_attempt(simulators)
         outcome = demonstrate(simulator, attempt).outcome
-    assert outcome.detail == "no free place for the cube where it is to start"
+    assert outcome.detail == "no free place for the cube in its start region"
 
 
 def test_a_program_that_takes_too_long_is_ended(tmp_path: Path) -> None:

@@ -175,7 +175,7 @@ def test_what_is_in_the_way_is_moved_to_the_first_free_name(tmp_path):
 
 
 @pytest.mark.parametrize("path", [".", "..", "/", "{here}", "../inside", "below/..", "../../around/inside"])
-def test_where_one_stands_is_not_moved_aside(tmp_path, monkeypatch, path):
+def test_the_current_directory_is_not_moved_aside(tmp_path, monkeypatch, path):
     here = tmp_path / "around/inside"
     (here / "below").mkdir(parents=True)
     monkeypatch.chdir(here)
@@ -191,7 +191,7 @@ def test_a_directory_without_a_name_of_its_own_is_moved_by_its_real_one(tmp_path
     assert (tmp_path / "dataset.old-1/below").is_dir()
 
 
-def test_a_link_to_where_one_stands_is_moved_and_nothing_else(tmp_path, monkeypatch):
+def test_of_a_link_to_the_current_directory_only_the_link_is_moved(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "link").symlink_to(tmp_path)
     assert move_to_backup(Path("link")) == Path("link.old-1")
@@ -206,16 +206,16 @@ def test_a_link_to_where_one_stands_is_moved_and_nothing_else(tmp_path, monkeypa
         ("new", None),
         ("file", "it is a file"),
         ("file/new", "{here}/file is a file"),
-        ("pipe", "it is no directory"),
-        ("link", "it is a link to gone, where nothing is"),
-        ("link/new", "{here}/link is a link to gone, where nothing is"),
-        ("loop", "it is a link to loop, where nothing is"),
+        ("pipe", "it is not a directory"),
+        ("link", "it is a link to gone, which does not exist"),
+        ("link/new", "{here}/link is a link to gone, which does not exist"),
+        ("loop", "it is a link to loop, which does not exist"),
         ("to_file", "it is a file"),
         ("to_dataset", None),
         ("x" * 300, "it is too long: a name may have 255 bytes, and a whole path 4,095"),
     ],
 )
-def test_what_keeps_a_directory_from_being_there(tmp_path, path, told):
+def test_a_refusal_says_why_a_directory_cannot_exist(tmp_path, path, told):
     (tmp_path / "dataset").mkdir()
     (tmp_path / "file").touch()
     os.mkfifo(tmp_path / "pipe")
@@ -263,8 +263,8 @@ with exclusive_lock(Path({str(lock)!r})):
 
 @pytest.fixture
 def full(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
-    """A folder with room for one file only."""
-    folder, write, written = tmp_path / "full", files._write_and_fsync, list[Path]()
+    """A folder in which there is room for one file only."""
+    folder, write, written = tmp_path / "full", files.write_and_fsync, list[Path]()
     folder.mkdir()
 
     def write_or_fail(path: Path, data: bytes) -> None:
@@ -274,7 +274,7 @@ def full(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
             written.append(path)
         write(path, data)
 
-    monkeypatch.setattr(files, "_write_and_fsync", write_or_fail)
+    monkeypatch.setattr(files, "write_and_fsync", write_or_fail)
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     return folder
 

@@ -47,7 +47,7 @@ def test_what_is_moved_comes_to_lie_where_its_way_says(how: Fold) -> None:
     assert min(apart) == pytest.approx(0, abs=1e-12)
 
 
-def test_grids_that_cannot_be_folded_so() -> None:
+def test_a_fold_that_the_grid_does_not_allow_has_no_plan() -> None:
     assert not fold_plans("diagonal", 7, 9)
     assert not fold_plans("thirds", 7, 10)
     assert [way.moves[0][0] for way in fold_plans("thirds", 7, 9)] == [((0, 0), (0, 4)), ((0, 8), (0, 4))]

@@ -86,14 +86,14 @@ def test_many_at_once_end_where_each_would() -> None:
         assert end == pytest.approx(alone[0], abs=1e-6)
 
 
-def test_steps_into_what_cannot_be_told_are_taken_back() -> None:
+def test_a_step_to_undefined_residuals_is_taken_back() -> None:
     found = solve_least_squares(Valley(wall=-1.3), np.array([-1.2, 1.0]), 200)
     assert found is not None
     assert found[0] == pytest.approx([1.0, 1.0], abs=1e-6)
     assert solve_least_squares(Valley(wall=0.0), np.array([-1.2, 1.0]), 200) is None
 
 
-def test_what_nothing_depends_on_stays() -> None:
+def test_a_parameter_without_effect_keeps_its_value() -> None:
     class Flat(Valley):
         def linearize(self, state: Array, before: Linear | None) -> Linear:
             return Linear(np.array([state[0] - 2.0, 0.0]), np.array([[1.0, 0.0], [0.0, 0.0]]))

@@ -32,6 +32,6 @@ def test_a_triangle_that_is_a_line_is_left_out():
         stl_bytes(*box())[:96] + np.float32(np.inf).tobytes() + stl_bytes(*box())[100:],
     ],
 )
-def test_what_is_no_binary_stl_is_refused(data):
+def test_a_file_that_is_not_a_binary_stl_is_refused(data):
     with pytest.raises(ResourceError, match="STL"):
         read_stl(data)

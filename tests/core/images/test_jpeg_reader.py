@@ -55,7 +55,7 @@ def test_zeros_behind_the_end_are_no_damage() -> None:
 
 
 @pytest.mark.parametrize("data", [b"", b"\xff\xd8\xff\xd9", b"\x89PNG", b"\xff\xd8" + b"\xff" * 100 + b"\xff\xd9"])
-def test_what_is_no_jpeg_has_no_header(data: bytes) -> None:
+def test_a_file_that_is_not_a_jpeg_has_no_header(data: bytes) -> None:
     assert jpeg_header(data) is None
     assert JpegReader().measure(data + b"x") is None
 

@@ -132,7 +132,7 @@ def test_nothing_shows_before_the_end_and_nothing_is_left_of_a_failure(tmp_path:
     assert list(tmp_path.iterdir()) == []
 
 
-def test_an_existing_file_is_kept_unless_told_and_then_moved_aside(tmp_path: Path) -> None:
+def test_an_existing_file_is_moved_aside_only_with_overwrite(tmp_path: Path) -> None:
     path = tmp_path / "a.mp4"
     path.write_bytes(b"precious")
     with pytest.raises(UsageError, match=r"a\.mp4 exists; move it aside with --overwrite"):
@@ -159,7 +159,7 @@ def test_a_name_that_cannot_be_is_refused_before_anything_is_made(tmp_path: Path
 
 
 def test_images_that_do_not_fit_are_refused(tmp_path: Path) -> None:
-    different = pytest.raises(ValueError, match="frame 1 is 32x48, the ones before it 64x48")
+    different = pytest.raises(ValueError, match="frame 1 is 32x48, but earlier ones are 64x48")
     with different, VideoWriter(tmp_path / "a.mp4", 0.1) as video:
         video.write(picture(0))
         video.write(picture(1, 32))
@@ -204,7 +204,7 @@ def test_a_full_disk_is_told_in_one_line_and_leaves_nothing(tmp_path: Path) -> N
         check=False,
     )
     assert (done.returncode, done.stderr) == (0, "")
-    message = f"{tmp_path}/a.mp4 cannot be written: File too large; mend it, or write elsewhere"
+    message = f"{tmp_path}/a.mp4 cannot be written: File too large; choose another path"
     assert done.stdout.splitlines() == [message] * 3
     assert list(tmp_path.iterdir()) == []
 

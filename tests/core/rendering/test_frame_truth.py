@@ -227,8 +227,8 @@ def test_a_visible_joint_lies_on_a_link_it_joins(stage: TruthScene, joints: list
     assert count >= 2
 
 
-def test_what_something_hides_is_hidden(stage: TruthScene) -> None:
-    """The plate, placed before the board, hides it."""
+def test_a_point_behind_an_object_is_hidden(stage: TruthScene) -> None:
+    """The plate, set up before the board, hides it."""
     stage.pose(POSES[0])
     corners = [k for k, record in enumerate(stage.labels.names.keypoints) if record.kind == "corner"]
     assert (stage.truth().arrays["visibility"][corners] == Visibility.VISIBLE).all()
@@ -266,7 +266,7 @@ def test_boxes_are_tight_around_what_is_seen(stage: TruthScene) -> None:
         assert truth.arrays["pixels"][k] == len(rows)
 
 
-def test_what_is_not_seen_has_an_empty_box() -> None:
+def test_an_object_out_of_sight_has_an_empty_box() -> None:
     boxes, pixels = instance_boxes(np.zeros((4, 6), np.uint8), np.array([-1, 0, 1, 1]), 2)
     assert not boxes.any()
     assert not pixels.any()

@@ -183,7 +183,7 @@ def test_depth_is_that_of_the_table(renderer: SceneRenderer, replica: StateRepla
     assert np.quantile(np.abs(heights - config.table.top), 0.9) < 2e-4
 
 
-def test_a_buffer_that_is_too_small_is_told(scene: CompiledScene) -> None:
+def test_a_buffer_that_is_too_small_is_refused(scene: CompiledScene) -> None:
     with pytest.raises(ValueError, match="offscreen buffer is smaller than 1280 x 960"):
         SceneRenderer(scene.model, (640, 480), (1280, 960))
 
@@ -274,7 +274,7 @@ def test_shadows_reach_as_far_as_a_quality_says(make_config: Callable[..., Recor
     assert (far, near) == pytest.approx((0.8, 0.65))
 
 
-def test_one_that_nobody_closed_ends_without_a_word() -> None:
+def test_a_renderer_that_was_not_closed_ends_silently() -> None:
     script = (
         "import mujoco\n"
         "from yamsim_cli.core.rendering.renderer import SceneRenderer\n"

@@ -91,15 +91,17 @@ def test_a_recordings_config_says_all_of_it(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "rig", "error", "said"),
     [
-        (MINE, "yam_station_crank_4310_d405", UsageError, "is of 'i2rt_yam', and the rig has 'yam_v1'"),
-        (MINE.replace("joint2", "joint9"), "single", UsageError, "joint 'joint9'; i2rt_yam has joint1, joint2"),
-        (MINE + "side: left\n", "single", UsageError, "on the left, and the rig has 'i2rt_yam' on the right"),
+        (MINE, "yam_station_crank_4310_d405", UsageError, "is for 'i2rt_yam', but the rig has 'yam_v1'"),
+        (MINE.replace("joint2", "joint9"), "single", UsageError, "unknown joint 'joint9'; valid: joint1, joint2"),
+        (MINE + "side: left\n", "single", UsageError, "on the left, but the rig has 'i2rt_yam' on the right"),
         (MINE.replace("damping: 0.7", "damping: -1"), "single", ConfigError, "must lie in 0..10000 N m s/rad"),
         (MINE.replace("base: i2rt_yam", ""), "single", ConfigError, "base"),
-        ("arms: []\n", "single", ConfigError, "is of the kind 'rigs'"),
+        ("arms: []\n", "single", ConfigError, "has keys of the kind 'rigs'"),
     ],
 )
-def test_what_does_not_fit_is_told(tmp_path: Path, text: str, rig: str, error: type[Exception], said: str) -> None:
+def test_dynamics_of_another_arm_are_refused(
+    tmp_path: Path, text: str, rig: str, error: type[Exception], said: str
+) -> None:
     with pytest.raises((ConfigError, UsageError), match=r"mine\.yaml") as told:
         _rig([_file(tmp_path, text)], rig)
 
@@ -107,6 +109,6 @@ def test_what_does_not_fit_is_told(tmp_path: Path, text: str, rig: str, error: t
     assert isinstance(told.value, error | ConfigError)
 
 
-def test_a_file_that_is_not_there_is_told() -> None:
+def test_a_missing_dynamics_file_is_named() -> None:
     with pytest.raises(UsageError, match=r"--robot: revision config file nope\.yaml does not exist"):
         _rig(["nope.yaml"])

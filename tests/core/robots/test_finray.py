@@ -169,6 +169,6 @@ def test_the_same_figures_give_the_same_bytes_and_others_others() -> None:
         ({"length_mm": 0.08}, "is it in m"),
     ],
 )
-def test_what_is_no_finger_is_told(changes: dict[str, float], message: str) -> None:
+def test_impossible_finger_sizes_are_refused(changes: dict[str, float], message: str) -> None:
     with pytest.raises(ValidationError, match=message):
         finger(**changes)

@@ -79,7 +79,7 @@ def test_an_include_that_leaves_the_folder_is_refused(folder: Path, name: str) -
     (folder.parent / "beside.xml").write_text("<mujoco/>")
     (folder / "link.xml").symlink_to(folder.parent / "beside.xml")
     path = include(folder, name)
-    checked(f"it names {name!r}, which does not lie in its folder; an <include> names an MJCF below {folder}", path)
+    checked(f"it names {name!r}, which is outside of its folder; an <include> names an MJCF below {folder}", path)
 
 
 @pytest.mark.parametrize(
@@ -88,14 +88,14 @@ def test_an_include_that_leaves_the_folder_is_refused(folder: Path, name: str) -
         (None, "'more.xml' is not in its folder"),
         ('<mujoco><include file="more.xml"/></mujoco>', "more.xml includes itself"),
         ('<mujoco><include file="arm.xml"/></mujoco>', "more.xml includes itself"),
-        ('<mujoco><include file="../beside.xml"/></mujoco>', "'../beside.xml', which does not lie in its folder"),
+        ('<mujoco><include file="../beside.xml"/></mujoco>', "'../beside.xml', which is outside of its folder"),
         ('<mujoco><asset><mesh file="/etc/hostname"/></asset></mujoco>', "a mesh names the file '/etc/hostname'"),
         ("<mujoco>", "more.xml: not valid XML"),
         ('<!DOCTYPE a [<!ENTITY b "c">]><mujoco/>', "more.xml: declares a document type"),
         ('<mujoco><worldbody><geom class="nope"/></worldbody></mujoco>', "unknown default class name 'nope'"),
     ],
 )
-def test_what_an_include_does_wrong_is_one_line(folder: Path, content: str | None, said: str) -> None:
+def test_a_faulty_include_is_refused_in_one_line(folder: Path, content: str | None, said: str) -> None:
     path = include(folder, "more.xml")
     (folder.parent / "beside.xml").write_text("<mujoco/>")
     if content is not None:
@@ -122,7 +122,7 @@ def test_what_an_include_does_wrong_is_one_line(folder: Path, content: str | Non
     ],
 )
 def test_an_mjcf_that_names_other_files_is_refused(inside: str) -> None:
-    with pytest.raises(ConfigError, match=r"^arm.xml: .*(valid|leave it out|write what)"):
+    with pytest.raises(ConfigError, match=r"^arm.xml: .*(valid|leave it out|write its content)"):
         parse_mjcf(Mjcf(file="arm.xml", text=f"<mujoco>{inside}</mujoco>"))
 
 

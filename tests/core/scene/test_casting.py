@@ -100,7 +100,7 @@ def test_a_gap_is_that_of_rectangles() -> None:
     assert footprint_distance(square, turned + np.array([0.5, 1.3])) == pytest.approx(0.3)
 
 
-def test_what_has_no_room_is_named(tmp_path_factory: pytest.TempPathFactory) -> None:
+def test_an_object_without_room_is_named(tmp_path_factory: pytest.TempPathFactory) -> None:
     tight = changed({("starts", "cube"): {"x": [0.30, 0.32], "y": [0.0, 0.02]}}, THREE)
     session = session_of(tmp_path_factory.mktemp("task"), tight)
     task, job = session.config.task, AttemptJob(0, 0)

@@ -79,7 +79,7 @@ def _read(files: dict[str, bytes]) -> mujoco.MjModel:
     return mujoco.MjModel.from_xml_string(files["scene.xml"].decode(), files)
 
 
-def test_it_compiles_to_the_same_model(scene: Composed) -> None:
+def test_the_written_scene_compiles_to_the_same_model(scene: Composed) -> None:
     differences = _differences(_read(scene_files(*scene)), scene[1])
     # Poses in frames are multiplied by yamsim and by MuJoCo with different rounding. Six digits would give 1e-6.
     assert max(differences.values(), default=0) < 1e-15, differences
@@ -194,7 +194,7 @@ def test_writing_leaves_the_spec_as_it_was() -> None:
         ("<actuator>", '<sensor><clock name="clock"/></sensor><actuator>', "<sensor>"),
     ],
 )
-def test_what_3_3_has_no_words_for_is_refused(old: str, new: str, what: str) -> None:
+def test_features_that_mujoco_3_3_lacks_are_refused(old: str, new: str, what: str) -> None:
     spec = mujoco.MjSpec.from_string(FRAMES.replace(old, new))
     spec.modelname = "mine"
     model = spec.compile()

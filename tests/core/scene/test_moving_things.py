@@ -132,8 +132,8 @@ def test_handles_are_sites_with_z_into_them() -> None:
         ({**SLIDE, "range": [0.1, 0.1]}, "must differ"),
         ({**SLIDE, "range": [0, 100]}, "is it in mm"),
         ({**SLIDE, "start": 0.2}, "lies outside its range"),
-        ({**SLIDE, "pitch": 0.01}, "a screw needs a pitch"),
-        ({**SLIDE, "axis": [0, 0, 0]}, "no length"),
+        ({**SLIDE, "pitch": 0.01}, "a screw joint needs `pitch`"),
+        ({**SLIDE, "axis": [0, 0, 0]}, "length 0"),
         ({**SLIDE, "detents": [{"at": 0.2, "width": 0.01, "effort": 1}]}, "outside the range"),
     ],
 )
@@ -143,11 +143,11 @@ def test_a_joint_that_cannot_be_is_refused(joint: dict[str, Any], said: str) -> 
 
 
 def test_parts_name_parents_that_come_before() -> None:
-    with pytest.raises(ValidationError, match="no link before it"):
+    with pytest.raises(ValidationError, match="not a link listed before it"):
         thing(SLIDE, parent="door")
 
 
-def test_older_mujocos_read_it_with_the_same_physics() -> None:
+def test_older_mujoco_versions_read_joints_with_the_same_physics() -> None:
     joint = {**SLIDE, "detents": [{"at": 0.02, "width": 0.01, "effort": 1.0}]}
     spec, model, data = world(thing(joint))
     again = mujoco.MjModel.from_xml_string(classic_xml(spec, model))

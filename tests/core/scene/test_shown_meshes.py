@@ -124,8 +124,8 @@ FULL, OTHER = "full " + "0" * 64, "full " + "1" * 64
     [
         ({"a": FULL}, {"a": PRIMITIVES}, "a: full 000000000000 there, primitives now", "`yamsim assets fetch`"),
         ({"a": PRIMITIVES}, {"a": FULL}, "a: primitives there, full 000000000000 now", "set YAMSIM_ASSETS to an empty"),
-        ({"a": FULL}, {"a": OTHER}, "a: full 000000000000 there, full 111111111111 now", "meshes that it was recorded"),
-        ({"a": FULL}, {}, "a: full 000000000000 there, not used now", "meshes that it was recorded with"),
+        ({"a": FULL}, {"a": OTHER}, "a: full 000000000000 there, full 111111111111 now", "the meshes of the recording"),
+        ({"a": FULL}, {}, "a: full 000000000000 there, not used now", "the meshes of the recording"),
     ],
 )
 def test_what_differs_is_named_with_what_to_do(

@@ -136,7 +136,7 @@ def test_it_is_drawn_as_it_istextured_mesh(printed: tuple[ImportedObjectFile, Lo
 
 
 def test_what_collides_by_files_needs_them(printed: tuple[ImportedObjectFile, Locations]) -> None:
-    with pytest.raises(ResourceError, match=r"the set own-mug-.*, which mug collides by"):
+    with pytest.raises(ResourceError, match=r"the mesh set own-mug-.*, the collision geometry of mug"):
         add_object(mujoco.MjSpec(), printed[0].config, {})
 
 

@@ -53,7 +53,7 @@ def test_a_simulation_that_breaks_down_fails_for_that_and_writes_nothing(tmp_pat
     assert "s: Nan, Inf or huge value in Q" in run.stdout
 
 
-def test_an_attempt_that_holds_says_nothing_of_it(config: RecordConfig, locations: Locations) -> None:
+def test_a_stable_attempt_reports_no_breakdown(config: RecordConfig, locations: Locations) -> None:
     with Simulator(Session(config, locations)) as simulator:
         done = planned(simulator, 0)
     assert done.outcome.cause is not FailureCause.UNSTABLE

@@ -75,7 +75,7 @@ def test_cloth_that_fell_into_the_table_is_taken_anew(tmp_path: Path, monkeypatc
         sunk[height] -= 0.017
         standing[height] += 0.017
         falls = iter([sunk, standing])
-        monkeypatch.setattr(crumple, "_drop_cloth", lambda *given: next(falls))
+        monkeypatch.setattr(crumple, "drop_cloth", lambda *given: next(falls))
         rng = np.random.default_rng(0)
         again = crumple.crumple(
             simulator.scene, attempt.start, "napkin", rng, 0.3, simulator.config.task.timing.timestep
@@ -252,7 +252,7 @@ def test_hands_hold_cloth_only_while_they_close_on_it(tmp_path: Path) -> None:
     [
         (changed({("things", "napkin", "of"): "soft_nakin"}, FOLD), {}, "soft_napkin"),
         (changed({("expert",): [{"pick": {"thing": "napkin"}}]}, FOLD), {}, "it can only be folded"),
-        (changed({("things", "napkin", "of"): "cube_red"}, FOLD), {}, "is no cloth"),
+        (changed({("things", "napkin", "of"): "cube_red"}, FOLD), {}, "is not cloth"),
         (
             changed(
                 {
@@ -262,21 +262,23 @@ def test_hands_hold_cloth_only_while_they_close_on_it(tmp_path: Path) -> None:
                 FOLD,
             ),
             {},
-            "as many points along both sides, not 9 x 13",
+            "equally many points along both sides, not 9 x 13",
         ),
         (
             changed({("expert",): [{"fold": {"thing": "napkin", "how": "quarters"}}]}, FOLD),
             {},
             "'diagonal' or 'thirds'",
         ),
-        (changed({("rig",): "single_linear"}, FOLD), {}, "takes two arms"),
+        (changed({("rig",): "single_linear"}, FOLD), {}, "needs two arms"),
         (changed({("starts", "napkin", "attitudes"): ["lying"]}, FOLD), {}, "starts flat"),
-        (changed({("starts", "cube", "crumpled"): [0.3, 0.6]}, ONTO), {}, "does not crumple"),
+        (changed({("starts", "cube", "crumpled"): [0.3, 0.6]}, ONTO), {}, "cannot crumple"),
         (changed({("starts", "napkin", "crumpled"): [0.6, 0.3]}, FOLD), {}, "must not be above"),
         (changed({("starts", "napkin", "crumpled"): [0.0, 0.3]}, FOLD), {}, "greater than or equal to 0.1"),
         (changed({("starts", "napkin", "open"): {"lid": [0, 1]}}, FOLD), {}, "no part"),
     ],
 )
-def test_what_cloth_cannot_do_says_so(tmp_path: Path, task: dict[str, Any], given: dict[str, Any], said: str) -> None:
+def test_impossible_uses_of_cloth_are_refused(
+    tmp_path: Path, task: dict[str, Any], given: dict[str, Any], said: str
+) -> None:
     with pytest.raises((ConfigError, UsageError), match=said):
         session_of(tmp_path, task, **given)

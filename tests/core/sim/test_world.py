@@ -214,7 +214,7 @@ def test_the_volume_of_a_thing_moves_with_its_parts(placed: PlacedScene) -> None
     np.testing.assert_allclose(low, [-0.26, -0.12, 0.0], atol=1e-6)
     inside = placed.world.volume_fraction_in_box("cabinet", "cabinet")
     assert inside == 1 and high[2] == pytest.approx(0.11)
-    points = np.concatenate([points for points, _ in placed.world._volume_samples("cabinet")])
+    points = np.concatenate([points for points, _ in placed.world.volume_samples("cabinet")])
     assert points[:, 0].min() < 1.0 - 0.25
 
 

@@ -179,8 +179,8 @@ DAMAGED_SAMPLES: list[tuple[str, Callable[[SampleDataset], object], str, str]] =
     ("dataset.mixed", over(meshes={"ycb": "primitives"}), "dataset", "meshes ycb: 2 x not told; 1 x primitives"),
     ("dataset.mixed", some_meshes, "dataset", "meshes ycb: 2 x reduced 012345678901; 1 x primitives"),
     ("dataset.mixed", over(rig="mine"), "dataset", "rig: 2 x single; 1 x mine"),
-    ("episode.duplicate", copy_of_the_first, EP, "every value is that of ep_000000"),
-    ("episode.layout", start_of_the_first, EP, "all objects lie as in ep_000000"),
+    ("episode.duplicate", copy_of_the_first, EP, "every value equals that of ep_000000"),
+    ("episode.layout", start_of_the_first, EP, "all objects have the poses of ep_000000"),
     ("episode.failed", over(outcome=OUTCOME.model_copy(update={"success": False, "dxy_m": 0.002})), RECORD, ""),
     (
         "episode.outcome",
@@ -329,9 +329,9 @@ DAMAGED_FILES: list[tuple[str, Callable[[Path], object], str, str]] = [
     ("image.decode", cut(f"{EP}/{IMAGE}", 100), IN_IMAGE, "100 bytes"),
     ("image.decode", cut(f"{EP}/{IMAGE}", 0), IN_IMAGE, ""),
     ("image.decode", cut(f"{EP}/{IMAGE}", -1), IN_IMAGE, ""),
-    ("lowdim.damaged", cut(f"{EP}/{FRAME}", 100), IN_FRAME, "not a whole frame"),
+    ("lowdim.damaged", cut(f"{EP}/{FRAME}", 100), IN_FRAME, "not a valid frame"),
     ("lowdim.damaged", rehash(FRAME, pickle.dumps([1])), IN_FRAME, "must be a dictionary, not list"),
-    ("lowdim.forbidden", rehash(FRAME, pickle.dumps({"joints": Damage()})), IN_FRAME, "io.open, which no frame may"),
+    ("lowdim.forbidden", rehash(FRAME, pickle.dumps({"joints": Damage()})), IN_FRAME, "io.open, which is not allowed"),
 ]
 # Codes with their own test: they need several steps, or leave further traces.
 TESTED_BELOW = {"episode.number", "file.unhashed", "frames.none", "dataset.empty"}

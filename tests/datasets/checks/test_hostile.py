@@ -28,7 +28,7 @@ def test_a_pipe_is_not_waited_for(sample: SampleDataset, path: Path, found: Any)
     assert found(path) == [("file.unreadable", EP, FRAME)]
 
 
-def test_a_link_to_nowhere_is_told(sample: SampleDataset, path: Path, survey_of: Any) -> None:
+def test_a_link_to_a_missing_file_is_reported(sample: SampleDataset, path: Path, survey_of: Any) -> None:
     sample.write(path)
     replace_by(path / EP / IMAGE, lambda file: file.symlink_to("nowhere"))
     (problem,) = survey_of(path).problems
@@ -106,7 +106,7 @@ def test_a_disk_that_refuses_is_an_error_of_the_dataset(
         raise OSError(5, "Input/output error")
 
     monkeypatch.setattr(Path, "iterdir", refuse)
-    with pytest.raises(DatasetError, match=r"dataset cannot be read: Input/output error; mend"):
+    with pytest.raises(DatasetError, match=r"dataset cannot be read: Input/output error; check"):
         found(path)
 
 

@@ -186,7 +186,7 @@ def test_a_time_file_that_lies_is_no_time_file(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["missing", "file", "empty", "0"])
-def test_what_is_no_dataset_is_refused(sample: SampleDataset, path: Path, survey_of: Any, name: str) -> None:
+def test_a_path_without_a_dataset_is_refused(sample: SampleDataset, path: Path, survey_of: Any, name: str) -> None:
     sample.write_plain(path)
     (path / "file").touch()
     (path / "empty").mkdir()

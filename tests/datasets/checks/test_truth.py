@@ -70,7 +70,7 @@ def labels_of(height: int, width: int, number: int = 1) -> bytes:
 
 
 BEFORE = [
-    ("depth.decode", DEPTH, b"PK\x03\x04", "not a whole npz"),
+    ("depth.decode", DEPTH, b"PK\x03\x04", "not a valid npz"),
     ("depth.decode", DEPTH, dump_arrays({"z": np.zeros((HEIGHT, WIDTH), np.uint16)}), "no array `depth`"),
     ("depth.decode", DEPTH, dump_arrays({"depth": np.zeros((HEIGHT, WIDTH))}), "float64 (48, 64), not uint16"),
     ("depth.size", DEPTH, dump_depth(np.zeros((WIDTH, HEIGHT), np.uint16)), "48x64; valid: 64x48"),
@@ -79,7 +79,7 @@ BEFORE = [
     ("segmentation.size", SEGMENTATION, labels_of(10, 20), "20x10; valid: 64x48"),
     ("segmentation.label", SEGMENTATION, labels_of(HEIGHT, WIDTH, 9), "9; valid: 0 to 2"),
     ("truth.damaged", TRUTH_LABELS, b"{}", "labels: Field required"),
-    ("truth.damaged", truth_name(CAMERA), b"no zip", "not a whole npz"),
+    ("truth.damaged", truth_name(CAMERA), b"no zip", "not a valid npz"),
     ("truth.shape", truth_name(CAMERA), changed_arrays(boxes=None), "boxes is missing"),
     ("truth.shape", truth_name(CAMERA), changed_arrays(boxes=np.zeros((5, 2, 4), np.int32)), "not int32 (6, 2, 4)"),
     ("truth.shape", truth_name(CAMERA), changed_arrays(visibility=np.zeros((6, 1))), "visibility is float64"),

@@ -220,11 +220,11 @@ def test_one_damaged_photo_does_not_cost_the_others(run: Runner, photo: Path) ->
     report = run(".")
     assert [result.path.name for result in report.results] == ["photo.png"]
     assert report.to_json_data()["unreadable"] == report.unreadable
-    message = r"^a\.png is no whole PNG or JPEG; export it again \(and 1 more\)$"
+    message = r"^a\.png is not a valid PNG or JPEG; export it again \(and 1 more\)$"
     with pytest.raises(PartialJobError, match=message):
         report.check()
     assert json.loads(Path("out/overlay.json").read_text())["unreadable"] == report.unreadable
-    with pytest.raises(ResourceError, match=r"a\.png is no whole PNG"):
+    with pytest.raises(ResourceError, match=r"a\.png is not a valid PNG"):
         run("a.png", "b.jpg")
 
 

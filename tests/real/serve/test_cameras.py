@@ -174,10 +174,10 @@ def _head(**told: Any) -> bytes:
 @pytest.mark.parametrize(
     ("answer", "says"),
     [
-        ((2**32 - 1).to_bytes(4, "little"), "is no serve-robot"),
+        ((2**32 - 1).to_bytes(4, "little"), "is not a serve-robot"),
         (said(b"[1"), "does not answer as it should"),
-        (said([1]), "is no serve-robot"),
-        (said({"bytes": 2**40}), "is no serve-robot"),
+        (said([1]), "is not a serve-robot"),
+        (said({"bytes": 2**40}), "is not a serve-robot"),
         (_head(bytes=3, width=1, height=1) + b"abc", "another size"),
         (_head(bytes=144, number="x") + bytes(144), "of this version"),
         (_head(bytes=144, T_cam_in_base=[1]) + bytes(144), "of this version"),

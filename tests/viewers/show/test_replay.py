@@ -129,7 +129,7 @@ def test_an_image_that_is_none_is_told_even_where_its_hash_agrees(dataset: Path,
     files = json.loads((directory / "episode.json").read_text())["files"]
     change_record(directory, files=files | {"rgb/scene_camera/000040.jpg": sha256_bytes(b"no image")})
     run = yamsim("replay", directory, "--video", tmp_path / "a.mp4")
-    assert (run.code, "frame 40 of scene_camera is no JPEG of 24x16" in run.message) == (4, True)
+    assert (run.code, "frame 40 of scene_camera is not a JPEG of 24x16" in run.message) == (4, True)
 
 
 def test_a_video_is_made_though_its_actions_lead_elsewhere_and_it_says_so(dataset: Path, tmp_path: Path) -> None:
@@ -150,7 +150,7 @@ def test_a_video_is_made_though_its_actions_lead_elsewhere_and_it_says_so(datase
     [
         ((".",), "is a dataset: give one of its episodes (ep_000000, ep_000001), or --episode"),
         ((".", "--episode", "7"), "there is no ep_000007"),
-        (("ep_000001", "--video", "a.avi"), "end it in .mp4"),
+        (("ep_000001", "--video", "a.avi"), "must end in .mp4"),
         (("ep_000001", "--video", "a.mp4", "--camera", "wrist"), "--camera 'wrist' is not valid; valid: scene_camera"),
         (("ep_000001", "--video", "a.mp4", "--size", "64x48"), "give --render"),
         (("ep_000001", "--video", "a.mp4", "--web"), "is for the viewer"),
@@ -168,7 +168,7 @@ def test_without_the_library_the_extra_is_named(original: Path, tmp_path: Path, 
     (tmp_path / "av.py").write_text("raise ModuleNotFoundError(\"No module named 'av'\", name='av')")
     path = os.pathsep.join([str(tmp_path), str(repository)])
     run = yamsim("replay", original / "ep_000000", "--video", tmp_path / "a.mp4", env={"PYTHONPATH": path})
-    assert (run.code, run.message) == (4, "a video needs PyAV, which is not here: pip install 'yamsim[video]'")
+    assert (run.code, run.message) == (4, "a video needs PyAV, which is missing: pip install 'yamsim[video]'")
 
 
 def test_actions_are_repeated_where_there_are_any(dataset: Path, locations: Locations) -> None:

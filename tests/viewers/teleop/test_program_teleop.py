@@ -119,7 +119,7 @@ def test_a_magnet_command_without_welds_is_refused(session: Session, tmp_path: P
 
 def test_objects_without_room_are_refused(tmp_path: Path) -> None:
     tight = changed({("starts", "cube", "x"): [0.40, 0.40], ("starts", "cube", "y"): [-0.15, -0.15]})
-    with pytest.raises(SimulationError, match="task 'small': no free place for the cube where it is to start"):
+    with pytest.raises(SimulationError, match="task 'small': no free place for the cube in its start region"):
         TeleopScene(session_of(tmp_path, tight), CollectingReceiver())
 
 

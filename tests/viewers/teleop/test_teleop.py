@@ -566,7 +566,7 @@ def test_faults_are_one_line(tmp_path: Path) -> None:
     out = tmp_path / "d"
     stream = str(write_stream(tmp_path / "s.jsonl", [{"t": 0}]))
     left = yamsim("teleop", "--arm", "left", "--input", stream, "--out", str(out))
-    assert (left.code, "--arm: arm 'left': rig 'single' has only a right one" in left.message) == (2, True)
+    assert (left.code, "--arm: arm 'left': rig 'single' has only a right arm" in left.message) == (2, True)
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         taken.listen()

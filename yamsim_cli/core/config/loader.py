@@ -183,8 +183,8 @@ def _add_dynamics(document: Document, path: KeyPath, files: Sequence[str], place
         if not matching:
             there = " and ".join(dict.fromkeys(f"{model!r} on the {on}" for model, on in arms.values()))
             raise (UsageError if is_setting(place) else ConfigError)(
-                f"{place}: {file} is of {base!r}{f' on the {side}' if side else ''}, and the rig has {there}; choose "
-                "another rig"
+                f"{place}: {file} is for {base!r}{f' on the {side}' if side else ''}, but the rig has {there}; "
+                "choose another rig"
             )
 
 
@@ -223,7 +223,7 @@ def _other_kind(model: type[Config], document: Document) -> str | None:
     if kind is None or (instead := detect_other_kind(KINDS, kind, document.data)) is None:
         return None
     keys = ", ".join(sorted(set(document.data) - {"name"})[:3])
-    return f"{document.source}: is of the kind {instead!r}, to judge by its keys {keys}; give one of {kind!r}"
+    return f"{document.source}: has keys of the kind {instead!r} ({keys}); give a file of the kind {kind!r}"
 
 
 def _check(
@@ -322,6 +322,6 @@ def _base(dynamics: Document) -> str:
     base = dynamics.data.get("base")
     if not isinstance(base, str):
         raise ConfigError(
-            f"{dynamics.place(('base',))}: base: {base!r} is no robot model; name the model of these dynamics"
+            f"{dynamics.place(('base',))}: base: {base!r} is not a robot model; give the model that has these dynamics"
         )
     return base

@@ -40,7 +40,7 @@ def describe_remedy(recorded: ShownMeshes, now: ShownMeshes) -> str:
     """Return what a user has to do so that images show the meshes of a recorded dataset again."""
     changed = [name for name in recorded if recorded[name] != now.get(name)]
     if any(now.get(name) == PRIMITIVES for name in changed):
-        return "`yamsim assets fetch` brings the meshes, or set YAMSIM_ASSETS to where they are"
+        return "run `yamsim assets fetch`, or set YAMSIM_ASSETS to the folder of the meshes"
     if any(recorded[name] == PRIMITIVES for name in changed):
-        return "to go on with primitives, set YAMSIM_ASSETS to an empty folder"
-    return "set YAMSIM_ASSETS to the meshes that it was recorded with"
+        return "to continue with primitives, set YAMSIM_ASSETS to an empty folder"
+    return "set YAMSIM_ASSETS to the meshes of the recording"

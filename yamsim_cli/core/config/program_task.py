@@ -69,7 +69,7 @@ class Role(Config):
     def _named_after_one_object(self) -> Role:
         if self.named == "object" and self.count > 1:
             raise ConflictError(
-                f"`named: object` is for a role that one thing plays, and {self.count} play this one; leave it out",
+                f"`named: object` needs a role of one object, but this role has {self.count}; leave `named` out",
                 ("named",),
                 ("count",),
             )
@@ -128,7 +128,7 @@ class Start(Config):
             raise ConflictError(f"a range is [low, high], so {low} must not be above {high}", ("crumpled",))
         if self.from_arm is not None and self.on != TABLE:
             raise ConflictError(
-                f"a region on the {self.on} is given in its frame, and not from an arm; remove `from_arm`",
+                f"a region on the {self.on} is in the frame of the {self.on}, not of an arm; remove `from_arm`",
                 ("from_arm",),
             )
         return self
@@ -165,7 +165,7 @@ class Phrasings(Config):
     @model_validator(mode="after")
     def _disjoint(self) -> Phrasings:
         if shared := sorted(set(self.training) & set(self.held_out)):
-            raise ConflictError(f"{shared[0]!r} is said in training too, so it is not held out", ("held_out",))
+            raise ConflictError(f"{shared[0]!r} is also in `training`; remove it from one of the two", ("held_out",))
         return self
 
     def fill(self, fill: Callable[[str], str]) -> Phrasings:
@@ -222,8 +222,8 @@ class ProgramTiming(Config):
             low, high = (1 / (self.tick * (1 + sign * _MAX_TICK_CHANGE)) for sign in (1, -1))
             valid = ", ".join(f"{low / n:.1f} to {high / n:.1f}" for n in (1, 2, 3, 4))
             raise ValueError(
-                f"{fps:g} frames a second are no whole number of control ticks of about {self.tick * 1000:.0f} ms; "
-                f"valid: {valid}, and so on"
+                f"at {fps:g} frames a second, a frame is not a whole number of control ticks of "
+                f"{self.tick * 1000:.0f} ms; valid: {valid}, and so on"
             )
         return {"timestep": tick / self.physics_steps_per_tick, "ticks_per_frame": ticks}
 
@@ -273,18 +273,18 @@ class ProgramTask(Config):
     @model_validator(mode="after")
     def _roles_are_there(self) -> ProgramTask:
         if TABLE in self.things:
-            raise ConflictError(f"no role may be called {TABLE!r}, the name of the work surface", ("things", TABLE))
+            raise ConflictError(f"a role cannot have the name {TABLE!r} of the work surface", ("things", TABLE))
         for role in self.starts:
             if role not in self.things:
                 raise ConflictError(f"unknown role {role!r}; {suggest(role, self.things)}", ("starts", role))
         for role in self.things:
             if role not in self.starts:
-                raise ConflictError(f"nothing says where the {role} starts; add it to `starts`", ("starts",))
+                raise ConflictError(f"the {role} has no start region; add it to `starts`", ("starts",))
         placed = {TABLE}
         for role, start in self.starts.items():
             if start.on not in placed:
                 valid = suggest(start.on, placed)
-                raise ConflictError(f"{start.on!r} is not placed before the {role}; {valid}", ("starts", role, "on"))
+                raise ConflictError(f"{start.on!r} is not listed before the {role}; {valid}", ("starts", role, "on"))
             placed.add(role)
         names = {*self.things, *(name for role in self.things for name in self._numbered(role))}
         for k, miss in enumerate(self.near_misses):
@@ -298,7 +298,7 @@ class ProgramTask(Config):
                 if role not in (known := names | {TABLE}):
                     raise ConflictError(f"unknown role {role!r}; {suggest(role, known)}", where)
                 if predicate.OF_CLOTH and not self.may_be_cloth(role):
-                    raise ConflictError(f"the {role} is no cloth; give a role that cloth plays", where)
+                    raise ConflictError(f"the {role} is not cloth; give a role of cloth", where)
         return self
 
     @model_validator(mode="after")
@@ -307,7 +307,7 @@ class ProgramTask(Config):
         for k, arrangement in enumerate(self.arrangements):
             if others := names ^ set(arrangement.places):
                 raise ConflictError(
-                    f"has to give a place to each of {', '.join(sorted(names))}, and differs in {sorted(others)[0]!r}",
+                    f"must have a place for each of {', '.join(sorted(names))}; wrong: {sorted(others)[0]!r}",
                     ("arrangements", k, "places"),
                 )
         return self
@@ -322,10 +322,10 @@ class ProgramTask(Config):
                 )
             if start.crumpled is not None and not self.may_be_cloth(role):
                 raise ConflictError(
-                    f"the {role} is no cloth, so it does not crumple; remove `crumpled`", ("starts", role, "crumpled")
+                    f"the {role} is not cloth and cannot crumple; remove `crumpled`", ("starts", role, "crumpled")
                 )
             if self.may_be_cloth(start.on):
-                raise ConflictError(f"nothing starts on cloth, and the {start.on} is cloth", ("starts", role, "on"))
+                raise ConflictError(f"the {role} cannot start on cloth, the {start.on}", ("starts", role, "on"))
         return self
 
     @model_validator(mode="after")
@@ -334,14 +334,14 @@ class ProgramTask(Config):
         for role, played in self.things.items():
             for k, item in enumerate(played.of):
                 if known.setdefault(item.name, item) != item:
-                    raise ConflictError(f"two different objects are called {item.name!r}", ("things", role, "of", k))
+                    raise ConflictError(f"two different objects have the name {item.name!r}", ("things", role, "of", k))
         by_role = [role for role, played in self.things.items() if played.named == "role"]
         used = {name: role for role in by_role for name in self._numbered(role)} | {TABLE: TABLE}
         for role, played in self.things.items():
             for k, item in enumerate(() if role in by_role else played.of):
                 if (other := used.setdefault(item.name, role)) != role:
                     raise ConflictError(
-                        f"the {role} may be called {item.name!r}, as the {other} is; give the two different "
+                        f"the {role} and the {other} can both have the name {item.name!r}; give the two different "
                         "objects, or leave `named` out",
                         ("things", role, "named"),
                         ("things", role, "of", k),
@@ -417,7 +417,7 @@ class ProgramTask(Config):
         for path, _ in self._on_predicates_with_radius():
             return ("goal", *path, "radius")
         raise ConflictError(
-            f"task {self.name!r} has no `on` with a `radius` in its goal, so no distance counts", ("goal",)
+            f"task {self.name!r} has no `on` with a `radius` in its goal, so it has no threshold", ("goal",)
         )
 
     def _on_predicates_with_radius(self) -> Iterator[tuple[tuple[str | int, ...], On]]:

@@ -122,7 +122,7 @@ class Distractors(Config):
     def _are_rigid(self) -> Distractors:
         for k, item in enumerate(self.objects):
             if item.cloth is not None:
-                raise ConflictError(f"{item.name!r} is cloth, and distractors are rigid; take another", ("objects", k))
+                raise ConflictError(f"{item.name!r} is cloth, but distractors are rigid; give another", ("objects", k))
         return self
 
 

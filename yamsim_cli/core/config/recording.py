@@ -111,14 +111,14 @@ class RecordConfig(Config):
                     ("rig",),
                 )
         if self.cameras and len(set(self.cameras)) < len(self.cameras):
-            raise ConflictError(f"a camera is named twice: {', '.join(self.cameras)}", ("cameras",))
+            raise ConflictError(f"a camera is listed twice: {', '.join(self.cameras)}", ("cameras",))
         return self
 
     @model_validator(mode="after")
     def _rig_has_the_arm(self) -> RecordConfig:
         if self.arm != "right" and self.arm not in (sides := [arm.side for arm in self.rig.arms]):
             raise ConflictError(
-                f"arm {self.arm!r}: rig {self.rig.name!r} has only a {sides[0]} one; leave `arm` out",
+                f"arm {self.arm!r}: rig {self.rig.name!r} has only a {sides[0]} arm; leave `arm` out",
                 ("arm",),
                 ("rig",),
             )
@@ -133,8 +133,8 @@ class RecordConfig(Config):
     def _arms_can_grasp(self) -> RecordConfig:
         if self.grasp not in (valid := self.task.valid_grasps):
             raise ConflictError(
-                f"task {self.task.name!r} cannot be done with grasp {self.grasp!r}; it has "
-                f"{' and '.join(valid)}: give one of those, or leave `grasp` out",
+                f"task {self.task.name!r} does not support grasp {self.grasp!r}; "
+                f"give {' or '.join(valid)}, or leave `grasp` out",
                 ("grasp",),
                 ("task",),
             )
@@ -149,7 +149,7 @@ class RecordConfig(Config):
     def _actions_are_complete(self) -> RecordConfig:
         if self.action == "joints" and self.grasp == "weld":
             raise ConflictError(
-                "action 'joints' has no place for a weld, and grasp is 'weld'; use grasp 'contact', with a gripper "
+                "action 'joints' cannot command a weld, but grasp is 'weld'; use grasp 'contact', with a gripper "
                 "that has pads",
                 ("action",),
                 ("grasp",),
@@ -253,8 +253,8 @@ def check_fingers(
         fingers = arm.gripper.fingers
         if fingers is None:
             raise ConflictError(
-                f"{arm.name} of rig {rig.name!r} has the gripper {arm.gripper.name}, which has no fingers to "
-                "pick anything up with; use another gripper, or another arm",
+                f"{arm.name} of rig {rig.name!r} has the gripper {arm.gripper.name}, which has no fingers; "
+                "use another gripper or another arm",
                 ("rig",),
                 ("arm",),
             )

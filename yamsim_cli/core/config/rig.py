@@ -47,7 +47,7 @@ def _require_extended(value: tuple[float, float], info: ValidationInfo) -> tuple
     low, high = value
     if high - low < _MIN_MM and not is_recorded_config(info):
         meant = f"; is it in m? Then give [{1000 * low:g}, {1000 * high:g}]" if high > low else ""
-        raise ValueError(f"a mount is at least {_MIN_MM:g} mm wide, and this is {high - low:.3g}{meant}")
+        raise ValueError(f"a mount must be at least {_MIN_MM:g} mm wide, but this one is {high - low:.3g} mm{meant}")
     return value
 
 
@@ -196,7 +196,7 @@ class ArmConfig(Config):
             shown = ", ".join(f"{part:.3g}" for part in T[:3, 2])
             raise ConflictError(
                 f"board {self.board.name!r} does not lie flat on its base: its normal is ({shown}), not (0, 0, 1); "
-                "mend quat",
+                "correct quat",
                 ("board", "quat"),
             )
         return self
@@ -305,15 +305,16 @@ class RigConfig(Config):
                 for arm in self.arms
             )
             raise ConflictError(
-                f"{listed}: arms of one rig need as many joints, and all of them fingers or none; choose other models "
-                "or grippers",
+                f"{listed}: the arms of a rig must all have the same number of joints, and all have fingers or none; "
+                "choose other models or grippers",
                 ("arms",),
             )
         if len(set(self.camera_names)) < len(self.camera_names):
             raise ConflictError(f"two cameras have the same name: {', '.join(self.camera_names)}", ("cameras",))
         for camera in self.cameras:
             if camera.arm is not None and camera.arm not in (names := [arm.name for arm in self.arms]):
-                raise ConflictError(f"camera {camera.name!r}: no arm {camera.arm!r}; {', '.join(names)}", ("cameras",))
+                valid = ", ".join(names)
+                raise ConflictError(f"camera {camera.name!r}: no arm {camera.arm!r}; valid: {valid}", ("cameras",))
         if len(self.arms) > 1 and self.margin <= 0:
             raise ConflictError(
                 f"margin {self.margin} is not valid: {len(self.arms)} arms need a distance above 0 m", ("margin",)

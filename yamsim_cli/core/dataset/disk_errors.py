@@ -9,9 +9,9 @@ from pathlib import Path
 from ..files.writing import describe_refusal, nearest_directory
 
 _REMEDIES = {
-    errno.EDQUOT: "the quota is used up: free some, or ask for more",
-    errno.EROFS: "mounted so, or turned so by an error of the disk: see the system's log",
-    errno.EIO: "the disk or its server failed: see the system's log",
+    errno.EDQUOT: "the quota is used up: free some space, or ask for more",
+    errno.EROFS: "mounted read-only, or made read-only after a disk error: see the system log",
+    errno.EIO: "the disk or its server failed: see the system log",
     errno.EFBIG: "a limit on file sizes is in force: see ulimit -f",
     errno.ESTALE: "the server no longer knows the file: mount it again",
 }
@@ -37,8 +37,8 @@ def _describe_full_disk(place: Path) -> str:
     try:
         state = os.statvfs(place)
     except OSError:
-        return "no space left on the device: free some"
+        return "no space left on the device: free some space"
     if state.f_files and not state.f_favail:
         return f"no inodes left on the device (all {state.f_files} are in use): delete files, or use another disk"
     free = state.f_bavail * state.f_frsize
-    return f"no space left on the device ({free / 1e6:.1f} MB are free): free some, or use another disk"
+    return f"no space left on the device ({free / 1e6:.1f} MB are free): free some space, or use another disk"

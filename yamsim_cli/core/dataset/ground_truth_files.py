@@ -191,7 +191,7 @@ def load_arrays(data: bytes, maximum: int) -> dict[str, NDArray[Any]]:
     # The zip and npy readers can raise almost any exception on a damaged archive.
     except Exception as error:
         reason = " ".join(str(error).split())[:200]
-        raise DatasetError(f"not a whole npz: {type(error).__name__}: {reason}") from error
+        raise DatasetError(f"not a valid npz file: {type(error).__name__}: {reason}") from error
     raise DatasetError(f"it holds {size} bytes; at most {maximum} are read")
 
 
@@ -204,11 +204,11 @@ def _array(data: bytes) -> NDArray[Any]:
     elif version == (2, 0):
         shape, fortran, dtype = np.lib.format.read_array_header_2_0(stream, _MAX_NPY_HEADER)
     else:
-        raise ValueError(f"version {version} of npy is not read")
+        raise ValueError(f"version {version} of npy is not supported")
     if dtype.kind not in "biuf":
         raise ValueError(f"an array of {dtype} holds no numbers")
     content = data[stream.tell() :]
     if math.prod(shape) * dtype.itemsize != len(content):
-        raise ValueError(f"{len(content)} bytes are no {dtype} of shape {shape}")
+        raise ValueError(f"{len(content)} bytes do not make an array of {dtype} with shape {shape}")
     flat = np.frombuffer(content, dtype)
     return flat.reshape(shape, order="F" if fortran else "C")

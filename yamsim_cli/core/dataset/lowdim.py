@@ -261,7 +261,7 @@ def recorded_actions(frames: Sequence[Mapping[str, Any]], nq: int, nu: int) -> t
         found = len(frame["sim_qpos"]), frame["sim_ctrl"].shape[1]
         if found != (nq, nu):
             raise DatasetError(
-                f"frame {k} has {found[0]} positions and {found[1]} drives, and its scene {nq} and {nu}: "
+                f"frame {k} has {found[0]} positions and {found[1]} drives, but its scene {nq} and {nu}: "
                 "the episode was made with another robot model or scene than its dataset says"
             )
     counts = [len(frame["sim_ctrl"]) for frame in frames]

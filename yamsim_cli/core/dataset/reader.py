@@ -56,7 +56,7 @@ class RecordedEpisode:
         if self.is_altered(name, data):
             raise DatasetError(
                 f"{self.directory / name} is not what was recorded: its sha256 differs from that in {EPISODE}; "
-                "copy the episode anew, or record it again"
+                "copy the episode again, or record it again"
             )
         return data
 
@@ -106,7 +106,7 @@ def open_recorded(directory: Path) -> RecordedEpisode:
         text = file.read_bytes()
     except OSError as error:
         raise DatasetError(
-            f"{directory} is no episode: {EPISODE} cannot be read ({error.strerror or error}); "
+            f"{directory} is not an episode: {EPISODE} cannot be read ({error.strerror or error}); "
             "give a directory such as dataset/ep_000003"
         ) from error
     if _REAL_SOURCE.search(text):
@@ -145,7 +145,7 @@ class StoredEpisodes(Sequence[StoredEpisode]):
         try:
             directory = self._directories[key]
         except IndexError:
-            raise IndexError(f"{self.path} has {count_noun(len(self), 'episode')}, and none at place {key}") from None
+            raise IndexError(f"{self.path} has {count_noun(len(self), 'episode')}, but none at index {key}") from None
         return open_episode(directory)
 
     def __repr__(self) -> str:
@@ -163,7 +163,7 @@ def open_episodes(dataset: Path) -> StoredEpisodes:
 def _not_recorded_error(dataset: Path) -> DatasetError:
     return DatasetError(
         f"{dataset} is a plain recording, without {CONFIG} and {EPISODE}: `yamsim summarize` can check it, but its "
-        "episodes cannot be opened; give the directory that `yamsim record` wrote, or bring it in with `yamsim import`"
+        "episodes cannot be opened; give the directory that `yamsim record` wrote, or import it with `yamsim import`"
     )
 
 
@@ -189,9 +189,9 @@ def dataset_config(dataset: Path, locations: Locations) -> RecordConfig:
     """Return the configuration that a dataset was recorded with. Raise DatasetError if it is missing or invalid."""
     if is_real(dataset):
         raise DatasetError(
-            f"{dataset} holds real recordings: they were not simulated, so nothing can make them again; "
-            f"yamsim summarize {dataset} --strict checks every file by its hash, and yamsim gap {dataset} how far the "
-            "simulation is from them"
+            f"{dataset} holds real recordings, which were not simulated and cannot be made again; "
+            f"`yamsim summarize {dataset} --strict` checks the hash of every file, and `yamsim gap {dataset}` compares "
+            "them with the simulation"
         )
     return read_dataset_config(RecordConfig, dataset, locations)
 
@@ -262,7 +262,8 @@ class RecordedImages:
         image = decode_jpeg(self._episode.image(camera, frame))
         width, height = self._episode.record.cameras[camera]
         if image is None or image.shape[:2] != (height, width):
-            raise DatasetError(f"{self._episode.directory}: frame {frame} of {camera} is no JPEG of {width}x{height}")
+            place = f"{self._episode.directory}: frame {frame} of {camera}"
+            raise DatasetError(f"{place} is not a JPEG of {width}x{height}")
         return image
 
 

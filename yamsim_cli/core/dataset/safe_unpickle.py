@@ -158,7 +158,7 @@ _ALLOWED_NAMES: Final[dict[tuple[str, str], _AllowedName]] = {
 class _Dispatch(dict[int, Callable[[Any], None]]):
     def __missing__(self, code: int) -> Callable[[Any], None]:
         name = _OPCODE_NAMES.get(code, f"{code:#04x}")
-        raise ForbiddenPickleError(f"the pickle has the instruction {name}, which no frame needs")
+        raise ForbiddenPickleError(f"the pickle has the instruction {name}, which is not allowed in a frame")
 
 
 class _Unpickler(pickle._Unpickler):
@@ -173,14 +173,14 @@ class _Unpickler(pickle._Unpickler):
     def find_class(self, module: str, name: str) -> Any:
         if (module, name) not in _ALLOWED_NAMES:
             raise ForbiddenPickleError(
-                f"the pickle names {_short(module)}.{_short(name)}, which no frame may; it was not run"
+                f"the pickle names {_short(module)}.{_short(name)}, which is not allowed in a frame; it was not run"
             )
         return _ALLOWED_NAMES[module, name]
 
     def _set(self, items: list[Any]) -> None:
         for key, value in zip(items[::2], items[1::2], strict=True):
             if not isinstance(key, str | int):
-                raise ForbiddenPickleError(f"the pickle has a key of type {type(key).__name__}; only text is one")
+                raise ForbiddenPickleError(f"the pickle has a key of type {type(key).__name__}; a key must be text")
             self.stack[-1][key] = value
 
     def load_setitem(self) -> None:
@@ -223,7 +223,7 @@ def read_pickle(data: bytes) -> Any:
         raise
     # The unpickler can raise almost any exception on a broken pickle.
     except Exception as error:
-        raise DatasetError(f"not a whole pickle: {type(error).__name__}: {_short(str(error))}") from error
+        raise DatasetError(f"not a valid pickle: {type(error).__name__}: {_short(str(error))}") from error
 
 
 class _BudgetedCopy:
@@ -236,7 +236,7 @@ class _BudgetedCopy:
     def value(self, item: Any, depth: int) -> Any:
         self._values -= 1
         if depth > _MAX_DEPTH or self._values < 0:
-            raise ForbiddenPickleError(f"the pickle has over {_MAX_VALUES} values, or {_MAX_DEPTH} within each other")
+            raise ForbiddenPickleError(f"the pickle has over {_MAX_VALUES} values, or {_MAX_DEPTH} nested levels")
         if isinstance(item, dict):
             return {self.value(key, depth): self.value(inner, depth + 1) for key, inner in item.items()}
         if isinstance(item, list | tuple):
@@ -247,9 +247,9 @@ class _BudgetedCopy:
         if isinstance(item, str | bytes | bytearray):
             self._spend(len(item))
         elif isinstance(item, int) and item.bit_length() > _MAX_INT_BITS:
-            raise ForbiddenPickleError(f"the pickle has a number of {item.bit_length()} bits")
+            raise ForbiddenPickleError(f"the pickle has a number of {item.bit_length()} bits, over {_MAX_INT_BITS}")
         elif item is not None and not isinstance(item, int | float):
-            raise ForbiddenPickleError("the pickle holds a function or a type, which no frame may")
+            raise ForbiddenPickleError("the pickle holds a function or a type, which is not allowed in a frame")
         return item
 
     def _spend(self, size: int) -> None:

@@ -171,7 +171,7 @@ class Episode:
         if not worst.holds:
             return f"not yet: {worst.what}" + (f" ({worst.detail})" if worst.detail else "")
         left = (self._goal.hold_ticks - self.held_ticks) * self._timing.tick
-        return "the goal holds" + (f", and has to for {left:.1f} s more" if left > 0 else "")
+        return "the goal holds" + (f", and must hold for {left:.1f} s more" if left > 0 else "")
 
     def readings(self, job: AttemptJob) -> Array:
         """Return simulated encoder readings of joints, rad, and finger openings, m, (arms, drives)."""
@@ -290,7 +290,7 @@ class Episode:
             return FailureCause.GOAL, f"{worst.what}: {worst.detail or 'it does not hold'}"
         tick = self._timing.tick
         return FailureCause.GOAL, (
-            f"the goal has held for {self.held_ticks * tick:.2f} s, and has to hold for "
+            f"the goal has held for {self.held_ticks * tick:.2f} s, but must hold for "
             f"{self._goal.hold_ticks * tick:.2f} s"
         )
 

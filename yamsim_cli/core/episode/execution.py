@@ -60,7 +60,7 @@ def demonstrate(simulator: Simulator, attempt: Attempt, *, grips: bool = True) -
         for segment in _expert_motions(simulator, episode, context, log):
             note_recoveries()
             if episode.ticks + segment.ticks > max_ticks:
-                failure = FailureCause.TIME, f"not done after {episode.seconds:.0f} s"
+                failure = FailureCause.TIME, f"the program was not done after {episode.seconds:.0f} s"
                 break
             episode.run_commands(_with_fingers(episode.scene, path_actions(episode.scene, segment.paths), grips))
             if episode.end is not None:

@@ -84,5 +84,5 @@ def describe_exceeded_limits(margins: MotionMargins) -> str | None:
         return None
     return (
         f"a joint at {margins.velocity:.0%} of its motor's speed, a drive at {margins.torque:.0%} of its torque, "
-        f"{math.degrees(margins.joint):.1f} deg from the nearest stop"
+        f"{math.degrees(margins.joint):.1f} deg from the nearest joint limit"
     )

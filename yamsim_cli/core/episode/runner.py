@@ -44,6 +44,6 @@ def check_meshes(session: Session) -> None:
     expected = session.config.meshes
     if expected is not None and (found := mesh_differences(expected, describe_meshes(session), _PLACE_NAMES)):
         raise ResourceError(
-            f"a worker on {platform.node()} would show other meshes than the recorder: {'; '.join(found)}; they "
-            "changed meanwhile, or yamsim is another one there: mend that, and go on with --resume"
+            f"a worker on {platform.node()} would show other meshes than the recorder: {'; '.join(found)}; "
+            "install the same meshes and the same yamsim there, then continue with --resume"
         )

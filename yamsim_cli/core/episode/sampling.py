@@ -70,8 +70,8 @@ def describe_missing_start(simulator: Simulator, attempt: Attempt) -> str:
     """Return why an attempt has no start."""
     places = sample_object_placements(simulator, attempt.job)
     if isinstance(places, str):
-        return f"no free place for the {places} where it is to start"
-    return f"{HOLDS_ALREADY}, in each of {MAX_DRAWS} draws"
+        return f"no free place for the {places} in its start region"
+    return f"{HOLDS_ALREADY}, in each of {MAX_DRAWS} samples"
 
 
 def _variation(config: RecordConfig, job: AttemptJob) -> Variation:

@@ -160,8 +160,8 @@ def require_success(counts: Mapping[str, Any], minimum: float | None) -> None:
     """Raise SimulationError if the `counts` of `count_outcomes` have a success rate below `minimum`."""
     if minimum is not None and counts["success_rate"] < minimum:
         raise SimulationError(
-            f"{counts['n_success']} of {counts['n']} trials succeeded, a share of {counts['success_rate']:.3g}: "
-            f"--min-success asks for {minimum:g}"
+            f"{counts['n_success']} of {counts['n']} trials succeeded, a share of {counts['success_rate']:.3g}; "
+            f"--min-success requires {minimum:g}"
         )
 
 
@@ -247,7 +247,7 @@ def _write_frames(video: VideoWriter, trial: Mapping[str, Any], frames: Sequence
     for data in frames:
         image = decode_jpeg(data)
         if image is None:
-            raise SimulationError(f"a frame of trial {number} was damaged on its way from the worker")
+            raise SimulationError(f"a frame of trial {number} was damaged in transfer from the worker")
         video.write(draw_labels(image, {}, f"trial {number}: {_outcome_suffix(trial).replace('_', ' ')}"))
     return number
 
@@ -278,7 +278,7 @@ def film_jobs(
         with ProcessPool[J, list[bytes]](factory, min(workers, len(jobs))) as pool:
             return films.write(_with_frames(trials, jobs, pool, progress))
     except KeyboardInterrupt:
-        raise InterruptedJobError(f"interrupted while filming into {films.path}; finished films are whole") from None
+        raise InterruptedJobError(f"interrupted while filming into {films.path}; finished films are complete") from None
 
 
 def _with_frames(

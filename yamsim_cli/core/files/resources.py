@@ -105,7 +105,7 @@ class Locations:
             name = self._prefixed(kind, name) or name
         if name not in self.config_names(kind):
             endings = _CAMERA_SUFFIXES if kind == "cameras" else _CONFIG_SUFFIXES
-            hint = f"; the name of a file has to end in {' or '.join(endings)}" if path.is_file() else ""
+            hint = f"; the name of a file must end in {' or '.join(endings)}" if path.is_file() else ""
             robots = "; or an arm and its gripper, such as yam_pro+linear_4310" if kind == "rigs" else ""
             valid = suggest(name, self.config_names(kind))
             raise ConfigError(f"unknown {kind.removesuffix('s')} {name!r}; {valid}{robots}{hint}")

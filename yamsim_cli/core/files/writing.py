@@ -57,7 +57,8 @@ def _opened(path: Path, flags: int) -> Iterator[int]:
         os.close(descriptor)
 
 
-def _write_and_fsync(path: Path, data: bytes) -> None:
+def write_and_fsync(path: Path, data: bytes) -> None:
+    """Create a file; raise FileExistsError if it exists."""
     with _opened(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL) as descriptor:
         rest = memoryview(data)
         while rest:
@@ -81,7 +82,7 @@ def write_files(files: Mapping[Path, bytes]) -> None:
     parts = {path: path.with_name(f".{path.name}.{uuid.uuid4().hex}.part") for path in files}
     try:
         for path, part in parts.items():
-            _write_and_fsync(part, files[path])
+            write_and_fsync(part, files[path])
         for path, part in parts.items():
             os.replace(part, path)
     finally:
@@ -167,7 +168,7 @@ def publish_directory(final: Path, files: Mapping[str, bytes], staging: Path) ->
             if path.parent not in directories:
                 path.parent.mkdir(parents=True, exist_ok=True)
                 directories.update(parent for parent in path.parents if stage in parent.parents or parent == stage)
-            _write_and_fsync(path, data)
+            write_and_fsync(path, data)
         for directory in directories:
             fsync_directory(directory)
         # rename(2) refuses a non-empty target, but silently replaces an empty directory.
@@ -319,8 +320,8 @@ def why_not_directory(path: Path) -> str | None:
         if os.path.lexists(place):
             name = "it" if place == path else str(place)
             if os.path.exists(place):
-                return f"{name} is {'a file' if os.path.isfile(place) else 'no directory'}"
-            return f"{name} is a link to {os.readlink(place)}, where nothing is"
+                return f"{name} is {'a file' if os.path.isfile(place) else 'not a directory'}"
+            return f"{name} is a link to {os.readlink(place)}, which does not exist"
     return None
 
 

@@ -40,7 +40,7 @@ def pose_from_quat(position: ArrayLike, quat: ArrayLike) -> Array:
     q = np.asarray(quat, dtype=np.float64)
     norm = float(np.linalg.norm(q))
     if norm == 0.0:
-        raise ValueError("a zero quaternion is no rotation")
+        raise ValueError("a zero quaternion is not a rotation")
     w, x, y, z = q / norm
     return pose(
         position,

@@ -37,10 +37,10 @@ def read_stl(data: bytes) -> tuple[Array, Faces]:
     """
     count = int.from_bytes(data[_HEADER : _HEADER + 4], "little")
     if not is_binary_stl(data):
-        raise ResourceError(f"{len(data)} bytes are no binary STL")
+        raise ResourceError(f"{len(data)} bytes are not a binary STL")
     corners = np.frombuffer(data, _FACE, count, _HEADER + 4)["corners"].astype(np.float64)
     if not np.isfinite(corners).all():
-        raise ResourceError("an STL has coordinates that are no numbers")
+        raise ResourceError("an STL has coordinates that are not finite")
     vertices, index = np.unique(corners.reshape(-1, 3), axis=0, return_inverse=True)
     faces = index.reshape(-1, 3).astype(np.int32)
     whole = (faces != np.roll(faces, 1, axis=1)).all(axis=1)

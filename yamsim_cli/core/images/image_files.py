@@ -28,7 +28,7 @@ def read_image(path: Path) -> Image:
         raise ResourceError(f"{path} cannot be read: {error.strerror or error}") from error
     image = decode_image(data)
     if image is None:
-        raise ResourceError(f"{path} is no whole PNG or JPEG; export it again")
+        raise ResourceError(f"{path} is not a valid PNG or JPEG; export it again")
     return image
 
 

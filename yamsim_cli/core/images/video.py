@@ -84,7 +84,7 @@ def _import_av() -> Any:
     except ModuleNotFoundError as error:
         if error.name != "av":
             raise
-        raise ResourceError("a video needs PyAV, which is not here: pip install 'yamsim[video]'") from error
+        raise ResourceError("a video needs PyAV, which is missing: pip install 'yamsim[video]'") from error
     return av
 
 
@@ -107,7 +107,7 @@ def read_video_frames(file: Path, begin: float, count: int, tolerance: float) ->
                 count -= 1
                 yield frame.to_ndarray(format="rgb24")
     except (OSError, av.FFmpegError, IndexError) as error:
-        raise DatasetError(f"{file} cannot be read as a film: {error}") from error
+        raise DatasetError(f"{file} cannot be read as a video: {error}") from error
 
 
 def decode_packets(packets: Iterable[bytes], codec: str, source: str) -> Iterator[Image]:
@@ -115,7 +115,7 @@ def decode_packets(packets: Iterable[bytes], codec: str, source: str) -> Iterato
     av = _import_av()
     name = _CODECS.get(codec.lower())
     if name is None:
-        raise DatasetError(f"{source}: its pictures are {codec!r}; valid: {', '.join(_CODECS)}")
+        raise DatasetError(f"{source}: the codec of its images is {codec!r}; valid: {', '.join(_CODECS)}")
     try:
         decoder = av.CodecContext.create(name, "r")
         for packet in packets:
@@ -124,7 +124,7 @@ def decode_packets(packets: Iterable[bytes], codec: str, source: str) -> Iterato
         for frame in decoder.decode(None):
             yield frame.to_ndarray(format="rgb24")
     except av.FFmpegError as error:
-        raise DatasetError(f"{source}: its pictures cannot be decoded: {error}") from error
+        raise DatasetError(f"{source}: its images cannot be decoded: {error}") from error
 
 
 # 43.7 dB for 57 recorded frames at 640 x 480; the preset medium gains 0.4 dB. With mbtree, equal images sometimes give
@@ -188,7 +188,7 @@ class VideoWriter:
     def write(self, image: Image) -> None:
         """Append an RGB image (height, width, 3) of the same size as all others; odd sides are padded by one pixel."""
         if image.dtype != np.uint8 or image.ndim != 3 or image.shape[2] != 3:
-            raise ValueError(f"an image has to be (height, width, 3) of uint8, not {image.shape} of {image.dtype}")
+            raise ValueError(f"an image must be (height, width, 3) of uint8, not {image.shape} of {image.dtype}")
         import av
 
         try:
@@ -207,7 +207,7 @@ class VideoWriter:
             self._size = (width, height)
         if self._size != (width, height):
             expected = "x".join(map(str, self._size))
-            raise ValueError(f"{self.path}: frame {self.frames} is {width}x{height}, the ones before it {expected}")
+            raise ValueError(f"{self.path}: frame {self.frames} is {width}x{height}, but earlier ones are {expected}")
         frame = VideoFrame.from_ndarray(yuv420(image, self._matrix), format="yuv420p")
         frame.colorspace, frame.color_range = self._matrix.tag, _LIMITED
         frame.pts, frame.time_base = self.frames, self._period
@@ -253,14 +253,14 @@ class VideoWriter:
 
     def _check_path(self) -> None:
         if self.path.suffix.lower() != ".mp4":
-            raise UsageError(f"{self.path} is not a name for a video: end it in .mp4")
+            raise UsageError(f"{self.path} is not a valid name for a video; it must end in .mp4")
         if not self.path.parent.is_dir():
-            raise UsageError(f"{self.path}: there is no directory {self.path.parent}; make it, or choose another")
+            raise UsageError(f"{self.path}: there is no directory {self.path.parent}; create it, or choose another")
         if self.path.exists() and not (self._overwrite and self.path.is_file()):
             raise UsageError(f"{self.path} exists; move it aside with --overwrite, or choose another name")
 
     def _unwritable(self, error: OSError) -> ResourceError:
-        return ResourceError(f"{self.path} cannot be written: {error.strerror or error}; mend it, or write elsewhere")
+        return ResourceError(f"{self.path} cannot be written: {error.strerror or error}; choose another path")
 
     def __enter__(self) -> VideoWriter:
         # The encoder writes nothing for its first frames: test here whether the directory is writable.

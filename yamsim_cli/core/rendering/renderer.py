@@ -125,7 +125,7 @@ class SceneRenderer(Closable):
         except (ImportError, AttributeError, RuntimeError, OSError, mujoco.FatalError) as error:
             self.close()
             raise ResourceError(
-                f"no OpenGL context for rendering: {' '.join(str(error).split())}; yamsim doctor looks into it"
+                f"no OpenGL context for rendering: {' '.join(str(error).split())}; run `yamsim doctor`"
             ) from error
         self._rect, self._fine_rect = mujoco.MjrRect(0, 0, *size), mujoco.MjrRect(0, 0, *fine)
         self._pixels = np.empty((fine[1], fine[0], 3), np.uint8)

@@ -70,8 +70,10 @@ class Dynamics(Config):
     def check(self, arm: ArmModel) -> None:
         """Raise ValueError if the dynamics belong to another model than `arm`, or name a joint that `arm` lacks."""
         if self.base != arm.name:
-            raise ValueError(f"revision {self.revision!r} is one of {self.base!r}, and the arm is {arm.name!r}")
+            raise ValueError(f"revision {self.revision!r} is for {self.base!r}, but the arm is {arm.name!r}")
         names = [joint.name for joint in arm.joints]
         for name in self.joints:
             if name not in names:
-                raise ValueError(f"revision {self.revision!r} names joint {name!r}; {arm.name} has {', '.join(names)}")
+                raise ValueError(
+                    f"revision {self.revision!r} names an unknown joint {name!r}; valid: {', '.join(names)}"
+                )

@@ -52,7 +52,7 @@ def merge_gripper(arm: ArmModel, gripper: Gripper, fit: Fit) -> Element:
     _check_sections(root, arm.mjcf, (*_SECTIONS, *_ARM_SECTIONS))
     _check_sections(hand, gripper.mjcf, _SECTIONS)
     if (ours := _attributes(root, "compiler")) != (theirs := _attributes(hand, "compiler")):
-        raise ConfigError(f"{gripper.mjcf.file}: <compiler> says {theirs}, and {arm.mjcf.file} {ours}; make them equal")
+        raise ConfigError(f"{gripper.mjcf.file}: <compiler> has {theirs}, but {arm.mjcf.file} {ours}; make them equal")
     flange = find_body(root, arm.flange, arm.mjcf)
     frame = _gripper_frame(hand, gripper.mjcf)
     _check_sites(frame, gripper.mjcf)
@@ -89,14 +89,14 @@ def _check_files(root: Element, mjcf: Mjcf) -> None:
     """MuJoCo must open no file by itself: an MJCF may only name meshes as `<set>/<file>`."""
     for element in root.iter():
         if element.tag in _FORBIDDEN_ELEMENTS:
-            raise ConfigError(f"{mjcf.file}: <{element.tag}> is not read here; write what it stands for into this file")
+            raise ConfigError(f"{mjcf.file}: <{element.tag}> is not supported here; write its content into this file")
         for key, value in element.attrib.items():
             if key.endswith("dir") and element.tag == "compiler":
-                raise ConfigError(f"{mjcf.file}: <compiler> has {key} {value!r}; leave it out: a mesh is <set>/<file>")
+                raise ConfigError(f"{mjcf.file}: <compiler> has {key} {value!r}; leave it out: meshes are <set>/<file>")
             if not key.startswith("file"):
                 continue
             if element.tag != "mesh":
-                raise ConfigError(f"{mjcf.file}: <{element.tag}> names the file {value!r}; valid: files of meshes")
+                raise ConfigError(f"{mjcf.file}: <{element.tag}> names the file {value!r}; valid: mesh files")
             path = PurePosixPath(value)
             if "\\" in value or path.is_absolute() or ".." in path.parts or len(path.parts) < 2:
                 raise ConfigError(f"{mjcf.file}: a mesh names the file {value!r}; valid: <set>/<file>, without ..")
@@ -135,7 +135,7 @@ def _check_sections(root: Element, mjcf: Mjcf, allowed: Iterable[str]) -> None:
     valid = ("compiler", "default", "worldbody", *allowed)
     for section in root:
         if section.tag not in valid:
-            raise ConfigError(f"{mjcf.file}: <{section.tag}> has no place here; valid: {', '.join(sorted(valid))}")
+            raise ConfigError(f"{mjcf.file}: <{section.tag}> is not allowed here; valid: {', '.join(sorted(valid))}")
     for default in root.findall("default"):
         for element in default:
             if element.tag != "default":
@@ -152,12 +152,12 @@ def _attributes(root: Element, tag: str) -> dict[str, str]:
 def _gripper_frame(hand: Element, mjcf: Mjcf) -> Element:
     bodies = list(_parts(hand, "worldbody"))
     if len(bodies) != 1 or bodies[0].tag != "body" or not bodies[0].get("name"):
-        raise ConfigError(f"{mjcf.file}: <worldbody> must hold one body with a name, the gripper's frame, and no more")
+        raise ConfigError(f"{mjcf.file}: <worldbody> must have exactly one body, the gripper's frame, with a name")
     frame = bodies[0]
     if extra := sorted(set(frame.attrib) - {"name", "childclass"}):
         raise ConfigError(
             f"{mjcf.file}: body {frame.get('name')!r} becomes part of the flange and cannot have {', '.join(extra)}; "
-            "where it sits is said by `mount`"
+            "give its pose with `mount`"
         )
     if frame.find("joint") is not None or frame.find("freejoint") is not None:
         raise ConfigError(f"{mjcf.file}: body {frame.get('name')!r} has a joint; it becomes part of the flange")
@@ -184,7 +184,7 @@ def _check_names(root: Element, frame: Element, arms: Mjcf, grippers: Mjcf) -> N
     for element in (part for child in frame for part in child.iter()):
         if (element.tag, element.get("name")) in used:
             raise ConfigError(
-                f"{grippers.file}: {arms.file} too has a {element.tag} {element.get('name')!r}; rename it"
+                f"{grippers.file}: {arms.file} also has a {element.tag} {element.get('name')!r}; rename it"
             )
 
 
@@ -253,7 +253,7 @@ def _add_assets(root: Element, hand: Element, arms: Mjcf, grippers: Mjcf) -> Non
             get_or_add_child(root, "asset").append(element)
         elif same.attrib != element.attrib:
             raise ConfigError(
-                f"{grippers.file}: <{element.tag}> {element.get('name')!r} is not as in {arms.file}; rename it"
+                f"{grippers.file}: <{element.tag}> {element.get('name')!r} differs from that in {arms.file}; rename it"
             )
 
 
@@ -261,11 +261,11 @@ def _change_joints(root: Element, arm: ArmModel, changes: Mapping[str, JointChan
     names = [limits.name for limits in arm.joints]
     for name in changes:
         if name not in names:
-            raise ConfigError(f"{arm.name}: a gripper changes joint {name!r}; its joints: {', '.join(names)}")
+            raise ConfigError(f"{arm.name}: a gripper changes an unknown joint {name!r}; valid: {', '.join(names)}")
     for limits in arm.joints:
         if "range" in find_joint(root, limits.name, arm.mjcf).attrib:
             raise ConfigError(
-                f"{arm.mjcf.file}: joint {limits.name!r} has a range; model.yaml has it, leave it out here"
+                f"{arm.mjcf.file}: joint {limits.name!r} has a range; leave it out, because model.yaml gives it"
             )
         change = changes.get(limits.name, JointChange())
         _set_joint(root, arm, limits.name, change.model_copy(update={"range": change.range or limits.range}))
@@ -287,7 +287,7 @@ def write_dynamics(root: Element, arm: ArmModel, gripper: Gripper, dynamics: Dyn
                 mass, inertia = format_numbers((dynamics.tip_mass_g / 1000,)), format_numbers([_POINT_INERTIA] * 3)
                 ElementTree.SubElement(body, "inertial", {"pos": "0 0 0", "mass": mass, "diaginertia": inertia})
                 return
-    raise ConfigError(f"{gripper.mjcf.file}: has no site {_TIP_SITE!r}, where tip_mass_g is to be")
+    raise ConfigError(f"{gripper.mjcf.file}: has no site {_TIP_SITE!r}, which tip_mass_g needs")
 
 
 def _set_joint(root: Element, arm: ArmModel, name: str, values: JointChange | JointDynamics) -> None:

@@ -61,9 +61,7 @@ class Mjcf(Config):
 
 def _refuse_content(value: object) -> object:
     if isinstance(value, str):
-        raise ValueError(
-            "a robot or a gripper is named, not spelled out: put its folder into robot_models/ and name that"
-        )
+        raise ValueError("give the name of a robot or gripper, not its content; put its folder into robot_models/")
     return value
 
 
@@ -226,7 +224,7 @@ class _FolderConfig(Config):
         name = path.absolute().parent.name
         if document.data.setdefault("name", name) != name:
             given = document.data["name"]
-            raise ConfigError(f"{document.place(('name',))}: name: {given!r} lies in folder {name!r}; leave it out")
+            raise ConfigError(f"{document.place(('name',))}: name: {given!r} is in folder {name!r}; leave it out")
         file = document.data.get("mjcf")
         if isinstance(file, str):
             document.data["mjcf"] = _read_mjcf(path.with_name(file))
@@ -266,7 +264,7 @@ class ArmModel(_FolderConfig):
     @model_validator(mode="after")
     def _revision_of_a_family(self) -> ArmModel:
         if (self.family is None) != (self.revision is None):
-            raise ConflictError("a revision needs its family, and a family its revision", ("family",), ("revision",))
+            raise ConflictError("give `family` and `revision` together, or neither", ("family",), ("revision",))
         return self
 
     @model_validator(mode="after")
@@ -317,7 +315,7 @@ class Fingers(Config):
         for key in ("full_opening", "start_opening"):
             value = getattr(self, key)
             if value is not None and value > self.range[1]:
-                raise ConflictError(f"{value:g} m is beyond the finger's stop at {self.range[1]:g} m", (key,))
+                raise ConflictError(f"{value:g} m is beyond the finger's limit of {self.range[1]:g} m", (key,))
         return self
 
 
@@ -349,12 +347,12 @@ def find_gripper_fit(arm: ArmModel, gripper: Gripper) -> Fit:
     mine, theirs = arm.grippers.get(gripper.name), gripper.arms.get(arm.name)
     if mine and theirs:
         raise ValueError(
-            f"{arm.mjcf.file} and {gripper.mjcf.file}: both models say how {gripper.name} fits {arm.name}; keep one"
+            f"{arm.mjcf.file} and {gripper.mjcf.file}: both say how {gripper.name} fits {arm.name}; keep one"
         )
     if found := mine or theirs:
         return found
     fitting = ", ".join(sorted(arm.grippers)) or "none"
     raise ValueError(
-        f"gripper {gripper.name!r} does not fit {arm.name!r}; that carries: {fitting}. If yours fits, say so under "
-        "`arms` in its gripper.yaml"
+        f"gripper {gripper.name!r} does not fit {arm.name!r}; valid: {fitting}; if your gripper fits, add the arm "
+        "under `arms` in its gripper.yaml"
     )

@@ -120,8 +120,8 @@ def _write_fingers(root: ElementTree.Element, gripper: Gripper) -> tuple[float, 
     drive = mjcf.find_position_drive(root, fingers.joints[0], gripper.mjcf)
     if drive.get("name") != fingers.drive:
         raise ConfigError(
-            f"{gripper.mjcf.file}: the drive of {fingers.joints[0]!r} is called {drive.get('name')!r}, and in "
-            f"gripper.yaml {fingers.drive!r}"
+            f"{gripper.mjcf.file}: the drive of {fingers.joints[0]!r} has the name {drive.get('name')!r}, "
+            f"but gripper.yaml has {fingers.drive!r}"
         )
     left_for_right = mjcf.coupling_ratio(root, *fingers.joints)
     signs = (1.0, 1.0 / left_for_right)
@@ -130,7 +130,7 @@ def _write_fingers(root: ElementTree.Element, gripper: Gripper) -> tuple[float, 
         joint = mjcf.find_joint(root, name, gripper.mjcf)
         if "range" in joint.attrib:
             raise ConfigError(
-                f"{gripper.mjcf.file}: joint {name!r} has a range; gripper.yaml has it, leave it out here"
+                f"{gripper.mjcf.file}: joint {name!r} has a range; leave it out, because gripper.yaml gives it"
             )
         joint.set("range", mjcf.format_numbers(sorted(sign * end for end in fingers.range)))
     return signs

@@ -91,8 +91,8 @@ def mesh_bytes(path: Path) -> bytes:
         return path.read_bytes()
     except OSError as error:
         raise ResourceError(
-            f"the mesh {path} cannot be read ({error.strerror}): `yamsim assets fetch` brings it, or `yamsim assets "
-            "import` if it is your own"
+            f"the mesh {path} cannot be read ({error.strerror}): run `yamsim assets fetch`, or `yamsim assets "
+            "import` for your own mesh"
         ) from error
 
 

@@ -91,7 +91,7 @@ def _mount_stl(config: MountConfig, board: BoardConfig | None) -> bytes:
         except OSError as error:
             raise ConfigError(f"mount {config.name!r}: stl {config.stl} cannot be read: {error.strerror}") from error
     if board is None:
-        raise ConfigError(f"mount {config.name!r} has no board to carry and no stl to show; give one, or leave it out")
+        raise ConfigError(f"mount {config.name!r} has neither a board nor an stl; give one, or leave the mount out")
     size_mm = (board.board.width * 1000, board.board.height * 1000)
     vertices, faces = mount_mesh(
         config.x_mm, config.y_mm, config.z_mm, board.position_mm, size_mm, mirror_x=config.mirror_x

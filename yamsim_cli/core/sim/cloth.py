@@ -209,16 +209,17 @@ def crumple(
     faults: list[int] = []
     tried: list[Array] = []
     while len(tried) < _MAX_DROPS and 0 not in faults:
-        tried.append(_drop_cloth(scene, start, sheet, rng, share, timestep))
+        tried.append(drop_cloth(scene, start, sheet, rng, share, timestep))
         points = sheet.points(tried[-1])
         low = float(np.ptp(points[:, 2])) < (_MIN_CRUMPLED - 1) * sheet.thickness
         faults.append(count_self_intersections(points, ends, corners) + low + int((points[:, 2] < lowest).sum()))
     return tried[int(np.argmin(faults))]
 
 
-def _drop_cloth(
+def drop_cloth(
     scene: CompiledScene, start: Array, sheet: ClothAddresses, rng: np.random.Generator, share: float, timestep: float
 ) -> Array:
+    """Return the positions (nq,) after a cloth was lifted at a point near its border, moved, dropped and settled."""
     points = sheet.points(start)
     middle = points.mean(axis=0)
     away = np.linalg.norm(points - middle, axis=1)

@@ -212,7 +212,7 @@ class SimWorld:
 
     def _fraction(self, thing: str, held: Callable[[Array], NDArray[np.bool_]]) -> float:
         shares, volumes = zip(
-            *((held(points).mean(), volume) for points, volume in self._volume_samples(thing)), strict=True
+            *((held(points).mean(), volume) for points, volume in self.volume_samples(thing)), strict=True
         )
         return float(np.average(shares, weights=volumes))
 
@@ -296,8 +296,8 @@ class SimWorld:
     def _body_pose(self, body: int) -> Array:
         return pose(self._data.xpos[body], self._data.xmat[body].reshape(3, 3))
 
-    def _volume_samples(self, thing: str) -> Iterator[tuple[Array, float]]:
-        """Yield evenly spread points (n, 3) in `world`, m, and the volume, m3, of each body of an object."""
+    def volume_samples(self, thing: str) -> Iterator[tuple[Array, float]]:
+        """Yield, for each body of an object, evenly spread points (n, 3) in `world`, m, and the volume, m3."""
         if cloth := self._cloths.get(thing):
             yield cloth.points, 1.0
             return

@@ -55,7 +55,7 @@ class WorkerJobRunner:
     def run(self, job: Any) -> bytes:
         """Run one job, and return a pickled event: `JobFinished` with the result, or an error."""
         runner = self._runner
-        assert runner is not None, "open comes first"
+        assert runner is not None, "call open first"
         return _answer(lambda: JobFinished(runner.run(job)))
 
     def close(self) -> None:

@@ -21,8 +21,8 @@ from .executors import Factory, J, R
 from .job_server import HEADER, STOP_SIGNALS, end_with_parent, serve_jobs
 from .worker_pool import JOB_SECONDS, BaseWorkerPool, Event, Worker, WorkerDied
 
-_END_SECONDS = 5.0  # for a killed process
-_MESSAGE_SECONDS = 60.0  # from the first byte of a message to the last
+_END_SECONDS = 5.0  # s, timeout for the end of a killed process
+MESSAGE_SECONDS = 60.0  # s, timeout from the first byte of a message to the last
 
 # Blocked while a process starts. `__main__` uses SIGALRM to delay a stop that arrives during an import.
 _BLOCKED_SIGNALS = (*STOP_SIGNALS, signal.SIGALRM)
@@ -59,7 +59,7 @@ class _Process(Generic[J, R]):
     def receive(self) -> Event[R] | None:
         """Return the event that is arriving; None if it is from a forked copy of the worker, or for an earlier job."""
         # A worker that stops during a message would block the parent forever.
-        guard = threading.Timer(_MESSAGE_SECONDS, self._process.kill)
+        guard = threading.Timer(MESSAGE_SECONDS, self._process.kill)
         guard.daemon = True
         guard.start()
         try:
@@ -82,7 +82,7 @@ class _Process(Generic[J, R]):
         code = self._process.exitcode
         if code is None or code >= 0:
             return f"ended with code {code}"
-        hint = ", perhaps for want of memory: try fewer --workers" if code == -signal.SIGKILL else ""
+        hint = ", perhaps because memory ran out: try fewer --workers" if code == -signal.SIGKILL else ""
         return f"was killed by {signal.Signals(-code).name}{hint}"
 
 

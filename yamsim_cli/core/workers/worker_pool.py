@@ -225,7 +225,7 @@ class BaseWorkerPool(Closable, Generic[J, R]):
             return
         self._slots.remove(slot)
         if not self._slots:
-            raise PartialJobError(f"workers do not start: each tried {_MAX_STARTS} times, and the last one {how}")
+            raise PartialJobError(f"workers do not start: each failed {_MAX_STARTS} times, and the last one {how}")
 
     def _assign(self) -> None:
         """Give waiting jobs to ready workers; a last try only while no other worker is busy."""

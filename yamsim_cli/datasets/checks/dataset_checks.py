@@ -94,9 +94,9 @@ def _duplicates(episodes: Sequence[EpisodeFacts]) -> list[DatasetProblem]:
             sorted((name, tuple(round(v, _LAYOUT_DIGITS) for v in place)) for name, place in episode.layout.items())
         )
         if episode.content and episode.content in contents:
-            own.add("episode.duplicate", "", f"every value is that of {contents[episode.content]}")
+            own.add("episode.duplicate", "", f"every value equals that of {contents[episode.content]}")
         elif places and places in layouts:
-            own.add("episode.layout", "", f"all objects lie as in {layouts[places]}")
+            own.add("episode.layout", "", f"all objects have the poses of {layouts[places]}")
         contents.setdefault(episode.content, episode.name)
         layouts.setdefault(places, episode.name)
         found += own.list()

@@ -219,7 +219,7 @@ class _EpisodeCheck:
             data = self._read(name) if name in self._files.others else None
             times = read_timestamps(data) if data is not None else None
             if times and len(times) != len(names):
-                self._problems.add("frames.count", name, f"{len(times)} times", f"{len(names)}, as there are images")
+                self._problems.add("frames.count", name, f"{len(times)} times", f"{len(names)}, the number of images")
             elif times:
                 return dict(zip(sorted(names), times, strict=True))
         return {}
@@ -261,5 +261,5 @@ def _require_sane(record: EpisodeRecord) -> EpisodeRecord:
         raise DatasetError(f"frames: {record.frames}, frame_period_s: {record.frame_period_s}: both must be above 0")
     for camera, (width, height) in record.cameras.items():
         if min(width, height) < 1:
-            raise DatasetError(f"cameras.{camera}: {width}x{height} is no image")
+            raise DatasetError(f"cameras.{camera}: {width}x{height} is not an image size")
     return record

@@ -59,7 +59,7 @@ def list_files(directory: Path, recorded: bool, problems: ProblemCollector) -> E
             if name != EPISODE:
                 files.others.append(name)
         if number in stream:
-            problems.add("file.unexpected", name, f"frame {number} is {stream[number]} already")
+            problems.add("file.unexpected", name, f"frame {number} is also {stream[number]}")
         else:
             stream[number] = name
     return files
@@ -89,7 +89,7 @@ def _walk(top: Path, folder: Path, depth: int, files: EpisodeFiles, problems: Pr
         if stat.S_ISREG(status.st_mode):
             files.sizes[name] = status.st_size
         else:
-            problems.add("file.unreadable", name, "it is no regular file")
+            problems.add("file.unreadable", name, "it is not a regular file")
     return found
 
 

@@ -81,7 +81,7 @@ class CameraChecks:
                 "image.size",
                 name,
                 _format_size(size),
-                _format_size(self.size) + ("" if self._stated else ", as the first one"),
+                _format_size(self.size) + ("" if self._stated else ", as the first image"),
             )
         if header.channels != 3:
             self._add("image.colour", name, f"{header.channels} channel", "3 channels")

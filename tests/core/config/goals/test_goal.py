@@ -127,7 +127,7 @@ def test_what_leans_against_a_thing_is_not_on_it() -> None:
     assert evaluate_goal(goal, ON_PLATE, CAST).worst.margin == pytest.approx(0.04)
     leaning = StillWorld(ON_PLATE.places, touches=[("cup", "plate"), ("cup", "table")])
     verdict = evaluate_goal(goal, leaning, CAST)
-    assert not verdict.reached and verdict.worst.detail == "touches the table"
+    assert not verdict.reached and verdict.worst.detail == "it touches the table"
 
 
 @pytest.mark.parametrize("name", CASES)
@@ -143,7 +143,7 @@ def test_holds_with_its_margin_and_not_in_a_near_miss(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_not_turns_it_round(name: str) -> None:
+def test_not_inverts_a_goal(name: str) -> None:
     arguments, world, _, near_miss = CASES[name]
     goal = Goal.model_validate({"not": {name: arguments}})
     assert not evaluate_goal(goal, world, CAST).reached
@@ -176,7 +176,7 @@ def test_what_is_not_hung_says_why(
         ("diagonal", folded_sheet(apart=0.004), "folded(cup, diagonal)"),
     ],
 )
-def test_cloth_that_is_folded_otherwise_is_not_folded_so(how: str, sheet: Array, said: str) -> None:
+def test_cloth_folded_in_another_way_does_not_count(how: str, sheet: Array, said: str) -> None:
     verdict = evaluate_goal(
         Goal.model_validate({"folded": {"thing": "cup", "how": how}}), StillWorld({}, sheets={"cup": sheet}), CAST
     )
@@ -199,13 +199,13 @@ def test_all_any_and_the_worst() -> None:
     [
         ({}, "is empty"),
         ({"on": {"thing": "a", "surface": "b"}, "upright": {"thing": "a"}}, "has on and upright"),
-        ({"all": []}, "`all` of nothing"),
+        ({"all": []}, "`all` has no clauses"),
         ({"staked": {}}, "staked"),
         ({"near": {"thing": "a", "radius": 0.1}}, "either `other` or `place`"),
         ({"sorted": {"things": "a"}}, "either `order` or `into`"),
     ],
 )
-def test_what_is_no_goal_says_why(given: dict[str, object], said: str) -> None:
+def test_an_invalid_goal_is_refused_with_the_reason(given: dict[str, object], said: str) -> None:
     with pytest.raises(ValidationError, match=said):
         Goal.model_validate(given)
 

@@ -72,7 +72,7 @@ def test_a_cube_is_handed_over_and_put_down_on_another_face(tmp_path: Path) -> N
 
 
 @pytest.mark.slow
-def test_what_is_too_wide_for_the_hand_is_told_with_both_widths(tmp_path: Path) -> None:
+def test_an_object_wider_than_the_hand_is_refused_with_both_widths(tmp_path: Path) -> None:
     task = changed({("things", "cube", "of"): "054_softball"})
     with Simulators(session_of(tmp_path, task)) as simulators:
         simulator, attempt = first_attempt(simulators)

@@ -61,15 +61,15 @@ def _run(times: int) -> RecoveryLog:
     return log
 
 
-def test_what_fails_is_tried_again_and_noted() -> None:
+def test_a_failed_skill_is_tried_again_and_recorded() -> None:
     assert _run(2).recoveries == [SkillRetry(0, "failing", "try 1"), SkillRetry(0, "failing", "try 2")]
 
 
-def test_what_works_is_not_tried_again() -> None:
+def test_a_successful_skill_is_not_tried_again() -> None:
     assert _run(0).recoveries == [] and Failing.tried == 1
 
 
-def test_a_third_failure_ends_it() -> None:
+def test_a_third_failure_of_a_skill_ends_the_program() -> None:
     with pytest.raises(SkillFailedError, match="try 3") as caught:
         _run(3)
     assert caught.value.cause is FailureCause.SLIPPED
@@ -156,7 +156,7 @@ def test_a_step_that_needs_nothing_in_a_hand_is_tried_again_by_itself() -> None:
     assert _ran(*steps).count("pick cube_1") == 2
 
 
-def test_what_was_dropped_is_taken_again_and_nothing_else_is() -> None:
+def test_the_steps_since_the_pick_of_a_dropped_object_are_repeated() -> None:
     steps = RecordingPick(thing="cube_1"), RecordingPick(thing="cube_2"), Dropping(thing="cube_1", on="plate")
     again = ["pick cube_1", "pick cube_2", "place cube_1"]
     assert _ran(*steps) == again + again
@@ -165,12 +165,12 @@ def test_what_was_dropped_is_taken_again_and_nothing_else_is() -> None:
     assert _ran(*first, Dropping(thing="cube_1", on="cube_2")) == ["pick cube_2", "place cube_2", *last, *last]
 
 
-def test_what_cannot_be_put_down_twice_is_taken_another_way(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_object_that_cannot_be_placed_twice_is_grasped_in_another_way(monkeypatch: pytest.MonkeyPatch) -> None:
     assert _put_back(monkeypatch, "plate", 1) == []
     assert _put_back(monkeypatch, "plate", 2) == ["plate"]
 
 
-def test_what_was_not_picked_is_not_put_back(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_object_that_was_not_picked_is_not_put_back(monkeypatch: pytest.MonkeyPatch) -> None:
     assert _put_back(monkeypatch, "cube_1", 2) == []
 
 
@@ -209,10 +209,10 @@ def test_each_may_go_by_kinds_and_count() -> None:
         ({"each": {"of": "cap", "do": []}}, (0, "each", "of"), "unknown role 'cap'"),
         ({"each": {"of": "cube", "do": []}}, (0, "each", "do"), "a list of steps"),
         ({"each": {"of": "cube", "skip": -1, "do": [{}]}}, (0, "each", "skip"), "`skip` -1 is not valid"),
-        ({"place": {"thing": "cube", "on": "table"}}, (0, "place"), "needs `at` or `start_of`"),
+        ({"place": {"thing": "cube", "on": "table"}}, (0, "place"), "give `at` or `start_of`"),
     ],
 )
-def test_a_bad_step_is_told_with_its_place(step: dict[str, Any], path: tuple[Any, ...], said: str) -> None:
+def test_an_invalid_step_is_refused_with_its_key_path(step: dict[str, Any], path: tuple[Any, ...], said: str) -> None:
     with pytest.raises(ConflictError, match=said) as caught:
         parse_program([step], CAST)
     assert caught.value.paths[0] == path

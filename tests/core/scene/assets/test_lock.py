@@ -80,7 +80,7 @@ def test_a_changed_lock_means_another_folder(world):
         (("sets", "tiny", "files", "tip.stl", "member"), "../../etc/passwd", "'..'"),
         (("sets", "tiny", "files", "../tip.stl"), {"sha256": "0" * 64, "size": 1, "member": "x"}, "../tip.stl"),
         (("sets", "tiny", "archive"), "tinny-meshes", "did you mean 'tiny-meshes'"),
-        (("sets", "tiny", "name"), "huge", "calls itself 'huge'"),
+        (("sets", "tiny", "name"), "huge", "has the name 'huge'"),
         (("sets", "tiny", "color"), "red", "color"),
         (("sets", "tiny", "notice"), "../../../etc/passwd", "sets.tiny.notice"),
         (("sets", "tiny", "notice"), ["tiny.txt"], "notice"),

@@ -113,7 +113,7 @@ def test_they_are_made_once_and_kept_beside_the_set(world, tiny, source, content
 
 
 @pytest.mark.parametrize("damage", ["byte", "cut", "missing", "report", "no report"])
-def test_what_is_damaged_is_made_again(world, tiny, source, damage):
+def test_a_damaged_reduced_mesh_is_made_again(world, tiny, source, damage):
     made = make_reduced(world.store, tiny, source, "the notice")
     mesh, report = made.directory / "part.stl", made.directory / reduction.REPORT_FILE
     whole = mesh.read_bytes()

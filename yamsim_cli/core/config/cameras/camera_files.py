@@ -59,14 +59,14 @@ def read_camera(path: Path) -> Document:
     named = _named(document)
     if not named:
         if name:
-            raise ConfigError(f"{file}: the camera in it has no name: leave out {':' + name!r}")
+            raise ConfigError(f"{file}: its camera has no name: leave out {':' + name!r}")
         return _single_camera(document)
     if not name and len(named) > 1:
         example = f"{file}:{min(named)}"
-        raise ConfigError(f"{file}: {len(named)} cameras are in it: name one, as in {example}; {suggest('', named)}")
+        raise ConfigError(f"{file}: has {len(named)} cameras; name one, as in {example}; {suggest('', named)}")
     name = name or next(iter(named))
     if name not in named:
-        raise ConfigError(f"{file}: there is no camera {name!r} in it; {suggest(name, named)}")
+        raise ConfigError(f"{file}: has no camera {name!r}; {suggest(name, named)}")
     return _kalibr(document, named[name]) if len(named[name]) == 1 else _raiden(document, named[name])
 
 

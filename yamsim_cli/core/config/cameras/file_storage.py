@@ -43,7 +43,7 @@ def parse_xml(raw: bytes, source: str) -> Document:
     """
     root = _tree(raw, source)
     if root.name != _ROOT:
-        raise ConfigError(f"{source}:{root.line}: <{root.name}> is not OpenCV's: its XML files begin with <{_ROOT}>")
+        raise ConfigError(f"{source}:{root.line}: <{root.name}> is not the root of OpenCV's XML files, <{_ROOT}>")
     document = Document({}, source)
     try:
         data = _value(root, (), document)
@@ -65,7 +65,7 @@ def _tree(raw: bytes, source: str) -> _Element:
     def start(name: str, attributes: dict[str, str]) -> None:
         element = _Element(name, parser.CurrentLineNumber)
         if len(stack) > _MAX_DEPTH:
-            raise ConfigError(f"{source}:{element.line}: nested more than {_MAX_DEPTH} deep")
+            raise ConfigError(f"{source}:{element.line}: nested more than {_MAX_DEPTH} levels deep")
         stack[-1].inside.append(element)
         stack.append(element)
 
@@ -76,7 +76,7 @@ def _tree(raw: bytes, source: str) -> _Element:
         stack[-1].text += part
 
     def doctype(*_: Any) -> None:
-        raise ConfigError(f"{source}:{parser.CurrentLineNumber}: a document type is not read: remove <!DOCTYPE ...>")
+        raise ConfigError(f"{source}:{parser.CurrentLineNumber}: no document type is allowed: remove <!DOCTYPE ...>")
 
     parser.StartElementHandler, parser.EndElementHandler = start, end
     parser.CharacterDataHandler, parser.StartDoctypeDeclHandler = text, doctype

@@ -28,9 +28,9 @@ class _Clause(Config):
         if len(given) != 1:
             names = ", ".join((*_JOINS, *PREDICATES))
             found = f"has {' and '.join(given)}" if given else "is empty"
-            raise ValueError(f"a clause of a goal has one key, and this one {found}; give one of {names}")
+            raise ValueError(f"a clause of a goal must have one key, but this one {found}; give one of {names}")
         if given[0] in ("all", "any") and not getattr(self, given[0]):
-            raise ValueError(f"`{given[0]}` of nothing; list at least one clause")
+            raise ValueError(f"`{given[0]}` has no clauses; list at least one")
         return self
 
     @property

@@ -33,8 +33,8 @@ def find_contradiction(goal: Clause, impossible: Impossible = lambda predicate: 
     for one, other in itertools.combinations(predicates, 2):
         if _are_exclusive(predicates[one], predicates[other]):
             thing = _object_role(predicates[one])
-            return found[other][0], f"one clause needs the {thing} in a hand and another needs it in none; drop one"
-    return (), "the goal asks for a clause and for its opposite, so it can never hold; drop one of the two"
+            return found[other][0], f"one clause needs the {thing} in a hand and another in no hand; remove one"
+    return (), "the goal has a clause and its opposite, so it can never hold; remove one of the two"
 
 
 def _can_hold(goal: Clause, predicates: dict[str, Predicate], never: set[str]) -> bool:

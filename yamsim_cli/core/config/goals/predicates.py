@@ -117,7 +117,7 @@ class On(_PerPairPredicate):
             return binary_measure(what, True)
         if self.radius is not None:
             if world.are_touching(thing, TABLE):
-                return binary_measure(what, False, "touches the table")
+                return binary_measure(what, False, "it touches the table")
             apart = world.pose(thing)[:2, 3] - world.pose(other)[:2, 3]
             distance = float((apart @ apart) ** 0.5)
             return GoalMeasure(what, self.radius - distance, "m", f"{distance * 1000:.0f} mm from the middle")
@@ -172,7 +172,7 @@ class Stacked(Predicate):
         if not world.are_touching(upper, lower):
             return binary_measure(what, False, "they do not touch")
         if _bottom(world, upper) <= _bottom(world, lower):
-            return binary_measure(what, False, "it is not the higher one")
+            return binary_measure(what, False, "it is not above the other")
         inside = _overlap_xy(world, upper, lower)
         return GoalMeasure(what, inside, "m", f"its middle {inside * 1000:.0f} mm inside the lower one's outline")
 
@@ -552,17 +552,17 @@ class Folded(_PerObjectPredicate):
         points = world.cloth_points(thing)
         ways = fold_plans(self.how, *points.shape[:2])
         if not ways:
-            return [binary_measure(what, False, "its grid of points does not allow it")]
+            return [binary_measure(what, False, "its grid of points cannot be folded in this way")]
         folded = min(ways, key=lambda way: _fold_error(points, way))
         error, covered = _fold_error(points, folded), _covered(points)
         high, order = float(np.ptp(points[..., 2])), _layer_gap(points, folded)
         off = abs(covered - folded.covered)
         return [
             GoalMeasure(
-                what, self.error - error, "m", f"what lies on each other is {error * 1000:.1f} mm apart at most"
+                what, self.error - error, "m", f"points that lie on each other are at most {error * 1000:.1f} mm apart"
             ),
             GoalMeasure(f"{what}: area", self.area - off, "share", f"it covers {covered:.1%} of its area"),
-            GoalMeasure(f"{what}: layers", order, "m", f"the upper layer is {order * 1000:.1f} mm higher at least"),
+            GoalMeasure(f"{what}: layers", order, "m", f"the upper layer is at least {order * 1000:.1f} mm higher"),
             GoalMeasure(f"{what}: flat", self.height - high, "m", f"{high * 1000:.1f} mm high"),
         ]
 

@@ -24,7 +24,7 @@ _Effort = Annotated[FiniteFloat, QuantityBounds("N or N m", 0, 500)]
 
 def _direction(value: tuple[float, float, float]) -> tuple[float, float, float]:
     if math.hypot(*value) < 1e-6:
-        raise ValueError("a vector of no length has no direction")
+        raise ValueError("a vector of length 0 has no direction")
     return value
 
 
@@ -51,7 +51,7 @@ class Handle(Config):
     def _axis_is_across(self) -> Handle:
         lengths = math.hypot(*self.approach) * math.hypot(*self.axis)
         if np.linalg.norm(np.cross(self.approach, self.axis)) < 1e-3 * lengths:
-            raise ValueError("the fingers have to close across `approach`: turn `axis`")
+            raise ValueError("`axis` is parallel to `approach`; the fingers must close across `approach`")
         return self
 
     @property
@@ -119,7 +119,7 @@ class LinkJoint(Config):
         if not self.range[0] <= self.start <= self.range[1]:
             raise ValueError(f"start {self.start:g} lies outside its range {self.range[0]:g}..{self.range[1]:g}")
         if (self.type == "screw") != bool(self.pitch):
-            raise ValueError("a screw needs a pitch, and no other joint has one")
+            raise ValueError("a screw joint needs `pitch`, and other joints must not have it")
         for detent in self.detents:
             if not self.range[0] <= detent.at <= self.range[1]:
                 raise ValueError(f"detent at {detent.at:g} lies outside the range")

@@ -168,11 +168,11 @@ class ObjectConfig(Config):
         known: set[str] = set()
         for k, link in enumerate(self.links):
             if link.name in known:
-                raise ConflictError(f"two links are called {link.name!r}", ("links", k, "name"))
+                raise ConflictError(f"two links have the name {link.name!r}", ("links", k, "name"))
             if link.parent is not None and link.parent not in known:
                 raise ConflictError(
-                    f"parent {link.parent!r} of link {link.name!r} is no link before it; "
-                    f"leave it out for the base, or name one of: {', '.join(sorted(known)) or '(none)'}",
+                    f"parent {link.parent!r} of link {link.name!r} is not a link listed before it; "
+                    f"leave it out for the base, or give one of: {', '.join(sorted(known)) or '(none)'}",
                     ("links", k, "parent"),
                 )
             known.add(link.name)
@@ -196,18 +196,18 @@ class ObjectConfig(Config):
         if factor == 1.0:
             return self
         if self.shape is None:
-            raise ValueError(f"the {self.name} has no `shape`, and only what is made from its sizes has others")
+            raise ValueError(f"the {self.name} has no `shape`, so its size is fixed")
         given = self.model_dump(mode="json")
         made = self._regenerate(self.shape).model_dump(mode="json")
         if own := sorted(key for key in given if given[key] != made.get(key)):
-            raise ValueError(f"the {self.name} has `{own[0]}` beside its `shape`, which does not grow with it")
+            raise ValueError(f"the {self.name} has its own `{own[0]}`, which does not scale with its `shape`")
         try:
             return self._regenerate(scaled_shape(self.shape, factor))
         except ValidationError as error:
             first = error.errors(include_url=False)[0]
             where = ".".join(str(part) for part in first["loc"])
             reason = first["msg"].removeprefix("Value error, ")
-            raise ValueError(f"the {self.name} cannot be made {factor:g} times as large: {where}: {reason}") from error
+            raise ValueError(f"the {self.name} cannot be scaled by {factor:g}: {where}: {reason}") from error
 
     def _regenerate(self, shape: Shape) -> ObjectConfig:
         """Return the object with `shape`, and with all keys that follow from the shape generated again."""

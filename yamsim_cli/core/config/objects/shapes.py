@@ -80,12 +80,12 @@ class _Shape(Config):
         try:
             roles = {piece.role for piece in self.form().pieces}
         except (ValueError, IndexError, FloatingPointError):
-            raise ValueError("these sizes do not go together: something would have no room left") from None
+            raise ValueError("these sizes contradict each other: a part would have no room") from None
         if missing := sorted(roles - set(self.materials)):
             raise ConflictError(f"materials: {', '.join(missing)} is missing", ("materials",))
         if unknown := sorted(set(self.materials) - roles):
             raise ConflictError(
-                f"materials: there is no {', '.join(unknown)}; valid are {', '.join(sorted(roles))}", ("materials",)
+                f"materials: unknown {', '.join(unknown)}; valid: {', '.join(sorted(roles))}", ("materials",)
             )
         return self
 
@@ -109,7 +109,7 @@ class VesselShape(_Shape):
     @model_validator(mode="after")
     def _require_inside(self) -> VesselShape:
         if 2 * self.wall_mm >= min(self.foot_mm, self.diameter_mm, self.neck_mm or self.foot_mm):
-            raise ConflictError(f"wall_mm {self.wall_mm:g} leaves no inside", ("wall_mm",))
+            raise ConflictError(f"wall_mm {self.wall_mm:g} leaves no interior", ("wall_mm",))
         if self.neck_mm is not None and self.shoulder_mm + self.slope_mm > self.height_mm - self.wall_mm:
             raise ConflictError("shoulder_mm and slope_mm reach over the rim", ("shoulder_mm",))
         return self

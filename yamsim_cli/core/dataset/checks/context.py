@@ -88,7 +88,7 @@ def find_episodes(dataset: Path) -> tuple[list[EpisodeDirectory], bool]:
         plain = [path for path in dataset.iterdir() if not path.name.startswith(".") and _is_episode(path)]
     except OSError as error:
         raise DatasetError(
-            f"{dataset} cannot be read: {error.strerror}; mend its permissions or its disk, or {hint}"
+            f"{dataset} cannot be read: {error.strerror}; check its permissions and its disk, or {hint}"
         ) from error
     if not plain:
         raise DatasetError(

@@ -114,7 +114,7 @@ class LowdimChecks:
             self._problems.add("lowdim.forbidden", name, str(error))
             return False
         except DatasetError as error:
-            self._problems.add("lowdim.damaged", name, str(error).removeprefix("not a whole pickle: "))
+            self._problems.add("lowdim.damaged", name, str(error).removeprefix("not a valid pickle: "))
             return False
         self.take(number, name, frame)
         return True

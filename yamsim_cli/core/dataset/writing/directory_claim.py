@@ -72,7 +72,7 @@ def claim_directory(path: Path, mode: OpenMode, *, locks_reach_others: bool) -> 
             DirectoryLock.acquire(path, reaches_others=locks_reach_others).release()
         raise _occupied_error(path)
     if not path.is_dir() and _is_occupied(path):
-        raise UsageError(f"{path} is no dataset to resume: {why_not_directory(path)}; choose another --out")
+        raise UsageError(f"{path} is not a dataset to resume: {why_not_directory(path)}; choose another --out")
     path.mkdir(parents=True, exist_ok=True)
     lock = DirectoryLock.acquire(path, reaches_others=locks_reach_others)
     try:
@@ -180,8 +180,8 @@ class DirectoryLock:
                     )
                 if holder and (holder.may_be_alive if taken is None else not holder.is_local and not reaches_others):
                     raise ResourceError(
-                        f"{directory} is marked as being recorded into by {holder}, and this filesystem's locks do not "
-                        f"show whether it still is; if it has ended, delete {path}"
+                        f"{directory} is locked by {holder}, and this filesystem does not show whether the process "
+                        f"still runs; if it has ended, delete {path}"
                     )
                 if _is_same_file(descriptor, path):
                     os.ftruncate(descriptor, 0)
@@ -254,8 +254,8 @@ def describe_unstated_meshes(dataset: Path, wanted: Mapping[str, Any]) -> str:
     """Return a message: the dataset does not state which meshes its images show, and how to find out."""
     texts = ", ".join(f"{name}: {describe(text)}" for name, text in _stated_meshes(wanted).items())
     return (
-        f"{dataset / CONFIG} does not say which meshes the episodes show, as an earlier yamsim recorded them. New ones "
-        f"show {texts}; `yamsim verify {dataset} --sample 1 --images` shows whether the meshes are the same."
+        f"{dataset / CONFIG} does not name the meshes of the episodes, because an earlier yamsim recorded them. New "
+        f"episodes show {texts}; `yamsim verify {dataset} --sample 1 --images` shows whether the meshes are the same."
     )
 
 

@@ -52,13 +52,13 @@ class Ledger:
         try:
             attempt = from_json(AttemptRecord, line, f"line {number}")
             if attempt.attempt < 0:
-                raise DatasetError(f"line {number}: attempt: {attempt.attempt} is no number of an attempt")
+                raise DatasetError(f"line {number}: attempt: {attempt.attempt} is not the number of an attempt")
         except DatasetError as error:
             if not last:
                 self.fault = self.fault or str(error)
             return
         if attempt.attempt in self.known:
-            self.fault = self.fault or f"line {number}: attempt {attempt.attempt} is there twice"
+            self.fault = self.fault or f"line {number}: attempt {attempt.attempt} is listed twice"
             if attempt.attempt != number - 1:
                 # The earlier line of this attempt is at the correct position.
                 return
@@ -83,7 +83,7 @@ class Ledger:
         for attempt in list(self.known.values()):
             if attempt.episode in made and made[attempt.episode].attempt != attempt.attempt:
                 name, other = episode_name(attempt.episode), made[attempt.episode].attempt
-                self.fault = self.fault or f"attempt {attempt.attempt} is to be {name}, which is attempt {other}"
+                self.fault = self.fault or f"attempt {attempt.attempt} is listed as {name}, but that is attempt {other}"
                 del self.known[attempt.attempt], self._lines[attempt.attempt]
         for record in episodes:
             line = self.known.get(record.attempt)

@@ -33,7 +33,7 @@ from .integrity import inspect_episode
 from .writer import AttemptLog, DatasetWriter
 
 MAX_WAITING = 100  # attempts that wait to be moved; limits the local disk space if the target is slow
-_HALT_SECONDS = 10.0  # s, longest wait for the episode in transfer when the writer stops
+HALT_SECONDS = 10.0  # s, longest wait for the episode in transfer when the writer stops
 
 
 @dataclass(frozen=True)
@@ -82,7 +82,8 @@ class StagedWriter(AttemptLog):
                 raise
         except OSError as error:
             raise ResourceError(
-                f"the stage {self.folder} cannot be used: {describe_disk_error(error, stage)}; choose another --stage"
+                f"the staging directory {self.folder} cannot be used: {describe_disk_error(error, stage)}; "
+                "choose another --stage"
             ) from error
         self._queue: queue.Queue[_StagedItem] = queue.Queue(max(MAX_WAITING, len(waiting)))
         for attempt in waiting:
@@ -143,11 +144,12 @@ class StagedWriter(AttemptLog):
         self._lock.release()
 
     def _stop_move_thread(self) -> bool:
+        """Let the move thread finish its current item. Return False if that exceeds `HALT_SECONDS`."""
         self._halt.set()
         with contextlib.suppress(queue.Full):
             # This item only wakes the move thread. If the queue is full, the thread wakes without it.
             self._queue.put_nowait(_StagedItem(None, None))
-        self._move_thread.join(_HALT_SECONDS)
+        self._move_thread.join(HALT_SECONDS)
         return not self._move_thread.is_alive()
 
     def _put(self, item: _StagedItem) -> None:
@@ -182,7 +184,7 @@ class StagedWriter(AttemptLog):
             directory = self.folder / episode_name(item.episode)
             found = inspect_episode(item.episode, directory)
             if found.record is None or found.fault:
-                raise DatasetError(f"{directory} was damaged on its way: {found.fault}; --resume makes it again")
+                raise DatasetError(f"{directory} was damaged in transfer: {found.fault}; --resume records it again")
             self._target.publish(found.record, {name: (directory / name).read_bytes() for name in found.record.files})
         if item.attempt is not None:
             self._target.log(item.attempt)
@@ -215,7 +217,7 @@ class StagedWriter(AttemptLog):
             moved = move_to_backup(self.folder)
             self._lock.note_rename(moved)
             self._lock.release()
-            self.repairs.append(f"The stage held episodes of another recording: they are now in {moved}.")
+            self.repairs.append(f"The staging directory held episodes of another recording: they are now in {moved}.")
             self.folder.mkdir()
             self._lock = DirectoryLock.acquire(self.folder)
         write_file(self.folder / CONFIG, dump_yaml(config).encode())

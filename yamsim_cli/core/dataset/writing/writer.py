@@ -15,7 +15,6 @@ from ...files.writing import append_line, publish_directory, sha256_bytes, write
 from ..dataset_paths import ATTEMPTS, CONFIG, EPISODE, MANIFEST, STAGING, episode_name
 from ..disk_errors import describe_disk_error
 from ..records import AttemptRecord, EpisodeRecord, Manifest, ManifestEntry, to_json
-from ..upgrade import upgrade_config
 from .directory_claim import MESHES, OpenMode, claim_directory, describe_unstated_meshes, require_same_config
 from .integrity import InspectedEpisode, inspect_episodes, quarantine_episode
 from .ledger import Ledger, placeholder_record
@@ -149,30 +148,28 @@ class DatasetWriter(AttemptLog, Closable):
             place = self.path / episode_name(attempt.episode or 0)
             if place.exists():
                 self.repairs.append(
-                    f"{place.name} is no directory; moved to {quarantine_episode(place)}, and made again"
+                    f"{place.name} is not a directory; moved to {quarantine_episode(place)}, to be recorded again"
                 )
 
     def _load_attempts(self, ledger: Ledger) -> None:
         kept, self.lost_lines = ledger.repair(), ledger.missing
         if kept is not None:
-            self.repairs.append(f"{ATTEMPTS} is damaged ({ledger.fault}): it is mended, and kept as it was in {kept}")
+            self.repairs.append(f"{ATTEMPTS} was damaged ({ledger.fault}): repaired; the damaged file is {kept}")
         if self.lost_lines:
             self._ledger = ledger
             numbers = join_ranges(sorted(self.lost_lines))
-            self.repairs.append(f"the line of attempt {numbers} in {ATTEMPTS} is lost, and made again")
+            self.repairs.append(f"the line of attempt {numbers} in {ATTEMPTS} is lost; yamsim makes it again")
         for number in range(max(ledger.known, default=-1) + 1):
             self._count(ledger.known.get(number) or placeholder_record(number, self._seed))
 
     def _check_config(self, config: Mapping[str, Any]) -> None:
         file = self.path / CONFIG
         if not file.is_file():
-            raise DatasetError(
-                f"{self.path} has no {CONFIG}, so it is no dataset that could be resumed; choose another --out"
-            )
-        recorded = upgrade_config(parse_yaml(file.read_bytes(), str(file)).data)
-        if config.get(MESHES) is not None and recorded.get(MESHES) is None:
-            # Resume the dataset without meshes: they would be useless in only some of the episodes.
-            self.config = {**config, MESHES: None}
+            raise DatasetError(f"{self.path} has no {CONFIG}, so it cannot be resumed; choose another --out")
+        recorded = parse_yaml(file.read_bytes(), str(file)).data
+        if MESHES in config and MESHES not in recorded:
+            # Resume the dataset without this key: it would be useless in only some of the episodes.
+            self.config = {key: value for key, value in config.items() if key != MESHES}
             self.repairs.append(describe_unstated_meshes(self.path, config))
         require_same_config(self.path, recorded, self.config)
 
@@ -180,7 +177,7 @@ class DatasetWriter(AttemptLog, Closable):
         record, fault = found.record, found.fault
         if record is None or fault is not None:
             self.repairs.append(
-                f"{found.directory.name}: {fault}; moved to {quarantine_episode(found.directory)}, and made again"
+                f"{found.directory.name}: {fault}; moved to {quarantine_episode(found.directory)}, to be recorded again"
             )
             return None
         self.entries[found.number] = _entry(record, found.text, found.size)

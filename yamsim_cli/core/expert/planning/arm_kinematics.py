@@ -54,7 +54,7 @@ class OutOfReachError(SimulationError):
 
     def __init__(self, nearest: ReachResult, position_tolerance: float, rotation_tolerance: float) -> None:
         super().__init__(
-            f"out of the arm's reach: the nearest it gets is {nearest.position_error * 1000:.1f} mm and "
+            f"out of the arm's reach: the nearest pose is {nearest.position_error * 1000:.1f} mm and "
             f"{math.degrees(nearest.rotation_error):.1f} deg away (at most {position_tolerance * 1000:g} mm and "
             f"{math.degrees(rotation_tolerance):.3g} deg), with the joints "
             f"{np.array2string(nearest.joints, precision=3, suppress_small=True, separator=', ')}"

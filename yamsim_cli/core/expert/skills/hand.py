@@ -75,8 +75,8 @@ class Hand:
 
     @property
     def max_opening(self) -> float:
-        """Largest commandable opening of each finger, m."""
-        assert self.arm.fingers is not None, "skills are for hands with fingers"
+        """Largest opening of each finger that can be commanded, m."""
+        assert self.arm.fingers is not None, "skills need hands with fingers"
         return float(self.arm.fingers.ctrl_range[1])
 
     @property

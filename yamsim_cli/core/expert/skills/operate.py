@@ -49,7 +49,7 @@ class Operate(Skill):
         yield from self._move_part(context, thing, link)
         yield rest_segment(context)
         if abs((share := context.world.joint_opening(thing, self.joint)) - self.to) > _MAX_GOAL_ERROR:
-            raise SkillFailedError(FailureCause.OFF_TARGET, f"the {self.joint} of the {thing} is open by {share:.0%}")
+            raise SkillFailedError(FailureCause.OFF_TARGET, f"the {self.joint} of the {thing} is {share:.0%} open")
 
     def _move_part(self, context: PlanningContext, thing: str, link: Link) -> Iterator[MotionSegment]:
         T_part = context.world.part_pose(thing, link.name)

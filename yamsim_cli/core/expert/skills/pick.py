@@ -68,14 +68,14 @@ class Pick(Skill):
                     found = self._find_grasp(context, roles, hand, thing, following, reasons)
                 if found is not None:
                     yield from park_free_hands(context, hand)
-                    yield from self._grasp_and_lift(context, hand, thing, found)
+                    yield from self.grasp_and_lift(context, hand, thing, found)
                     return
         if not reasons:
             low, high = context.world.local_box(thing)
             stroke = f"{2000 * max(hand.max_opening for hand in context.acting_hands):.0f} mm"
             size = " x ".join(f"{1000 * length:.0f}" for length in high - low)
             reasons[
-                f"it is {size} mm and has no two opposite faces less than {stroke} apart, as wide as a hand opens"
+                f"it is {size} mm and has no two opposite faces less than {stroke} apart, the largest opening of a hand"
             ] = 1
         summary = "; ".join(
             f"{why} ({number})" for why, number in sorted(reasons.items(), key=lambda item: -item[1])[:3]
@@ -93,9 +93,14 @@ class Pick(Skill):
 
         return sorted(hands, key=distance)
 
-    def _grasp_and_lift(
+    def grasp_and_lift(
         self, context: PlanningContext, hand: Hand, thing: str, found: ReachableGrasp
     ) -> Iterator[MotionSegment]:
+        """Yield the motions that grasp an object and lift it.
+
+        Raises:
+            SkillFailedError: the object slipped or fell, or no path exists.
+        """
         grip = found.candidate
         path = context.plan_free_path(hand, found.approach_joints, found.opening)
         yield context.make_segment(
@@ -161,7 +166,7 @@ class Pick(Skill):
             return None
         at = hand.solve_ik(T_at, (hand.joints, hand.ready_joints))
         if at is None:
-            return f"the {hand.side} arm does not reach it so"
+            return f"the {hand.side} arm does not reach this grasp"
         opening = min(candidate.opening + candidate.clearance, hand.max_opening)
         before, why = _approach_joints(context, hand, thing, T_at, at, opening, candidate.finger_distance)
         if before is None:
@@ -177,7 +182,7 @@ class Pick(Skill):
         T_up[2, 3] += self.lift
         up = hand.solve_ik(T_up, (at,))
         if up is None:
-            return f"the {hand.side} arm cannot lift it so"
+            return f"the {hand.side} arm cannot lift it with this grasp"
         load = AttachedObject(thing, inverse(candidate.T_pinch_in_thing), (TABLE, *context.world.object_names))
         return context.find_contact(hand, up, candidate.opening, load)
 
@@ -195,7 +200,7 @@ def _approach_joints(
     why = context.find_contact(hand, at, opening, grasped=thing, finger_clearance=finger_distance)
     if why is not None:
         return None, why
-    why = f"the {hand.side} arm does not reach the place before it"
+    why = f"the {hand.side} arm does not reach the pose before this grasp"
     for distance in _APPROACH_DISTANCES:
         before = hand.solve_ik(T_at @ pose((0.0, 0.0, -distance)), (at,), WAYPOINT_TOLERANCE)
         if before is not None:

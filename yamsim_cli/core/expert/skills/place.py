@@ -188,7 +188,7 @@ class Place(PlaceSkill):
     @model_validator(mode="after")
     def _has_explicit_place(self) -> Place:
         if self.on == TABLE and self.at is None and self.start_of is None:
-            raise ValueError("`on: table` needs `at` or `start_of`: where on it")
+            raise ValueError("`on: table` needs a place: give `at` or `start_of`")
         return self
 
     def support(self, roles: RoleAssignment) -> str:

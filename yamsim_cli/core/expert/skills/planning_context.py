@@ -117,7 +117,7 @@ class PlanningContext:
     def opening(self, hand: Hand) -> float:
         """Return the measured opening of each finger, m."""
         fingers = hand.arm.fingers
-        assert fingers is not None, "skills are for hands with fingers"
+        assert fingers is not None, "skills need hands with fingers"
         return float(self.qpos[fingers.qpos[0]] * fingers.sign[0])
 
     def side_of(self, arm: str) -> str:
@@ -134,7 +134,7 @@ class PlanningContext:
         If the hand no longer holds the object, SkillFailedError is raised.
         """
         held = hand.held
-        assert held is not None, "a hand that holds nothing is not asked what it holds"
+        assert held is not None, "the hand holds nothing"
         if hand.side not in self.world.holding_sides(held.thing):
             hand.held = None
             raise SkillFailedError(FailureCause.DROPPED, f"the {held.thing} fell out of the {hand.side} hand")
@@ -306,7 +306,7 @@ class PlanningContext:
         path = cartesian_curve(hand.ik, hand.joints, pose_at, seconds, self.tick)
         if path is None:
             raise SkillFailedError(
-                FailureCause.UNREACHABLE, f"the way of what it holds leaves the {hand.side} arm's reach"
+                FailureCause.UNREACHABLE, f"the path of the held object leaves the {hand.side} arm's reach"
             )
         return path
 

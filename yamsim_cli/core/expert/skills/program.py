@@ -132,14 +132,14 @@ def _unroll_loop(
     """
     if not isinstance(given, Mapping) or not {"of", "do"} <= set(given) <= {"of", "do", "skip", "order"}:
         raise ConflictError(
-            "`each` has the keys `of`, a role, `do`, a list of steps, and perhaps `skip` and `order`", path
+            "`each` needs the keys `of` (a role) and `do` (a list of steps), and can have `skip` and `order`", path
         )
     if given["of"] not in roles.objects_by_role:
         raise ConflictError(
             f"unknown role {given['of']!r}; {suggest(str(given['of']), roles.objects_by_role)}", (*path, "of")
         )
     if not isinstance(given["do"], list | tuple) or not given["do"]:
-        raise ConflictError("`do` is a list of steps", (*path, "do"))
+        raise ConflictError("`do` must be a list of steps", (*path, "do"))
     things = list(roles.objects_of(given["of"]))
     order = list(given.get("order", ()))
     if order:
@@ -149,7 +149,7 @@ def _unroll_loop(
         )
     skip = given.get("skip", 0)
     if not isinstance(skip, int) or skip < 0:
-        raise ConflictError(f"`skip` {skip!r} is not valid: give a number of things, 0 or more", (*path, "skip"))
+        raise ConflictError(f"`skip` {skip!r} is not valid: give a number of objects, 0 or more", (*path, "skip"))
     for number in range(skip, len(things)):
         inner = {**names, "it": things[number], "number": number} | ({"previous": things[number - 1]} if number else {})
         for k, step in enumerate(given["do"]):
@@ -160,7 +160,7 @@ def _read_skill(
     key: str, given: Any, roles: RoleAssignment, path: tuple[str | int, ...], names: Mapping[str, str | int]
 ) -> Skill:
     if not isinstance(given, Mapping):
-        raise ConflictError(f"`{key}` has keys of its own: {', '.join(SKILLS[key].model_fields)}", path)
+        raise ConflictError(f"`{key}` must be a mapping with these keys: {', '.join(SKILLS[key].model_fields)}", path)
     filled = {name: names.get(value, value) if isinstance(value, str) else value for name, value in given.items()}
     try:
         skill = SKILLS[key].model_validate(filled)

@@ -29,8 +29,8 @@ from .program import parse_program, parse_steps
 from .push import Push
 from .skill import Skill
 
-# How a cloth's grid has to be divided, for folds that need more than a grid; part of an error message.
-_GRIDS = {"diagonal": "as many points along both sides", "thirds": "6, 9, 12 or so on points along a side"}
+# How a cloth's grid has to be divided for each fold that needs more than a grid; part of an error message.
+_GRIDS = {"diagonal": "equally many points along both sides", "thirds": "6, 9, 12, ... points along a side"}
 
 
 def check_task_config(config: Config) -> None:
@@ -66,10 +66,10 @@ def check_program(task: ProgramTask, sides: Sequence[str] | None = None) -> None
         thing = roles.object_of(skill.roles()[0][1])
         _check_arms(skill, sides, arms, path)
         if skill.NEEDS_HELD and thing not in held:
-            raise ConflictError(f"the {thing} is in no hand here: pick it first", path)
+            raise ConflictError(f"no hand holds the {thing} at this step; pick it first", path)
         if skill.NEEDS_HELD is False and thing not in held and len(held) >= arms:
             others = " and the ".join(sorted(held))
-            raise ConflictError(f"no hand is free for the {thing}: the {others} is held; put it down first", path)
+            raise ConflictError(f"no hand is free for the {thing}; put the {others} down first", path)
         if skill.LEAVES_HELD is not None:
             held = held | {thing} if skill.LEAVES_HELD else held - {thing}
         if isinstance(skill, Operate):
@@ -79,9 +79,9 @@ def check_program(task: ProgramTask, sides: Sequence[str] | None = None) -> None
         for argument, role in skill.roles():
             if task.may_be_cloth(role) != skill.OF_CLOTH and argument not in skill.ANY_MATERIAL:
                 problem = (
-                    "is no cloth; give a role that cloth plays"
+                    "is not cloth; give a role of cloth"
                     if skill.OF_CLOTH
-                    else "is cloth; it can only be folded, or have things placed onto it"
+                    else "is cloth; it can only be folded, or have objects placed onto it"
                 )
                 raise ConflictError(f"the {role} {problem}", (*path, argument))
         if isinstance(skill, Place) and skill.on != TABLE:
@@ -97,7 +97,7 @@ def check_program(task: ProgramTask, sides: Sequence[str] | None = None) -> None
 
 def _check_arms(skill: Skill, sides: Sequence[str] | None, arms: int, path: tuple[str | int, ...]) -> None:
     if isinstance(skill, Handover | Lift) and arms < 2:
-        raise ConflictError(f"the step `{path[-1]}` takes two arms; use a rig with two, and no `arms: one`", path)
+        raise ConflictError(f"the step `{path[-1]}` needs two arms; use a rig with two arms, without `arms: one`", path)
     for argument in ("arm", "to"):
         named = getattr(skill, argument, None)
         missing = sides is not None and named in ("left", "right") and named not in sides
@@ -111,13 +111,13 @@ def _check_arms(skill: Skill, sides: Sequence[str] | None, arms: int, path: tupl
 def _check_fold(task: ProgramTask, roles: RoleAssignment, skill: Fold, arms: int, path: tuple[str | int, ...]) -> None:
     if arms < skill.hand_count:
         raise ConflictError(
-            f"to fold cloth {skill.description} takes two arms; use a rig with two, or `diagonal`", path
+            f"to fold cloth {skill.description} needs two arms; use a rig with two arms, or `diagonal`", path
         )
     thing = roles.object_of(skill.thing)
     for item in next(one.of for role, one in task.things.items() if thing in roles.objects_of(role)):
         if item.cloth is not None and not fold_plans(skill.how, *reversed(item.cloth.grid)):
             raise ConflictError(
-                f"the {item.name} cannot be folded {skill.description}: that takes {_GRIDS[skill.how]}, not "
+                f"the {item.name} cannot be folded {skill.description}: that needs {_GRIDS[skill.how]}, not "
                 f"{' x '.join(map(str, item.cloth.grid))}",
                 (*path, "how"),
             )
@@ -181,8 +181,8 @@ def _check_reach(config: RecordConfig) -> None:
             short.append(float(np.linalg.norm(nearest - base)) - length)
         if min(short) > 0:
             raise ConflictError(
-                f"all of the region of the {role} is out of reach: its nearest place is {min(short):.2f} m farther "
-                f"away than any arm of rig {config.rig.name!r} is long",
+                f"the whole region of the {role} is out of reach: its nearest point is {min(short):.2f} m beyond "
+                f"the reach of every arm of rig {config.rig.name!r}",
                 ("task", "starts", role, "x"),
             )
 
@@ -247,9 +247,9 @@ def program_contradiction(task: ProgramTask) -> str | None:
             return f"no step of the expert hands over the {named}; add `handover`"
         if predicate.IN_HAND is True and not things <= held:
             instead = ", or ask for `was_handed_over`" if isinstance(predicate, HandedOver) else ""
-            return f"it needs the {named} in a hand at the end, and no hand of the expert has it; keep it held{instead}"
+            return f"it needs the {named} in a hand at the end, but the expert puts it down; keep it held{instead}"
         if predicate.IN_HAND is False and things & held:
-            return f"it needs the {named} in no hand, and the expert still holds it at the end; put it down"
+            return f"it needs the {named} in no hand, but the expert still holds it at the end; put it down"
         if (
             isinstance(predicate, On)
             and not things & moved

@@ -90,7 +90,7 @@ class Push(Skill):
                 T_back[2, 3] += _APPROACH_HEIGHT
                 yield context.make_segment({hand: context.plan_line(hand, T_back)})
                 return
-        raise SkillFailedError(FailureCause.UNREACHABLE, f"no arm reaches behind the {thing} and its place")
+        raise SkillFailedError(FailureCause.UNREACHABLE, f"no arm reaches behind the {thing} and its target place")
 
     def _solve_start_and_end(
         self, context: PlanningContext, hand: Hand, first: Array, last: Array, heading: float, lean: float

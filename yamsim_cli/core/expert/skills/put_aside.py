@@ -68,8 +68,12 @@ def _places_in_rings(place: Array) -> list[Array]:
 
 
 def put_down_failed_object(context: PlanningContext, roles: RoleAssignment, role: str) -> Iterator[MotionSegment]:
-    """Put an object onto a free place, else straight down; add its grasp to the hand's `failed_grasps`."""
-    hand = require_holding_hand(context, roles.object_of(role), "taken another way")
+    """Put an object onto a free place, else straight down; add its grasp to the hand's `failed_grasps`.
+
+    Raises:
+        SkillFailedError: no hand holds the object any more, or it cannot be lowered.
+    """
+    hand = require_holding_hand(context, roles.object_of(role), "grasped in another way")
     hand.failed_grasps.append(context.update_held(hand))
     try:
         yield from PutAside(thing=role).run(context, roles, ())

@@ -59,7 +59,7 @@ def _unit_fractions(value: tuple[float, ...]) -> tuple[float, ...]:
 
 def _rotation(value: tuple[float, float, float, float]) -> tuple[float, float, float, float]:
     if math.hypot(*value) < 1e-9:
-        raise ValueError("a zero quaternion is no rotation")
+        raise ValueError("a zero quaternion is not a rotation")
     return value
 
 

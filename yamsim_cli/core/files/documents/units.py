@@ -76,7 +76,7 @@ def _refuse_radians(value: tuple[float, float], info: ValidationInfo) -> tuple[f
         return value
     low, high = (round(math.degrees(end)) for end in value)
     raise ValueError(
-        f"{value[0]:g}..{value[1]:g} degrees is hardly a turn; is it in radians? Then give [{low}, {high}]"
+        f"{value[0]:g}..{value[1]:g} degrees is a small range; is it in radians? Then give [{low}, {high}]"
     )
 
 

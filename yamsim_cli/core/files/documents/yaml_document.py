@@ -37,9 +37,8 @@ class _Loader(yaml.SafeLoader):
         if self.check_event(yaml.AliasEvent):
             event = self.peek_event()  # type: ignore[no-untyped-call]
             problem = (
-                f"alias *{event.anchor} is not supported: an error message could not name the one line of a value that "
-                "stands in two places, and nested aliases make a small file huge; write the value out, without "
-                f"&{event.anchor}"
+                f"alias *{event.anchor} is not supported: an error message could not name the line of its value, and "
+                f"nested aliases can make a small file huge; repeat the value, and remove &{event.anchor}"
             )
             raise yaml.composer.ComposerError(None, None, problem, event.start_mark)
         node: yaml.Node | None = super().compose_node(parent, index)

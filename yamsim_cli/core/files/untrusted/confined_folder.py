@@ -36,7 +36,7 @@ class ConfinedFolder:
                 raise RefusedError("too-many-files", f"it names more than {MAX_FILES} files")
             self._bytes += path.stat().st_size
             if self._bytes > MAX_BYTES:
-                raise RefusedError("too-large", f"with {name} it has more than {MAX_BYTES // 10**6} MB")
+                raise RefusedError("too-large", f"the files up to {name} have more than {MAX_BYTES // 10**6} MB")
             return path.read_bytes()
         except RefusedError as error:
             self.refused = error
@@ -50,20 +50,20 @@ class ConfinedFolder:
         tried = self._candidates(name, base or self._root)
         inside = [path for path in tried if path.is_relative_to(self._root)]
         if not inside:
-            raise RefusedError("outside", f"it names {name!r}, which does not lie in its folder")
+            raise RefusedError("outside", f"it names {name!r}, which is outside of its folder")
         for path in inside:
             try:
                 mode = path.stat().st_mode
             except (OSError, ValueError):
                 continue
             if not stat.S_ISREG(mode):
-                raise RefusedError("not-a-file", f"{name!r} is no regular file")
+                raise RefusedError("not-a-file", f"{name!r} is not a regular file")
             return path
         raise RefusedError("missing", f"{name!r} is not in its folder")
 
     def _candidates(self, name: str, base: Path) -> list[Path]:
         if "\0" in name or len(name) > 1000:
-            raise RefusedError("outside", "it names a file by what is no path")
+            raise RefusedError("outside", "it names a file with an invalid path")
         name = name.strip().replace("\\", "/")
         scheme, found, rest = name.partition("://")
         if not found:
@@ -72,7 +72,7 @@ class ConfinedFolder:
         if scheme == "file":
             return [Path("/" + rest.lstrip("/")).resolve()]
         if scheme not in _MODEL_SCHEMES:
-            raise RefusedError("outside", f"it names {name!r}, and nothing is fetched")
+            raise RefusedError("outside", f"it names {name!r}, but yamsim reads only files of its folder")
         model, _, inner = rest.partition("/")
         # Most files are in a folder with the model's name; some are beside that folder.
         roots = [base, self._root]

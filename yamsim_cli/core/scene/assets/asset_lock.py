@@ -134,7 +134,7 @@ class AssetLock(_Frozen):
         entries: list[tuple[str, Archive | AssetSet]] = [*self.archives.items(), *self.sets.items()]
         for key, entry in entries:
             if entry.name != key:
-                raise ValueError(f"the entry {key!r} calls itself {entry.name!r}")
+                raise ValueError(f"the entry {key!r} has the name {entry.name!r}")
         for name, assets in self.sets.items():
             if assets.archive not in self.archives:
                 raise ValueError(

@@ -180,4 +180,4 @@ def _folder_name(assets: AssetSet) -> str:
 
 
 def _missing_message(error: ImportError) -> str:
-    return f"meshes are reduced by packages that are not all installed ({error}); install yamsim's requirements"
+    return f"a package that reduces meshes is not installed ({error}); install yamsim's requirements"

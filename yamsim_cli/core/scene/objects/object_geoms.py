@@ -106,8 +106,8 @@ def add_collision(
     folder = meshes.get(set_name)
     if folder is None:
         raise ResourceError(
-            f"the set {set_name}, which {body.name} collides by, is not among the meshes: import the thing again as "
-            "its config's comment says, or copy the folder of that name from where it was made"
+            f"the mesh set {set_name}, the collision geometry of {body.name}, is missing: import the object again as "
+            "the comment in its config says, or copy the folder of that name from where it was made"
         )
     file = f"meshes/{set_name}/{part.file}"
     spec.assets = {**spec.assets, file: set_file(folder, part.file)}

@@ -15,12 +15,12 @@ from yamsim_cli.core.expert.skills.cloth import point_grasps as reach
 
 @pytest.mark.slow
 def test_hands_that_come_too_high_feel_for_cloth(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    # A stretched arm comes to rest that much higher than commanded.
-    monkeypatch.setattr(reach, "_HALF_PAD", reach._HALF_PAD + 0.0018)
+    # An arm that reaches far comes to rest that much higher than commanded.
+    monkeypatch.setattr(reach, "HALF_PAD", reach.HALF_PAD + 0.0018)
     with Simulators(session_of(tmp_path, FOLD)) as simulators:
         simulator, attempt = first_attempt(simulators)
         felt = demonstrate(simulator, attempt)
-        monkeypatch.setattr(hands, "_DEPTHS", ())
+        monkeypatch.setattr(hands, "DEPTHS", ())
         missed = demonstrate(simulator, attempt)
     assert felt.outcome.success, felt.outcome.detail
     assert "missed its corner" in missed.outcome.detail

@@ -23,8 +23,8 @@ _FORCE = 20.0  # N, of closed fingers on cloth
 
 # m, a hand grasps lower by a step on each retry after a miss
 _DEPTH_STEP = 0.002
-_DEPTHS = (_DEPTH_STEP, 2 * _DEPTH_STEP, 3 * _DEPTH_STEP, 4 * _DEPTH_STEP)
-_OPEN_TICKS = 4  # control ticks
+DEPTHS = (_DEPTH_STEP, 2 * _DEPTH_STEP, 3 * _DEPTH_STEP, 4 * _DEPTH_STEP)
+_OPEN_TICKS = 4  # control ticks in which fingers open before a retry
 
 _MAX_OPEN_OPENING = 2 * APPROACH_OPENING  # m, fingers that stay more open are stuck
 _MAX_CLOSED_OPENING = 0.006  # m, more than cloth is thick
@@ -131,7 +131,7 @@ def _close_with_retries(context: PlanningContext, thing: str, grasps: Sequence[P
     yield from _close(context, grasps)
     points = context.world.cloth_points(thing)
     limits = {grasp.hand: _max_depth(points, grasp) for grasp in grasps}
-    for depth in _DEPTHS:
+    for depth in DEPTHS:
         holders = context.world.holding_sides(thing)
         retried = [
             grasp

@@ -66,7 +66,7 @@ class Flatten(Skill):
         if not _is_flat(context, thing, FLAT_LAYERS, FLAT_DISPLACEMENT):
             high = 1000 * height_range(context.world.cloth_points(thing))
             raise SkillFailedError(
-                FailureCause.UNREACHABLE, f"no pull makes the {thing} flatter, which is {high:.0f} mm high"
+                FailureCause.UNREACHABLE, f"no pull makes the {thing} flatter, which is still {high:.0f} mm high"
             )
 
 

@@ -60,7 +60,7 @@ class Fold(Skill):
             grasps = next(filter(None, (_grasps(context, thing, moves[number]) for moves in plans)), None)
             if grasps is None:
                 raise SkillFailedError(
-                    FailureCause.UNREACHABLE, f"no hands reach corners of the {thing} and where they are to lie"
+                    FailureCause.UNREACHABLE, f"no hands reach corners of the {thing} and their targets"
                 )
             yield from carry_points(context, thing, grasps, speed=_LAYERED_SPEED if number else SPEED)
 

@@ -16,8 +16,8 @@ APPROACH_OPENING = 0.012  # m, of each finger, before it closes on cloth
 TIP_CLEARANCE = 0.001  # m, of tips over a grasped point: tips press on the cloth, and do not touch what is under it
 APPROACH = 0.08  # m, length of a hand's straight approach
 
-_HALF_PAD, _HALF_WIDTH = 0.0082, 0.0072  # m, half the length and half the width of a pad, which ends at the tip
-_INSET = 0.007  # m, of a grasp from its point towards the middle of the cloth, so that both pads meet cloth
+HALF_PAD, _HALF_WIDTH = 0.0082, 0.0072  # m, half the length of a pad, which ends at the tip, and half its width
+_INSET = 0.007  # m, offset of a grasp from its point towards the middle of the cloth, so that both pads meet cloth
 
 # Cloth that stands up between the two squares below ends up on a finger.
 _HALF_HAND_SIZE = 0.024  # m, half the side of the square that an open hand needs around its middle
@@ -117,7 +117,7 @@ def _point_grasp(context: PlanningContext, hand: Hand, points: Array, placement:
         rotation_from_vector((tilt * math.sin(heading), -tilt * math.cos(heading), 0.0)) @ level for tilt in _TILTS
     ]
     for tilt, R in zip(_TILTS, turns, strict=True):
-        up = _HALF_PAD * math.cos(tilt) + _HALF_WIDTH * math.sin(tilt) + TIP_CLEARANCE
+        up = HALF_PAD * math.cos(tilt) + _HALF_WIDTH * math.sin(tilt) + TIP_CLEARANCE
         up -= 0.0 if placement.single_layer else _height_over_lowest(points, place)
         T_at = pose((*(place[:2] + _INSET * inwards), place[2] + up), R)
         if placement.single_layer and _cloth_stands_beside(points, T_at):
@@ -146,7 +146,7 @@ def _cloth_stands_beside(points: Array, T_at: Array) -> bool:
     seen = (points.reshape(-1, 3) - T_at[:3, 3]) @ T_at[:3, :3]
     across = np.abs(seen[:, :2])
     beside = (across < _HALF_HAND_SIZE).all(axis=1) & ~(across < _HALF_GAP_SIZE).all(axis=1)
-    return bool((_HALF_PAD - seen[beside, 2] > _MAX_STANDING_HEIGHT).any())
+    return bool((HALF_PAD - seen[beside, 2] > _MAX_STANDING_HEIGHT).any())
 
 
 def _height_over_lowest(points: Array, place: Array) -> float:
