@@ -111,7 +111,7 @@ class EpisodeVerifier(Closable):
             frames = _read_frames(episode, problems)
             if episode.record.source != "record":
                 skipped[SEED] = f"it comes from {episode.record.source!r}, not from a seed"
-            elif (engine := _engine(episode.record)) != ENGINE:
+            elif (engine := episode.record.versions["engine"]) != ENGINE:
                 version = episode.record.versions.get("yamsim", "unknown")
                 skipped[SEED] = (
                     f"it was made by engine revision {engine} of yamsim {version}; this version's revision {ENGINE} "
