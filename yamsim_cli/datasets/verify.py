@@ -153,8 +153,7 @@ class EpisodeVerifier(Closable):
         if (looks := record.versions["looks"]) != APPEARANCE_REVISION:
             skipped[IMAGES] = (
                 f"its images have appearance revision {looks}, but this version renders revision "
-                f"{APPEARANCE_REVISION}: "
-                "they differ as intended and are not damaged"
+                f"{APPEARANCE_REVISION}: they differ as intended and are not damaged"
             )
         elif done.states:
             images = encode_images(simulator, done.attempt, [state.qpos for state in done.states])

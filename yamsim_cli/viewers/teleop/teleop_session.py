@@ -170,7 +170,7 @@ def open_teleop(
                 yield TeleopSession(scene, attempts, writer)
         except OSError as error:
             raise PartialJobError(
-                f"{explain_disk_error(error, out)}: {writer.episodes} episodes are whole in {out}; "
+                f"{explain_disk_error(error, out)}: {writer.episodes} complete episodes are in {out}; "
                 "continue with --resume"
             ) from error
         except BaseException:

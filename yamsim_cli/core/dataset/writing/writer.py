@@ -15,6 +15,7 @@ from ...files.writing import append_line, publish_directory, sha256_bytes, write
 from ..dataset_paths import ATTEMPTS, CONFIG, EPISODE, MANIFEST, STAGING, episode_name
 from ..disk_errors import describe_disk_error
 from ..records import AttemptRecord, EpisodeRecord, Manifest, ManifestEntry, to_json
+from ..upgrade import upgrade_config
 from .directory_claim import MESHES, OpenMode, claim_directory, describe_unstated_meshes, require_same_config
 from .integrity import InspectedEpisode, inspect_episodes, quarantine_episode
 from .ledger import Ledger, placeholder_record
@@ -166,10 +167,10 @@ class DatasetWriter(AttemptLog, Closable):
         file = self.path / CONFIG
         if not file.is_file():
             raise DatasetError(f"{self.path} has no {CONFIG}, so it cannot be resumed; choose another --out")
-        recorded = parse_yaml(file.read_bytes(), str(file)).data
-        if MESHES in config and MESHES not in recorded:
-            # Resume the dataset without this key: it would be useless in only some of the episodes.
-            self.config = {key: value for key, value in config.items() if key != MESHES}
+        recorded = upgrade_config(parse_yaml(file.read_bytes(), str(file)).data)
+        if config.get(MESHES) is not None and recorded.get(MESHES) is None:
+            # Resume the dataset without meshes: they would be useless in only some of the episodes.
+            self.config = {**config, MESHES: None}
             self.repairs.append(describe_unstated_meshes(self.path, config))
         require_same_config(self.path, recorded, self.config)
 
