@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from yamsim_cli.core.attempt_data import ActionSequence, AttemptJob, StepState
-from yamsim_cli.core.episode.execution import SimulatedAttempt, demonstrate
+from yamsim_cli.core.episode.execution import SimulatedAttempt, simulate_expert
 from yamsim_cli.core.episode.sampling import sample_attempt
 from yamsim_cli.core.episode.simulator import Simulator
 from yamsim_cli.core.geometry.se3 import Array
@@ -15,7 +15,7 @@ from yamsim_cli.core.geometry.se3 import Array
 
 def planned(simulator: Simulator, seed: int, attempt: int = 0) -> SimulatedAttempt:
     """Return the expert's attempt."""
-    return demonstrate(simulator, sample_attempt(simulator, AttemptJob(seed, attempt)))
+    return simulate_expert(simulator, sample_attempt(simulator, AttemptJob(seed, attempt)))
 
 
 def start_of(simulator: Simulator, seed: int = 0) -> Array:

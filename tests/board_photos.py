@@ -18,7 +18,7 @@ from yamsim_cli.photos.lens_distortion import project_points, viewing_ray_grid
 
 Photo = NDArray[np.uint8]
 
-CAMERA = CameraModel.pinhole(640, 480, 600.0)
+CAMERA = CameraModel.from_focal_length(640, 480, 600.0)
 _LENGTH = 0.02923077
 ONE = Board("one", 217, 3, 3, "DICT_6X6_250", _LENGTH, _LENGTH / 10)
 TWO = replace(ONE, name="two", first_id=226)

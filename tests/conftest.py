@@ -33,7 +33,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 @pytest.fixture(scope="session")
 def locations() -> Locations:
-    return Locations.find(os.environ)
+    return Locations.from_environment(os.environ)
 
 
 @pytest.fixture(scope="session")

@@ -144,7 +144,7 @@ def enlarged_print(
     border, finer = 50, 4
     dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, board.dictionary))
     size = (board.columns, board.rows)
-    grid = cv2.aruco.GridBoard(size, board.marker_length, board.gap, dictionary, np.array(board.ids))
+    grid = cv2.aruco.GridBoard(size, board.marker_length, board.gap, dictionary, np.array(board.marker_ids))
     printed = grid.generateImage((across + 2 * border, across + 2 * border), marginSize=border, borderBits=1)
     on_print = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], np.float32) * across + border - 0.5
     at = (_seen(camera, T, board.outer_corners()[:, :2]) + 0.5) * finer - 0.5

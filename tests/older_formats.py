@@ -6,7 +6,13 @@ import json
 from pathlib import Path
 from typing import Any
 
-from yamsim_cli.core.dataset.dataset_paths import ATTEMPTS, CONFIG, EPISODE, MANIFEST, episode_directories
+from yamsim_cli.core.dataset.dataset_paths import (
+    CONFIG_FILE,
+    EPISODE_FILE,
+    LEDGER_FILE,
+    MANIFEST_FILE,
+    episode_directories,
+)
 from yamsim_cli.core.files.documents.yaml_document import dump_yaml, load_yaml
 from yamsim_cli.core.files.writing import sha256_bytes
 from yamsim_cli.core.geometry.se3 import pose_from_quat, yaw
@@ -65,20 +71,20 @@ _CONFIGS: dict[str, Any] = {
 
 def write_as_format(dataset: Path, version: int) -> Path:
     """Write a simulated dataset's JSON and YAML as format version 1 or 2 had them; other files stay."""
-    config = _without(load_yaml(dataset / CONFIG).data, _CONFIGS | {"cameras": None, "meshes": None})
-    (dataset / CONFIG).write_text(dump_yaml({key: value for key, value in config.items() if value != []}))
-    lines = [_older(json.loads(line), version) for line in (dataset / ATTEMPTS).read_text().splitlines()]
-    (dataset / ATTEMPTS).write_text("".join(json.dumps(line) + "\n" for line in lines))
-    manifest = json.loads((dataset / MANIFEST).read_text()) | {"format_version": 1}
+    config = _without(load_yaml(dataset / CONFIG_FILE).data, _CONFIGS | {"cameras": None, "meshes": None})
+    (dataset / CONFIG_FILE).write_text(dump_yaml({key: value for key, value in config.items() if value != []}))
+    lines = [_older(json.loads(line), version) for line in (dataset / LEDGER_FILE).read_text().splitlines()]
+    (dataset / LEDGER_FILE).write_text("".join(json.dumps(line) + "\n" for line in lines))
+    manifest = json.loads((dataset / MANIFEST_FILE).read_text()) | {"format_version": 1}
     for entry, (_, directory) in zip(manifest["episodes"], episode_directories(dataset), strict=True):
-        record = _older(json.loads((directory / EPISODE).read_text()), version) | {"format_version": version}
+        record = _older(json.loads((directory / EPISODE_FILE).read_text()), version) | {"format_version": version}
         if version == 1:
             record["versions"] = _without(record["versions"], {"looks": record["versions"]["looks"], "engine": "3"})
-        before, text = (directory / EPISODE).stat().st_size, (json.dumps(record) + "\n").encode()
-        (directory / EPISODE).write_bytes(text)
+        before, text = (directory / EPISODE_FILE).stat().st_size, (json.dumps(record) + "\n").encode()
+        (directory / EPISODE_FILE).write_bytes(text)
         entry |= {"sha256": sha256_bytes(text), "bytes": entry["bytes"] + len(text) - before}
     manifest["bytes"] = sum(entry["bytes"] for entry in manifest["episodes"])
-    (dataset / MANIFEST).write_text(json.dumps(manifest, indent=1) + "\n")
+    (dataset / MANIFEST_FILE).write_text(json.dumps(manifest, indent=1) + "\n")
     return dataset
 
 

@@ -25,16 +25,16 @@ class PlaneFrame:
 
     def __init__(self, finger: FinRay) -> None:
         self._points: dict[tuple[float, float], int] = {}
-        self._modulus, self._width = finger.modulus, finger.width
+        self._modulus, self._width = finger.youngs_modulus, finger.width
         beams: list[tuple[int, int, float]] = []
-        heights = [*finger.stations, finger.length]
-        front, back = ([(x, y(x)) for x in heights] for y in (lambda x: 0.0, lambda x: -float(finger.spacing(x))))
+        heights = [*finger.hinge_heights, finger.length]
+        front, back = ([(x, y(x)) for x in heights] for y in (lambda x: 0.0, lambda x: -float(finger.wall_spacing(x))))
         for wall in (front, back):
             for start, end in pairwise(wall):
-                beams += self._beam(start, end, finger.wall, _PARTS)
+                beams += self._beam(start, end, finger.wall_thickness, _PARTS)
         for start, end in zip(front[1:-1], back[1:-1], strict=True):
-            beams += self._beam(start, end, finger.rib, 2)
-        beams += self._beam(front[-1], back[-1], _SOLID * finger.wall, 1)
+            beams += self._beam(start, end, finger.rib_thickness, 2)
+        beams += self._beam(front[-1], back[-1], _SOLID * finger.wall_thickness, 1)
         self._at = np.array(list(self._points))
         self._stiffness = self._assemble(beams)
 
@@ -91,9 +91,9 @@ def bent(finger: FinRay, height: float, force: float) -> Array:
     """Angles (n,) of the springs, rad, that balance a small force (N) on the front wall at a height (m)."""
     arms = slip_jacobian(finger)
     stiffness = np.diag(hinge_stiffness(finger)) + arms.T @ slip_stiffness(finger) @ arms
-    return np.linalg.solve(stiffness, -force * np.maximum(height - finger.stations, 0.0))
+    return np.linalg.solve(stiffness, -force * np.maximum(height - finger.hinge_heights, 0.0))
 
 
 def compliance(finger: FinRay, height: float) -> float:
     """Deflection of the front wall at a height per small force, m/N."""
-    return float(-np.maximum(height - finger.stations, 0.0) @ bent(finger, height, 1.0))
+    return float(-np.maximum(height - finger.hinge_heights, 0.0) @ bent(finger, height, 1.0))

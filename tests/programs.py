@@ -13,7 +13,7 @@ from yamsim_cli.core.attempt_data import Attempt, AttemptJob
 from yamsim_cli.core.config.session import Session
 from yamsim_cli.core.episode.expert import arm_sides
 from yamsim_cli.core.episode.sampling import sample_attempt
-from yamsim_cli.core.episode.simulator import Simulator, Simulators
+from yamsim_cli.core.episode.simulator import Simulator, SimulatorCache
 from yamsim_cli.core.expert.planning.arm_solvers import start_postures
 from yamsim_cli.core.expert.skills.planning_context import PlanningContext
 from yamsim_cli.core.files.documents.yaml_document import dump_yaml
@@ -82,20 +82,20 @@ def written(folder: Path, task: dict[str, Any], name: str = "small") -> Path:
 def session_of(folder: Path, task: dict[str, Any], **given: Any) -> Session:
     """A session of a task, with primitives instead of meshes."""
     opener = SessionOpener(os.environ, lambda text: None, lambda setting: f"--{setting}")
-    where = opener.locations()
+    where = opener.find_locations()
     given = {"size": "64x48", "quality": "fast", "n": 1, "workers": 1} | given
-    session = Session(opener.config("default", where, task=str(written(folder, task)), **given), where)
+    session = Session(opener.load_record_config("default", where, task=str(written(folder, task)), **given), where)
     return session.without_meshes()
 
 
-def first_attempt(simulators: Simulators, number: int = 0) -> tuple[Simulator, Attempt]:
+def first_attempt(simulators: SimulatorCache, number: int = 0) -> tuple[Simulator, Attempt]:
     """An attempt of seed 0, and its simulator."""
     job = AttemptJob(0, number)
     simulator = simulators.get(job)
     return simulator, sample_attempt(simulator, job)
 
 
-def started(simulators: Simulators) -> tuple[Simulator, Attempt, mujoco.MjData]:
+def started(simulators: SimulatorCache) -> tuple[Simulator, Attempt, mujoco.MjData]:
     """The first attempt, and MuJoCo's state at its start."""
     simulator, attempt = first_attempt(simulators)
     assert attempt.start is not None
@@ -104,7 +104,7 @@ def started(simulators: Simulators) -> tuple[Simulator, Attempt, mujoco.MjData]:
     return simulator, attempt, data
 
 
-def bench_at_start(simulators: Simulators) -> PlanningContext:
+def bench_at_start(simulators: SimulatorCache) -> PlanningContext:
     """The planning context at the start of the first attempt."""
     simulator, _, data = started(simulators)
     world = make_sim_world(simulator.scene, data, arm_sides(simulator.config))

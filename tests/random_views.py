@@ -13,7 +13,7 @@ from tests.truth_photos import camera_pose
 from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.geometry.board import Board
 from yamsim_cli.core.geometry.camera import CameraModel
-from yamsim_cli.core.geometry.se3 import Array, inverse
+from yamsim_cli.core.geometry.se3 import Array, invert_pose
 from yamsim_cli.photos.lens_distortion import project_points
 
 # Webcams at VGA to phones of 12 megapixels.
@@ -105,14 +105,14 @@ def random_view(
         for k in shown:
             config = rig.arms[k].board
             assert config is not None
-            placed[k] = (config.board, rig.T_base_in_world(k) @ rig.arms[k].T_board_in_base)
+            placed[k] = (config.board_in_metres, rig.T_base_in_world(k) @ rig.arms[k].T_board_in_base)
         tilt = float(rng.uniform(*tilts))
         target = np.mean([T[:3, 3] for _, T in placed.values()], axis=0)
         wide = next(iter(placed.values()))[0].width
-        distance = float(np.clip(taken.focal * wide / (rng.uniform(*SHARES) * taken.width), *DISTANCES))
+        distance = float(np.clip(taken.mean_focal_length * wide / (rng.uniform(*SHARES) * taken.width), *DISTANCES))
         for _ in range(20):
             T_cam = camera_pose(rng, target, distance, (tilt, tilt))
-            boards = {k: (board, inverse(T_cam) @ T) for k, (board, T) in placed.items()}
+            boards = {k: (board, invert_pose(T_cam) @ T) for k, (board, T) in placed.items()}
             if all(_seen(taken, board, T) for board, T in boards.values()):
                 blur = float(rng.uniform(*BLURS))
                 noise = float(rng.uniform(*NOISES))
@@ -121,7 +121,7 @@ def random_view(
 
 def _seen(camera: CameraModel, board: Board, T: Array) -> bool:
     """Whether the whole board is in the picture with its face to the camera, and its markers are large enough."""
-    corners = board.corners()
+    corners = board.marker_corners()
     in_cam = corners.reshape(-1, 3) @ T[:3, :3].T + T[:3, 3]
     if (in_cam[:, 2] < 0.05).any() or T[:3, 2] @ T[:3, 3] > 0:
         return False

@@ -9,7 +9,7 @@ from tests.unrendered import SIZE, change_record, write_dataset
 from yamsim_cli.core.attempt_data import AttemptJob
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.session import Session
-from yamsim_cli.core.dataset.dataset_paths import depth_name, episode_name, image_path
+from yamsim_cli.core.dataset.dataset_paths import depth_path, episode_name, image_path
 from yamsim_cli.core.episode.runner import AttemptRunner
 from yamsim_cli.core.files.resources import Locations
 
@@ -28,7 +28,7 @@ def write_rendered_dataset(path: Path, config: RecordConfig, locations: Location
             randomized.append(asdict(made.attempt.variation))
 
     def depth(camera: str, episode: int, frame: int) -> dict[str, bytes]:
-        return {(name := depth_name(camera, frame)): files[episode][name]}
+        return {(name := depth_path(camera, frame)): files[episode][name]}
 
     write_dataset(
         path, config, locations, episodes, lambda camera, k, frame: files[k][image_path(camera, frame)], depth

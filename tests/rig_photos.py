@@ -12,7 +12,7 @@ from tests.truth_photos import Photographer
 from yamsim_cli.core.attempt_data import ArmPosture
 from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.geometry.camera import CameraModel
-from yamsim_cli.core.geometry.se3 import Array, inverse, pose
+from yamsim_cli.core.geometry.se3 import Array, invert_pose, pose
 
 # Off-centre and distorted as a webcam's picture.
 CAMERA = CameraModel(
@@ -51,7 +51,7 @@ class RigPhoto:
         return standing(self.joints)
 
     def T_base_in_cam(self, arm: int) -> Array:
-        return inverse(self.T_cam_in_world) @ self.rig.T_base_in_world(arm)
+        return invert_pose(self.T_cam_in_world) @ self.rig.T_base_in_world(arm)
 
 
 class RigPhotographer(Photographer):
@@ -72,8 +72,8 @@ class RigPhotographer(Photographer):
         return RigPhoto(image, self.rig, self.camera, joints, T_cam_in_world, self._mask())
 
     def _mask(self) -> np.ndarray:
-        ids = self._renderer.segment(self._data, "photo")
+        ids = self._renderer.render_geom_ids(self._data, "photo")
         arms = [self._model.body(f"{arm.prefix}arm").id for arm in self.rig.arms]
         is_arm = np.isin(self._model.body_rootid[self._model.geom_bodyid], arms)
         labels = np.append(is_arm, False)[ids].astype(np.uint8)
-        return self._warp.image(labels, nearest=True) > 0
+        return self._warp.distort_picture(labels, nearest=True) > 0

@@ -28,7 +28,7 @@ def rig_scene(name: str = "single", timestep: float = STEP) -> CompiledScene:
 
 def new_scene(name: str = "single", timestep: float = STEP) -> CompiledScene:
     """A new scene, whose model may be changed."""
-    where = Locations.find(os.environ)
+    where = Locations.from_environment(os.environ)
     rig = load_config(RigConfig, "rigs", name, where)
     return build_rig_scene(rig, load_config(SceneConfig, "scenes", "studio", where), where, timestep)
 

@@ -46,7 +46,7 @@ def shuffled(rng: np.random.Generator, ours: Board) -> Picture:
     """Random bits in our grid: a board of no dictionary."""
     image = board_image(ours, 16, quiet_cells=1)
     step = (ours.marker_length + ours.gap) / ours.marker_length * 128
-    for k in range(len(ours.ids)):
+    for k in range(len(ours.marker_ids)):
         row, column = divmod(k, ours.columns)
         top, left = 32 + round(row * step), 32 + round(column * step)
         image[top : top + 96, left : left + 96] = (255 * rng.integers(0, 2, (6, 6))).repeat(16, 0).repeat(16, 1)

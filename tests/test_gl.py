@@ -141,7 +141,7 @@ def test_a_real_probe_that_hangs_crashes_or_prints_junk_costs_a_message_only(mon
     ],
 )
 def test_software_is_told_by_what_opengl_calls_itself(renderer, software):
-    assert GlBackend("egl", renderer).software is software
+    assert GlBackend("egl", renderer).is_software is software
 
 
 @pytest.mark.render

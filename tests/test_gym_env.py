@@ -16,8 +16,8 @@ from tests.attempts import all_actions, planned
 from tests.programs import ONTO_PLATE, changed, first_attempt, session_of, written
 from yamsim_cli.core.config.session import Session
 from yamsim_cli.core.episode.attempt_payload import frame_records
-from yamsim_cli.core.episode.execution import demonstrate
-from yamsim_cli.core.episode.simulator import Simulator, Simulators
+from yamsim_cli.core.episode.execution import simulate_expert
+from yamsim_cli.core.episode.simulator import Simulator, SimulatorCache
 from yamsim_cli.core.errors import SimulationError
 
 gymnasium = pytest.importorskip("gymnasium", reason="yamsim[gym] is not installed")
@@ -60,12 +60,12 @@ def test_the_plans_actions_succeed_from_the_batchs_start(env: Any, config: Recor
     """A trial of the batch, replayed through the environment: the same states, success once, and a reward of 1."""
     with Simulator(Session(config, locations)) as simulator:
         done = planned(simulator, 5, 2)
-        recorded = frame_records(simulator, done.attempt, done.states)
+        recorded = frame_records(simulator, done.attempt, done.recorded_states)
     assert recorded
     observation, info = env.reset(seed=5, options={"trial": 2})
     assert (info["seed"], info["trial"], info["success"]) == (5, 2, False)
     rewards, over, tick = 0.0, False, 0
-    for state, frame in zip(done.states, recorded, strict=True):
+    for state, frame in zip(done.recorded_states, recorded, strict=True):
         np.testing.assert_allclose(observation["joints"], frame["joints"], atol=1e-5)
         np.testing.assert_allclose(observation["object_pose_world"][:3, 3], frame["banana_pose"][:3, 3], atol=1e-4)
         for ctrl, magnet in zip(state.actions.ctrl, state.actions.magnet, strict=True):
@@ -77,15 +77,15 @@ def test_the_plans_actions_succeed_from_the_batchs_start(env: Any, config: Recor
             break
     assert (rewards, over, truncated, info["success"], info["holds"]) == (1.0, True, False, True, False)
     # It holds still at first, and the arm returns afterwards.
-    released = int(np.flatnonzero(all_actions(done.states).magnet)[-1]) + 1
-    assert released + config.task.hold_ticks < tick <= sum(len(state.actions.ctrl) for state in done.states)
+    released = int(np.flatnonzero(all_actions(done.recorded_states).magnet)[-1]) + 1
+    assert released + config.task.hold_ticks < tick <= sum(len(state.actions.ctrl) for state in done.recorded_states)
 
 
 def test_two_arms_hand_over(make_config: Callable[..., RecordConfig], locations: Locations) -> None:
     config = make_config({("rig",): "russet", ("task",): "handover", ("seed",): 2})
     with Simulator(Session(config, locations)) as simulator:
-        actions = all_actions(planned(simulator, 2, 1).states)
-        drives = simulator.scene.drives.ravel()
+        actions = all_actions(planned(simulator, 2, 1).recorded_states)
+        drives = simulator.scene.recorded_drive_ctrl.ravel()
     env = gymnasium.make(ENV_ID, rig="russet", task="handover")
     assert (env.action_space.shape, env.observation_space["ee_pose_world"].shape) == ((16,), (2, 4, 4))
     observation, _ = env.reset(seed=2, options={"trial": 1})
@@ -104,17 +104,17 @@ def test_a_task_that_is_data_is_one_too(tmp_path: Path) -> None:
     """Its expert's actions, replayed through the environment, reach the goal; object poses are named by roles."""
     task = str(written(tmp_path, ONTO_PLATE))
     check(task=task)
-    with Simulators(session_of(tmp_path, ONTO_PLATE)) as simulators:
+    with SimulatorCache(session_of(tmp_path, ONTO_PLATE)) as simulators:
         simulator, attempt = first_attempt(simulators, 1)
-        done = demonstrate(simulator, attempt)
+        done = simulate_expert(simulator, attempt)
     assert done.outcome.success and attempt.layout is not None
     env = gymnasium.make(ENV_ID, task=task)
     observation, info = env.reset(seed=0, options={"trial": 1})
     for name, T in attempt.layout.T_in_world.items():
         np.testing.assert_allclose(observation[f"{name}_pose_world"], T, atol=1e-5)
     assert info["prompt"] == attempt.phrasing and info["goal"]["on(cube, plate)"] < 0
-    drives, over = simulator.scene.drives[0], False
-    for ctrl in all_actions(done.states).ctrl:
+    drives, over = simulator.scene.recorded_drive_ctrl[0], False
+    for ctrl in all_actions(done.recorded_states).ctrl:
         observation, reward, over, truncated, info = env.step(np.append(ctrl[drives], 0.0).astype(np.float32))
         assert not truncated and (over == (reward == 1.0))
         if over:

@@ -20,7 +20,7 @@ from yamsim_cli.core.episode.attempt_payload import frame_records
 from yamsim_cli.core.episode.simulator import Simulator
 from yamsim_cli.core.errors import ConfigError, SimulationError, UsageError
 from yamsim_cli.core.files.resources import Locations
-from yamsim_cli.core.geometry.se3 import inverse, pose, rotation_from_vector, rotation_vector, rotation_z
+from yamsim_cli.core.geometry.se3 import invert_pose, pose, rotation_from_vector, rotation_vector, rotation_z
 from yamsim_cli.kinematics import Kinematics, OutOfReachError, Site
 
 START = np.array([0, 1.85, 1.90, -1.37, 0, 0])
@@ -72,7 +72,7 @@ def test_poses_are_those_of_observations_and_of_physics(
     config = make_config({("rig",): "russet"})
     with Simulator(Session(config, locations)) as simulator:
         done = planned(simulator, 0)
-        frame, scene = frame_records(simulator, done.attempt, done.states[:1])[0], simulator.scene
+        frame, scene = frame_records(simulator, done.attempt, done.recorded_states[:1])[0], simulator.scene
     number = ("left", "right").index(arm)
     grasp, pinch = (Kinematics("russet", arm, site=site) for site in ("grasp_site", "pinch_site"))
     np.testing.assert_allclose(grasp.T_base_in_world, scene.arms[number].T_base_in_world)
@@ -81,7 +81,7 @@ def test_poses_are_those_of_observations_and_of_physics(
     # Datasets have poses in the left arm's base.
     np.testing.assert_allclose(T_grasp_in_world, scene.T_base_in_world @ frame["ee_pose"][number], atol=1e-5)
     # The crank's pads meet 42 mm beside its axis. Source: robot_models/i2rt_yam/yam_crank.xml.
-    between = inverse(grasp.fk(joints)) @ pinch.fk(joints)
+    between = invert_pose(grasp.fk(joints)) @ pinch.fk(joints)
     np.testing.assert_allclose(np.abs(between[:3, 3]), [0.042, 0, 0], atol=1e-9)
     np.testing.assert_allclose(between[:3, :3], np.eye(3), atol=1e-12)
 

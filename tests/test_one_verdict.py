@@ -23,9 +23,9 @@ from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.session import Session
 from yamsim_cli.core.episode.episode_rules import EndRule, EpisodeRules
-from yamsim_cli.core.episode.execution import demonstrate, run_actions
+from yamsim_cli.core.episode.execution import simulate_actions, simulate_expert
 from yamsim_cli.core.episode.sampling import sample_attempt
-from yamsim_cli.core.episode.simulator import Simulator, Simulators, open_episode
+from yamsim_cli.core.episode.simulator import Simulator, SimulatorCache, open_episode
 from yamsim_cli.core.expert.skills.program_checks import check_task_config
 from yamsim_cli.core.files.documents.yaml_document import dump_yaml, load_yaml
 from yamsim_cli.core.files.resources import Locations
@@ -131,7 +131,7 @@ class TrialCase:
 
     def actions(self, played: Played) -> ActionSequence:
         ctrl = np.zeros((len(played), self.simulator.scene.model.nu))
-        ctrl[:, self.simulator.scene.drives] = played.ctrl
+        ctrl[:, self.simulator.scene.recorded_drive_ctrl] = played.ctrl
         return ActionSequence(ctrl, played.magnet, played.ctrl)
 
     def held_ticks(self, played: Played) -> list[int]:
@@ -145,7 +145,7 @@ class TrialCase:
 
 def by_repeat(case: TrialCase, played: Played, end: End, folder: Path) -> Verdict:
     rules = EpisodeRules(EndRule(end), max_ticks=case.limit)
-    done = run_actions(case.simulator, case.attempt, case.actions(played), rules)
+    done = simulate_actions(case.simulator, case.attempt, case.actions(played), rules)
     assert done.result is not None and done.outcome.success == done.result.success
     return Verdict(done.outcome.success, done.result.end.tick)
 
@@ -239,13 +239,13 @@ def by_teleop(case: TrialCase, played: Played, end: End, folder: Path) -> Verdic
     """By a teleoperated recording, which the task's time limit does not end."""
     tray = CollectingReceiver()
     driven = TeleopScene(case.session, tray, end=EndRule(end))
-    driven.start()
+    driven.start_recording()
     driven.attempt_scene.arms = tuple(PlayedArm(played, k) for k in range(played.ctrl.shape[1]))  # type: ignore[assignment]
     for _ in range(len(played)):
         if not tray.attempts:
-            driven.tick()
+            driven.advance_tick()
     if not tray.attempts:
-        driven.stop()
+        driven.stop_recording()
         driven.settle()
         return Verdict(tray.attempts[0].outcome.success, case.limit)
     (handed_in,) = tray.attempts
@@ -310,15 +310,15 @@ def case(
     name, rig = request.param
     folder = tmp_path_factory.mktemp(name)
     _, session = opened(name, rig, folder, locations)
-    with Simulators(session) as simulators:
+    with SimulatorCache(session) as simulators:
         simulator = simulators.get(JOB)
-        done = demonstrate(simulator, sample_attempt(simulator, JOB))
+        done = simulate_expert(simulator, sample_attempt(simulator, JOB))
         assert done.outcome.success, done.outcome
-        base = rounded(all_actions(done.states), simulator.scene.drives)
+        base = rounded(all_actions(done.recorded_states), simulator.scene.recorded_drive_ctrl)
     limit = 2 * len(base) + SPARE_TICKS
     file, session = opened(name, rig, folder, locations, limit)
     assert session.config.task.max_ticks == limit
-    with Simulators(session) as simulators:
+    with SimulatorCache(session) as simulators:
         simulator = simulators.get(JOB)
         yield TrialCase(file, session, simulator, sample_attempt(simulator, JOB), base, limit)
 
@@ -377,7 +377,9 @@ def test_a_success_at_the_last_moment_and_one_a_tick_too_late(case: TrialCase, t
 
     @functools.cache
     def reached(waits: tuple[int, int]) -> int | None:
-        done = run_actions(case.simulator, case.attempt, case.actions(waiting(*waits)), EpisodeRules(EndRule.SUCCESS))
+        done = simulate_actions(
+            case.simulator, case.attempt, case.actions(waiting(*waits)), EpisodeRules(EndRule.SUCCESS)
+        )
         return done.result.end.tick if done.result and done.outcome.success else None
 
     # After a wait, in which objects settle further, the goal may be reached a little sooner or later.

@@ -59,12 +59,12 @@ def made_again(station: Station, end: Literal["actor", "success"]) -> None:
     rows = station.begin_demonstrated(seed=3, trial=1)
     with Simulator(
         Session(
-            API_SESSION_OPENER.config("default", API_SESSION_OPENER.locations(), **JOINTS.given),
-            API_SESSION_OPENER.locations(),
+            API_SESSION_OPENER.load_record_config("default", API_SESSION_OPENER.find_locations(), **JOINTS.given),
+            API_SESSION_OPENER.find_locations(),
         )
     ) as one:
         done = planned(one, 3, station.trial)
-        recorded = frame_records(one, done.attempt, done.states)
+        recorded = frame_records(one, done.attempt, done.recorded_states)
     assert len(rows) == len(recorded)
     reached = False
     for row, frame in zip(rows, recorded, strict=True):

@@ -16,7 +16,7 @@ from yamsim_cli.core.config.scene import SceneConfig
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.geometry.board import Board
 from yamsim_cli.core.geometry.camera import CameraModel, opencv_from_mujoco
-from yamsim_cli.core.geometry.se3 import Array, inverse, pose, quat_from_rotation
+from yamsim_cli.core.geometry.se3 import Array, invert_pose, pose, quat_from_rotation
 from yamsim_cli.core.rendering.renderer import SceneRenderer
 from yamsim_cli.core.scene.blueprint import Blueprint
 from yamsim_cli.core.scene.compilation import compile_spec
@@ -24,7 +24,7 @@ from yamsim_cli.photos.lens_distortion import LensWarp, project_points
 from yamsim_cli.viewers.show.compose import compose_at_home
 
 # Camera of the checks.
-CAMERA = CameraModel.pinhole(640, 480, 600.0)
+CAMERA = CameraModel.from_focal_length(640, 480, 600.0)
 BLUR, NOISE = 0.6, 2.0
 
 _FINER = 4
@@ -66,7 +66,7 @@ class Photographer:
         self._renderer = SceneRenderer(self._model, size)
         self.boards = [
             PlacedBoard(
-                arm.board.board,
+                arm.board.board_in_metres,
                 self.rig.T_base_in_world(k) @ arm.T_board_in_base,
                 self._model.geom(f"{arm.prefix}base_board").id,
             )
@@ -85,7 +85,7 @@ class Photographer:
         placed = self.boards[which]
         half_x, half_y = placed.board.width / 2, placed.board.height / 2
         corners = np.array([[-half_x, half_y, 0], [half_x, half_y, 0], [half_x, -half_y, 0], [-half_x, -half_y, 0]])
-        T = inverse(T_cam_in_world) @ placed.T_in_world
+        T = invert_pose(T_cam_in_world) @ placed.T_in_world
         in_cam = corners @ T[:3, :3].T + T[:3, 3]
         if (in_cam[:, 2] < 0.05).any() or T[:3, 2] @ T[:3, 3] > 0:
             return False
@@ -118,7 +118,7 @@ class Photographer:
 
     def take(self) -> np.ndarray:
         """The picture as RGB (height, width, 3), without blur and noise."""
-        return self._warp.image(self._renderer.render(self._data, "photo"))
+        return self._warp.distort_picture(self._renderer.render(self._data, "photo"))
 
     def close(self) -> None:
         self._renderer.close()
@@ -210,7 +210,7 @@ def covered(
     """The picture with some of a board's markers (places in `board.ids`) and half the gap around them painted over."""
     result = image.copy()
     grow = (board.marker_length + board.gap) / board.marker_length
-    for quad in board.corners()[markers]:
+    for quad in board.marker_corners()[markers]:
         quad = quad.mean(axis=0) + (quad - quad.mean(axis=0)) * grow
         pixels = project_points(camera, quad @ T_board_in_cam[:3, :3].T + T_board_in_cam[:3, 3])
         colour = (120,) * (1 if image.ndim == 2 else 3)

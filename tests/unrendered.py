@@ -15,7 +15,7 @@ from tests.attempts import planned
 from yamsim_cli.core.attempt_data import AttemptPayload
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.session import Session
-from yamsim_cli.core.dataset.dataset_paths import CONFIG, EPISODE, episode_name, image_path, lowdim_path
+from yamsim_cli.core.dataset.dataset_paths import CONFIG_FILE, EPISODE_FILE, episode_name, image_path, lowdim_path
 from yamsim_cli.core.dataset.lowdim import content_hash, dump_frame, load_frame
 from yamsim_cli.core.dataset.records import to_json
 from yamsim_cli.core.episode.attempt_payload import frame_records, library_versions
@@ -45,12 +45,12 @@ def write_dataset(
     frame, `others` further files.
     """
     path.mkdir()
-    (path / CONFIG).write_text(dump_yaml(config.data_config()))
+    (path / CONFIG_FILE).write_text(dump_yaml(config.data_config()))
     with Simulator(Session(config, locations)) as simulator:
         for number in range(episodes):
             done = planned(simulator, config.seed, number)
             assert done.outcome.success
-            made = frame_records(simulator, done.attempt, done.states)
+            made = frame_records(simulator, done.attempt, done.recorded_states)
             files = {lowdim_path(k): dump_frame(frame) for k, frame in enumerate(made)}
             cameras = simulator.scene.cameras
             for camera, k in itertools.product(cameras, range(len(made))):
@@ -64,13 +64,13 @@ def write_dataset(
             for name, data in files.items():
                 (path / episode_name(number) / name).parent.mkdir(parents=True, exist_ok=True)
                 (path / episode_name(number) / name).write_bytes(data)
-            (path / episode_name(number) / EPISODE).write_bytes(to_json(record))
+            (path / episode_name(number) / EPISODE_FILE).write_bytes(to_json(record))
 
 
 def change_record(directory: Path, **changes: Any) -> None:
     """Write other values into an episode's record."""
-    record = json.loads((directory / EPISODE).read_text())
-    (directory / EPISODE).write_text(json.dumps(record | changes))
+    record = json.loads((directory / EPISODE_FILE).read_text())
+    (directory / EPISODE_FILE).write_text(json.dumps(record | changes))
 
 
 def change_frame(directory: Path, number: int, *, rehash: bool, **changes: Any) -> None:
@@ -80,13 +80,13 @@ def change_frame(directory: Path, number: int, *, rehash: bool, **changes: Any) 
     data = dump_frame({key: value for key, value in frame.items() if value is not None})
     (directory / name).write_bytes(data)
     if rehash:
-        files = json.loads((directory / EPISODE).read_text())["files"]
+        files = json.loads((directory / EPISODE_FILE).read_text())["files"]
         change_record(directory, files=files | {name: sha256_bytes(data)})
 
 
 def frame_count(directory: Path) -> int:
     """Number of frames in an episode's record."""
-    return int(json.loads((directory / EPISODE).read_text())["frames"])
+    return int(json.loads((directory / EPISODE_FILE).read_text())["frames"])
 
 
 def read_frame(directory: Path, number: int) -> dict[str, Any]:

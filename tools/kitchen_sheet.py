@@ -24,26 +24,26 @@ _FILE = Path(__file__).resolve().parents[1] / "docs" / "kitchen.png"
 def main() -> None:
     """Draw, write and print."""
     opener = SessionOpener(os.environ, lambda text: print(text, file=sys.stderr), str)
-    where = opener.use_gl(opener.locations())
+    where = opener.use_gl(opener.find_locations())
     # After the choice of a backend.
     import mujoco
 
     from yamsim_cli.core.rendering.renderer import SceneRenderer
     from yamsim_cli.objects.certify.tested_object import (
+        add_view_camera,
         compile_or_raise,
         object_on_ground_spec,
         read_tested_object,
-        with_camera,
     )
 
     tiles = []
     for name in (name for name in where.config_names("objects") if name.startswith("kitchen_")):
         item = load_config(ObjectConfig, "objects", name, where)
         looked = read_tested_object(item, {}, where)
-        points = looked.surface[0]
+        points = looked.merged_visual_surface[0]
         low, high = points.min(axis=0), points.max(axis=0)
         size = float(np.linalg.norm(high - low))
-        spec = with_camera(object_on_ground_spec(looked), (low + high) / 2, 0.92 * size)
+        spec = add_view_camera(object_on_ground_spec(looked), (low + high) / 2, 0.92 * size)
         spec.visual.global_.offwidth, spec.visual.global_.offheight = _FINE
         model = compile_or_raise(spec)
         data = mujoco.MjData(model)

@@ -36,7 +36,7 @@ def _russet(opener: SessionOpener, where: Locations) -> np.ndarray:
 
     scene = load_config(SceneConfig, "scenes", "studio", where)
     quality = load_config(RenderConfig, "quality", "high", where)
-    blueprint = Blueprint(opener.rig("russet", where, None, None), scene)
+    blueprint = Blueprint(opener.load_rig("russet", where, None, None), scene)
     where = opener.with_mesh_folders(where, visual_mesh_sets(blueprint), quality)
     return render_views(set_up_views(blueprint, where, quality, (720, 480)))["front.png"]
 
@@ -61,7 +61,7 @@ def _finray(opener: SessionOpener, where: Locations) -> np.ndarray:
     moment = 0.45  # the share of the attempt after which the ball is a little above the table
     session = _session(opener, where, **given)
     with first_success(session) as (simulator, done):
-        simulator.state_replay.set_state(done.states[round(moment * (len(done.states) - 1))].qpos)
+        simulator.state_replay.set_state(done.recorded_states[round(moment * (len(done.recorded_states) - 1))].qpos)
         x, y, z = map(float, simulator.state_replay.data.body("tennis_ball").xpos)
     near = FixedCamera(position=(x + 0.15, y - 0.29, z + 0.07), look_at=(x, y, z + 0.03), fovy_deg=35)
     scene = session.config.scene.model_copy(update={"scene_camera": near})
@@ -81,7 +81,7 @@ def _fold_napkin(opener: SessionOpener, where: Locations) -> np.ndarray:
 
 
 def _session(opener: SessionOpener, where: Locations, **given: Any) -> Session:
-    return opener.with_meshes(Session(opener.config("default", where, quality="high", **given), where))
+    return opener.with_meshes(Session(opener.load_record_config("default", where, quality="high", **given), where))
 
 
 def _grid(rows: Sequence[Sequence[np.ndarray]], gap: int) -> np.ndarray:
@@ -105,7 +105,7 @@ def main(names: list[str]) -> None:
     """Draw and write."""
     opener = SessionOpener(os.environ, lambda text: print(text, file=sys.stderr), str)
     # What draws is settled before anything imports MuJoCo.
-    where = opener.use_gl(opener.locations())
+    where = opener.use_gl(opener.find_locations())
     from yamsim_cli.core.images.jpeg import encode_jpeg
 
     for name, draw in _DRAWN.items():

@@ -14,7 +14,7 @@ from typing import Any
 
 import typer
 
-from yamsim_cli.core.config.loader import KINDS
+from yamsim_cli.core.config.loader import CONFIG_KINDS
 from yamsim_cli.main import app
 
 PAGES = Path(__file__).resolve().parents[1] / "docs" / "reference"
@@ -90,13 +90,13 @@ def configs_page() -> str:
         "A config is a YAML file in `configs/KIND/`, or one of yours. Keys with a unit in their name are in that unit; "
         "all others are in metres, radians, seconds and newtons. `yamsim config schema KIND` prints the JSON schema.\n",
     ]
-    for kind, model in KINDS.items():
+    for kind, model in CONFIG_KINDS.items():
         schema = model.model_json_schema(by_alias=False)
         parts.append(f"\n## {kind}\n\n")
         parts.append(_model(schema, inspect.cleandoc(model.__doc__ or "")))
     shared: dict[str, Mapping[str, Any]] = {}
-    top = {model.__name__ for model in KINDS.values()}
-    for model in KINDS.values():
+    top = {model.__name__ for model in CONFIG_KINDS.values()}
+    for model in CONFIG_KINDS.values():
         for name, schema in model.model_json_schema().get("$defs", {}).items():
             if name not in top:
                 shared.setdefault(name, schema)
@@ -173,7 +173,7 @@ def _bounds(value: Mapping[str, Any]) -> str:
 
 
 def _anchor(name: str) -> str:
-    kinds = {model.__name__: kind for kind, model in KINDS.items()}
+    kinds = {model.__name__: kind for kind, model in CONFIG_KINDS.items()}
     return f"#{kinds.get(name, name).lower()}"
 
 

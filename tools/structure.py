@@ -73,8 +73,8 @@ def _episode() -> Callable[[], object]:
 
     def record(number: int) -> None:
         payload = runner.run(AttemptJob(0, number))
-        writer.publish(episode_record(session.config, payload, number), payload.files)
-        writer.log(attempt_record(payload, number))
+        writer.publish_episode(episode_record(session.config, payload, number), payload.files)
+        writer.log_attempt(attempt_record(payload, number))
 
     record(0)
     return lambda: record(1)
@@ -91,7 +91,7 @@ def _photo() -> Callable[[], object]:
     from yamsim_cli.core.files.resources import Locations
     from yamsim_cli.main import main as command_line
 
-    folder, locations = Path(tempfile.mkdtemp()), Locations.find(os.environ)
+    folder, locations = Path(tempfile.mkdtemp()), Locations.from_environment(os.environ)
     with RigPhotographer(load_config(RigConfig, "rigs", "russet", locations), locations, CAMERA) as photographer:
         photo = photographer.shoot(looking((-0.5, 0.3, 0.7), (0.2, -0.3, 0.1)), JOINTS)
     cv2.imwrite(str(folder / "photo.png"), photo.image[..., ::-1])

@@ -36,11 +36,11 @@ def main(names: list[str]) -> None:
     """Draw and write."""
     opener = SessionOpener(os.environ, lambda text: print(text, file=sys.stderr), str)
     # What draws is settled before anything imports MuJoCo.
-    where = opener.use_gl(opener.locations())
+    where = opener.use_gl(opener.find_locations())
     from yamsim_cli.core.config.recording import SCENE_CAMERA
 
     for name in names or sorted(file.stem for file in _FOLDER.glob("*.png")):
-        config = opener.config("default", where, task=name, size=_SIZE, quality="high")
+        config = opener.load_record_config("default", where, task=name, size=_SIZE, quality="high")
         with first_success(opener.with_meshes(Session(config, where))) as success:
             seen = [of[SCENE_CAMERA][_ROWS, _COLUMNS] for of in pictures(*success, (0, 0.5, 1), (SCENE_CAMERA,))]
         file = _FOLDER / f"{name}.png"
@@ -52,14 +52,14 @@ def main(names: list[str]) -> None:
 def first_success(session: Session) -> Iterator[tuple[Simulator, SimulatedAttempt]]:
     """Return the first success of seed 0, with its simulator."""
     from yamsim_cli.core.attempt_data import AttemptJob
-    from yamsim_cli.core.episode.execution import demonstrate
+    from yamsim_cli.core.episode.execution import simulate_expert
     from yamsim_cli.core.episode.sampling import sample_attempt
-    from yamsim_cli.core.episode.simulator import Simulators
+    from yamsim_cli.core.episode.simulator import SimulatorCache
 
-    with Simulators(session) as simulators:
+    with SimulatorCache(session) as simulators:
         for job in (AttemptJob(0, number) for number in range(_TRIES)):
             simulator = simulators.get(job)
-            done = demonstrate(simulator, sample_attempt(simulator, job))
+            done = simulate_expert(simulator, sample_attempt(simulator, job))
             if done.outcome.success:
                 yield simulator, done
                 return
@@ -76,7 +76,7 @@ def pictures(
     """
     from yamsim_cli.core.episode.attempt_payload import render_cameras
 
-    shown = [done.states[round(moment * (len(done.states) - 1))].qpos for moment in moments]
+    shown = [done.recorded_states[round(moment * (len(done.recorded_states) - 1))].qpos for moment in moments]
     return [render_cameras(simulator, done.attempt, qpos, cameras) for qpos in shown]
 
 

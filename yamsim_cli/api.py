@@ -20,13 +20,13 @@ if TYPE_CHECKING:
     from .recording.recorder import RecordReport
 
 
-def _keyword(setting: str) -> str:
+def _keyword_label(setting: str) -> str:
     return f"{setting}="
 
 
 # For Python programs: error messages name keywords, and warnings go to the logger `yamsim`.
 API_SESSION_OPENER = SessionOpener(
-    os.environ, logging.getLogger("yamsim").warning, _keyword, import_if_file, resolve_scene_task
+    os.environ, logging.getLogger("yamsim").warning, _keyword_label, import_if_file, resolve_scene_task
 )
 
 

@@ -23,8 +23,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .core.closable import Closable
-from .core.errors import ResourceError, UsageError, suggest
-from .real.serve.socket_servers import CAMERA_SOCKET, default_folder
+from .core.errors import ResourceError, UsageError, suggest_similar
+from .real.serve.socket_servers import CAMERA_SOCKET, default_socket_folder
 
 __all__ = ["CameraForm", "CameraReader", "Picture", "served_cameras"]
 
@@ -77,7 +77,7 @@ class CameraReader(Closable):
         self._connection: _CameraConnection | None = None
         forms = served_cameras(folder, timeout)
         if camera not in forms:
-            raise UsageError(f"there is no camera {camera!r}; {suggest(camera, forms)}")
+            raise UsageError(f"there is no camera {camera!r}; {suggest_similar(camera, forms)}")
         self.camera, self.form = camera, forms[camera]
 
     def read(self, after: int = -1, timeout: float | None = None) -> Picture:
@@ -150,19 +150,19 @@ def served_cameras(folder: str | Path | None = None, timeout: float = 5.0) -> di
         connection.close()
 
 
-def _path(folder: str | Path | None) -> Path:
-    return (default_folder(os.environ) if folder is None else Path(folder)) / CAMERA_SOCKET
+def _camera_socket_path(folder: str | Path | None) -> Path:
+    return (default_socket_folder(os.environ) if folder is None else Path(folder)) / CAMERA_SOCKET
 
 
 def _invalid_answer(folder: str | Path | None) -> ResourceError:
-    return ResourceError(f"{_path(folder)}: the server there is not a serve-robot of this version")
+    return ResourceError(f"{_camera_socket_path(folder)}: the server there is not a serve-robot of this version")
 
 
 class _CameraConnection:
     """Socket connection to the camera server; see `real.serve.cameras` for the protocol."""
 
     def __init__(self, folder: str | Path | None) -> None:
-        self.path = _path(folder)
+        self.path = _camera_socket_path(folder)
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         try:
             self._socket.connect(str(self.path))

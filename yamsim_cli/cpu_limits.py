@@ -14,9 +14,9 @@ def usable_cores() -> int:
     """Return the number of cores that this process may use, by CPU affinity and a container's quota."""
     granted = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     quotas = []
-    for group in _groups():
+    for group in _control_groups():
         # Source: Linux's cgroup-v2.rst, cpu.max: "$MAX $PERIOD", or "max" for no limit.
-        quota, _, period = _read(group / "cpu.max").partition(" ")
+        quota, _, period = _read_if_present(group / "cpu.max").partition(" ")
         if quota.isdecimal() and period.strip().isdecimal():
             quotas.append(int(quota) / int(period))
     return max(1, int(min([granted, *quotas])))
@@ -25,19 +25,19 @@ def usable_cores() -> int:
 def usable_memory() -> int | None:
     """Return the bytes that this process may still allocate; None if unknown."""
     left = []
-    for line in _read(MEMINFO).splitlines():
+    for line in _read_if_present(MEMINFO).splitlines():
         if line.startswith("MemAvailable:"):
             left.append(int(line.split()[1]) * 1024)
-    for group in _groups():
-        limit, used = _read(group / "memory.max").strip(), _read(group / "memory.current").strip()
+    for group in _control_groups():
+        limit, used = _read_if_present(group / "memory.max").strip(), _read_if_present(group / "memory.current").strip()
         if limit.isdecimal() and used.isdecimal():
             left.append(max(0, int(limit) - int(used)))
     return min(left, default=None)
 
 
-def _groups() -> list[Path]:
+def _control_groups() -> list[Path]:
     """Return the control group of this process and its parents, whose limits apply too."""
-    for line in _read(MEMBERSHIP).splitlines():
+    for line in _read_if_present(MEMBERSHIP).splitlines():
         # Source: Linux's cgroup-v2.rst: the unified hierarchy's line is "0::$PATH".
         if line.startswith("0::"):
             own = PurePosixPath(line[3:].strip().lstrip("/"))
@@ -45,7 +45,7 @@ def _groups() -> list[Path]:
     return []
 
 
-def _read(file: Path) -> str:
+def _read_if_present(file: Path) -> str:
     try:
         return file.read_text()
     except OSError:

@@ -85,15 +85,21 @@ def run_health_checks(
 ) -> list[HealthCheck]:
     """Run all checks. The machine is left unchanged, and every wait has a time limit. `out` need not exist."""
     checks: list[HealthCheck] = []
-    for part in (_packages(), _gl(environ), _meshes(locations), _disk(out), _workers()):
+    for part in (
+        _check_packages(),
+        _check_gl(environ),
+        _check_meshes(locations),
+        _check_disk(out),
+        _check_worker_capacity(),
+    ):
         for check in part:
             checks.append(check)
             on_check(check)
     return checks
 
 
-def _packages() -> Iterator[HealthCheck]:
-    found = {name: _version(name) for name in PACKAGES}
+def _check_packages() -> Iterator[HealthCheck]:
+    found = {name: _installed_version(name) for name in PACKAGES}
     text = ", ".join(f"{name} {there}" for name, there in found.items() if there)
     detail = f"yamsim {__version__}, Python {platform.python_version()}, {text}"
     missing = [name for name, there in found.items() if there is None]
@@ -104,19 +110,19 @@ def _packages() -> Iterator[HealthCheck]:
     else:
         yield HealthCheck("packages", Health.OK, detail)
     for extra, (package, purpose) in EXTRAS.items():
-        there = _version(package)
+        there = _installed_version(package)
         state = f"{package} {there}" if there else f"not installed: {purpose}"
         yield HealthCheck(f"extra.{extra}", Health.OK, state, "" if there else f"pip install 'yamsim[{extra}]'")
 
 
-def _version(package: str) -> str | None:
+def _installed_version(package: str) -> str | None:
     try:
         return version(package)
     except PackageNotFoundError:
         return None
 
 
-def _gl(environ: Mapping[str, str]) -> Iterator[HealthCheck]:
+def _check_gl(environ: Mapping[str, str]) -> Iterator[HealthCheck]:
     wanted = environ.get("MUJOCO_GL")
     names = dict.fromkeys([*([wanted] if wanted else []), *LINUX_BACKENDS])
     found: dict[str, GlBackend | str] = {}
@@ -125,17 +131,17 @@ def _gl(environ: Mapping[str, str]) -> Iterator[HealthCheck]:
         found[name] = backend = probe_backend(name, environ)
         seconds = time.monotonic() - began
         if isinstance(backend, GlBackend):
-            kind = "software" if backend.software else "GPU"
+            kind = "software" if backend.is_software else "GPU"
             detail = f"works: {backend.renderer} ({kind}), started in {seconds:.1f} s"
             yield HealthCheck(f"gl.{name}", Health.OK, detail, figures={"start_s": seconds})
         else:
             others = any(isinstance(other, GlBackend) for other in found.values())
             health = Health.OK if others and name != wanted else Health.WARNING
             yield HealthCheck(f"gl.{name}", health, f"does not work: {backend}", figures={"start_s": seconds})
-    yield _chosen_gl(wanted, found)
+    yield _check_chosen_gl(wanted, found)
 
 
-def _chosen_gl(wanted: str | None, found: Mapping[str, GlBackend | str]) -> HealthCheck:
+def _check_chosen_gl(wanted: str | None, found: Mapping[str, GlBackend | str]) -> HealthCheck:
     working = [backend for backend in found.values() if isinstance(backend, GlBackend)]
     if wanted and not isinstance(found[wanted], GlBackend):
         detail = f"MUJOCO_GL={wanted} is set but does not work; yamsim tries no other backend while it is set"
@@ -145,17 +151,17 @@ def _chosen_gl(wanted: str | None, found: Mapping[str, GlBackend | str]) -> Heal
     chosen = found[wanted] if wanted else working[0]
     assert isinstance(chosen, GlBackend)
     gpu = next((device for device in GPUS if Path(device).exists()), None)
-    if chosen.software and gpu:
+    if chosen.is_software and gpu:
         fix = (
             "install the EGL part of the GPU's driver (libnvidia-gl, or libegl-mesa0), and in a container enable it "
             "(NVIDIA_DRIVER_CAPABILITIES=all)"
         )
         return HealthCheck("gl", Health.WARNING, f"{gpu} is there, but {chosen.renderer} renders, without a GPU", fix)
-    quality = "balanced" if chosen.software else "high"
+    quality = "balanced" if chosen.is_software else "high"
     return HealthCheck("gl", Health.OK, f"MUJOCO_GL={chosen.name} will be used; --quality auto is {quality}")
 
 
-def _meshes(locations: Locations) -> Iterator[HealthCheck]:
+def _check_meshes(locations: Locations) -> Iterator[HealthCheck]:
     try:
         lock, store = load_lock(locations), AssetStore(locations.assets)
     except YamsimError as error:
@@ -163,7 +169,7 @@ def _meshes(locations: Locations) -> Iterator[HealthCheck]:
         return
     for assets in lock.sets.values():
         name = f"meshes.{assets.name}"
-        states = store.status(assets)
+        states = store.file_states(assets)
         bad = [state for state in states if state.status is not FileStatus.OK]
         changed = [state.name for state in bad if state.status is FileStatus.CHANGED]
         if changed:
@@ -176,10 +182,10 @@ def _meshes(locations: Locations) -> Iterator[HealthCheck]:
             detail = f"{len(bad)} of {len(states)} files are not in {locations.assets}: primitives are shown instead"
             yield HealthCheck(name, Health.WARNING, detail, "yamsim assets fetch")
         else:
-            yield _reduced(name, f"{len(states)} files, all with the right hash", store, assets)
+            yield _check_reduced_meshes(name, f"{len(states)} files, all with the right hash", store, assets)
 
 
-def _reduced(name: str, detail: str, store: AssetStore, assets: AssetSet) -> HealthCheck:
+def _check_reduced_meshes(name: str, detail: str, store: AssetStore, assets: AssetSet) -> HealthCheck:
     try:
         reduced = find_reduced(store, assets)
     except ResourceError as error:
@@ -192,7 +198,7 @@ def _reduced(name: str, detail: str, store: AssetStore, assets: AssetSet) -> Hea
     return HealthCheck(name, Health.OK, f"{detail}; reduced from {reduced.source_faces} faces to {reduced.faces}")
 
 
-def _disk(out: Path) -> Iterator[HealthCheck]:
+def _check_disk(out: Path) -> Iterator[HealthCheck]:
     mount = network_mount(out, read_mounts())
     if mount is not None:
         # Do not access the mount: a file server that does not respond would block this process forever.
@@ -245,7 +251,7 @@ def write_episodes(place: Path) -> float:
     return worst
 
 
-def _workers() -> Iterator[HealthCheck]:
+def _check_worker_capacity() -> Iterator[HealthCheck]:
     cores, memory = usable_cores(), usable_memory()
     fit = cores if memory is None else (memory - _RECORDER_BYTES) // _WORKER_BYTES
     best = max(1, min(cores, fit))

@@ -17,7 +17,7 @@ from .core.errors import ResourceError
 LINUX_BACKENDS = ("egl", "osmesa")  # EGL finds a GPU or Mesa's software renderer; newer Mesa has no OSMesa
 PROBE_SECONDS = 60.0  # s, time limit of the test of a backend
 # Renderer names of OpenGL implementations that use no GPU: Mesa's llvmpipe, softpipe, lavapipe and swrast, and others.
-_SOFTWARE = re.compile("llvmpipe|softpipe|lavapipe|swrast|software|swiftshader", re.IGNORECASE)
+_SOFTWARE_RENDERER = re.compile("llvmpipe|softpipe|lavapipe|swrast|software|swiftshader", re.IGNORECASE)
 # Python program that tests a backend. It reads a rendered image back, since some backends render nothing.
 PROBE = """
 import mujoco
@@ -52,9 +52,9 @@ class GlBackend:
     renderer: str = ""
 
     @property
-    def software(self) -> bool:
+    def is_software(self) -> bool:
         """Whether the backend is known to render without a GPU."""
-        return _SOFTWARE.search(self.renderer) is not None
+        return _SOFTWARE_RENDERER.search(self.renderer) is not None
 
 
 def find_backend(environ: Mapping[str, str], platform: str = sys.platform) -> GlBackend:

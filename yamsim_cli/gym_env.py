@@ -80,8 +80,8 @@ class PickPlaceEnv(gymnasium.Env[dict[str, NDArray[Any]], NDArray[np.float32]]):
             session = API_SESSION_OPENER.open(config, parallel=False, **given)
         else:
             # Neither set up nor disable OpenGL: another environment of this process may render.
-            where = API_SESSION_OPENER.locations()
-            session = Session(API_SESSION_OPENER.config(config, where, **given), where)
+            where = API_SESSION_OPENER.find_locations()
+            session = Session(API_SESSION_OPENER.load_record_config(config, where, **given), where)
 
         from .core.episode.episode_rules import EndRule
         from .policies.evaluate.observation import policy_cameras
@@ -94,38 +94,43 @@ class PickPlaceEnv(gymnasium.Env[dict[str, NDArray[Any]], NDArray[np.float32]]):
         self._begun = False
         scene = self._task.simulator.scene
         welds = np.tile((0.0, 1.0), (len(scene.arms), 1))
-        low, high = np.concatenate([scene.model.actuator_ctrlrange[scene.drives.ravel()], welds]).T
+        low, high = np.concatenate([scene.model.actuator_ctrlrange[scene.recorded_drive_ctrl.ravel()], welds]).T
         self.action_space = spaces.Box(low.astype(np.float32), high.astype(np.float32))
         self.observation_space: spaces.Space[Any] = self._observation_space(size)
 
     def _observation_space(self, size: tuple[int, int]) -> spaces.Dict:
-        def numbers(*shape: int) -> spaces.Box:
+        def unbounded_box(*shape: int) -> spaces.Box:
             return spaces.Box(-_BOUND, _BOUND, shape, np.float32)
 
-        arms, drives = self._task.simulator.scene.drives.shape
+        arms, drives = self._task.simulator.scene.recorded_drive_ctrl.shape
         hands = (4, 4) if arms == 1 else (arms, 4, 4)
-        parts: dict[str, spaces.Space[Any]] = {"joints": numbers(drives * arms), "ee_pose_world": numbers(*hands)}
+        parts: dict[str, spaces.Space[Any]] = {
+            "joints": unbounded_box(drives * arms),
+            "ee_pose_world": unbounded_box(*hands),
+        }
         if self._images:
             parts |= {key: spaces.Box(0, 255, (size[1], size[0], 3), np.uint8) for key in self._cameras}
         else:
-            parts |= {key: numbers(4, 4) for key in self._poses()}
-            parts |= {key: numbers(count) for key, (_, count) in self._parts().items()}
+            parts |= {key: unbounded_box(4, 4) for key in self._objects_by_pose_key()}
+            parts |= {key: unbounded_box(count) for key, (_, count) in self._objects_by_joints_key().items()}
         return spaces.Dict(parts)
 
-    def _poses(self) -> dict[str, str]:
-        return {f"{role}_pose_world": item for role, item in self._roles().items()}
+    def _objects_by_pose_key(self) -> dict[str, str]:
+        return {f"{role}_pose_world": item for role, item in self._objects_by_observed_name().items()}
 
-    def _parts(self) -> dict[str, tuple[str, int]]:
+    def _objects_by_joints_key(self) -> dict[str, tuple[str, int]]:
         """Return observation key -> object whose joints it has, and the maximum number of joints."""
         task = self._config.task
         roles = task.typical_roles
         most = {role: max(len(item.links) for item in one.of) for role, one in task.things.items()}
         of_role = {item: role for role in most for item in roles.objects_of(role)}
         return {
-            f"{name}_joints": (item, most[of_role[item]]) for name, item in self._roles().items() if most[of_role[item]]
+            f"{name}_joints": (item, most[of_role[item]])
+            for name, item in self._objects_by_observed_name().items()
+            if most[of_role[item]]
         }
 
-    def _roles(self) -> dict[str, str]:
+    def _objects_by_observed_name(self) -> dict[str, str]:
         """Return name in observations -> object name. The former is the role, or the object if it shares its role."""
         objects = self._config.task.typical_roles.objects_by_role
         return {role if len(names) == 1 else name: name for role, names in objects.items() for name in names}
@@ -144,21 +149,21 @@ class PickPlaceEnv(gymnasium.Env[dict[str, NDArray[Any]], NDArray[np.float32]]):
         else:
             before = self._task.attempt.job
             job = AttemptJob(before.seed, before.attempt + 1 if trial is None else int(trial))
-        self._task.begin(job)
+        self._task.begin_trial(job)
         self._begun = True
-        return self._observe(), self._info()
+        return self._observe(), self._step_info()
 
     def step(self, action: NDArray[np.float32]) -> tuple[dict[str, NDArray[Any]], float, bool, bool, dict[str, Any]]:
         """Simulate one control tick with an action. Return observation, reward, terminated, truncated and info."""
         values = np.asarray(action, dtype=np.float64)
-        drives = self._task.simulator.scene.drives
+        drives = self._task.simulator.scene.recorded_drive_ctrl
         if values.shape != self.action_space.shape or not np.isfinite(values).all():
             count = drives.size + len(drives)
             raise ValueError(f"an action is {count} finite numbers, not {values.shape} {values}")
         self._task.episode.step(values[: drives.size].reshape(drives.shape), values[drives.size :] > 0.5)
-        success, end = self._task.succeeded, self._task.episode.end
+        success, end = self._task.is_successful, self._task.episode.end
         terminated = end is not None and not self._task.out_of_time
-        return self._observe(), float(success), terminated, self._task.out_of_time, self._info(success)
+        return self._observe(), float(success), terminated, self._task.out_of_time, self._step_info(success)
 
     def render(self) -> Any:
         """Return the image (height, width, 3) of the scene camera in the mode "rgb_array", else None."""
@@ -178,11 +183,14 @@ class PickPlaceEnv(gymnasium.Env[dict[str, NDArray[Any]], NDArray[np.float32]]):
         replica, T_base = simulator.state_replay, simulator.scene.T_base_in_world
         replica.set_state(episode.data.qpos)
         hands = squeeze_single_arm(T_base @ replica.T_grasp_in_base())
-        seen: dict[str, Any] = {"joints": episode.readings(self._task.attempt.job).ravel(), "ee_pose_world": hands}
+        seen: dict[str, Any] = {
+            "joints": episode.simulated_encoder_readings(self._task.attempt.job).ravel(),
+            "ee_pose_world": hands,
+        }
         if not self._images:
-            seen |= {key: T_base @ replica.T_object_in_base(name) for key, name in self._poses().items()}
+            seen |= {key: T_base @ replica.T_object_in_base(name) for key, name in self._objects_by_pose_key().items()}
             items = {item.name: item for item in simulator.config.task.objects}
-            for key, (name, count) in self._parts().items():
+            for key, (name, count) in self._objects_by_joints_key().items():
                 joints = replica.object_joints(items[name])
                 seen[key] = np.pad(joints, (0, count - len(joints)))
         numbers = {key: np.clip(value, -_BOUND, _BOUND).astype(np.float32) for key, value in seen.items()}
@@ -191,13 +199,13 @@ class PickPlaceEnv(gymnasium.Env[dict[str, NDArray[Any]], NDArray[np.float32]]):
         images = self._task.render(tuple(self._cameras.values()))
         return numbers | {key: images[camera] for key, camera in self._cameras.items()}
 
-    def _info(self, success: bool = False) -> dict[str, Any]:
+    def _step_info(self, success: bool = False) -> dict[str, Any]:
         task, episode = self._task, self._task.episode
         measures = episode.verdict.measures if episode.verdict else ()
         return {
             "seed": task.attempt.job.seed,
             "trial": task.attempt.job.attempt,
-            "time": episode.seconds,
+            "time": episode.simulated_seconds,
             "success": success,
             "end_rule": task.rules.end.value,
             "holds": any(episode.welds_active),

@@ -20,11 +20,11 @@ from numpy.typing import ArrayLike
 
 from .core.config.loader import load_config
 from .core.config.rig import RigConfig
-from .core.errors import UsageError, suggest
-from .core.expert.planning.arm_kinematics import ArmKinematics, OutOfReachError, solve_or_raise
+from .core.errors import UsageError, suggest_similar
+from .core.expert.planning.arm_kinematics import ArmKinematics, OutOfReachError, solve_ik_or_raise
 from .core.expert.planning.ik import IkSolver
 from .core.files.resources import Locations
-from .core.geometry.se3 import Array, inverse, pose
+from .core.geometry.se3 import Array, invert_pose, pose
 from .core.robots.joint_limits import describe_limit_violation
 from .core.scene.arm_model import kinematic_model
 
@@ -63,15 +63,15 @@ class Kinematics:
     """
 
     def __init__(self, rig: str = "single", arm: str | None = None, *, site: Site = "pinch_site") -> None:
-        where = Locations.find(os.environ)
+        where = Locations.from_environment(os.environ)
         config = load_config(RigConfig, "rigs", rig, where, {})
         sides = [one.side for one in config.arms]
         if arm is None and len(sides) > 1:
             raise UsageError(f"rig {config.name!r} has two arms: give arm='left' or arm='right'")
         if arm is not None and arm not in sides:
-            raise UsageError(f"rig {config.name!r} has no arm {arm!r}; {suggest(str(arm), sides)}")
+            raise UsageError(f"rig {config.name!r} has no arm {arm!r}; {suggest_similar(str(arm), sides)}")
         if site not in get_args(Site):
-            raise UsageError(f"there is no site {site!r}; {suggest(str(site), get_args(Site))}")
+            raise UsageError(f"there is no site {site!r}; {suggest_similar(str(site), get_args(Site))}")
         number = sides.index(arm) if arm in sides else 0
         self._arm = config.arms[number]
         model = kinematic_model(self._arm)
@@ -87,7 +87,7 @@ class Kinematics:
             self._forward.T_site_in_base(self._home, name) for name in ("pinch_site", site)
         )
         for solver in self._solvers:
-            solver.set_held_frame(inverse(T_pinch_in_base) @ T_site_in_base)
+            solver.set_held_frame(invert_pose(T_pinch_in_base) @ T_site_in_base)
 
     @property
     def T_base_in_world(self) -> Array:
@@ -105,7 +105,7 @@ class Kinematics:
         Raises:
             UsageError: `joints` are not one number for each joint, or exceed the joint limits.
         """
-        return self._forward.T_site_in_base(self._joints(joints, "joints"), self._site)
+        return self._forward.T_site_in_base(self._require_valid_joints(joints, "joints"), self._site)
 
     def ik(
         self,
@@ -132,7 +132,7 @@ class Kinematics:
             OutOfReachError: no joints within the tolerances were found. The attribute `nearest` has the nearest joints
                 found, and their errors.
         """
-        T = _numbers(T_site_in_base, (4, 4), "T_site_in_base")
+        T = _finite_array(T_site_in_base, (4, 4), "T_site_in_base")
         if np.abs(T[:3, :3].T @ T[:3, :3] - np.eye(3)).max() > _ORTHONORMAL_TOLERANCE or np.linalg.det(T[:3, :3]) < 0:
             raise UsageError(
                 f"T_site_in_base is not a pose: its upper left 3 x 3 part is not a rotation: {T[:3, :3].tolist()}"
@@ -140,16 +140,18 @@ class Kinematics:
         # Replace R by the nearest rotation, since other programs often pass rounded poses.
         left, _, right = np.linalg.svd(T[:3, :3])
         T = pose(T[:3, 3], left @ right)
-        first = self._home if start is None else self._joints(start, "start")
-        return solve_or_raise(self._solvers, T, self._starts(first), position_tolerance, rotation_tolerance).joints
+        first = self._home if start is None else self._require_valid_joints(start, "start")
+        return solve_ik_or_raise(
+            self._solvers, T, self._start_joints(first), position_tolerance, rotation_tolerance
+        ).joints
 
-    def _joints(self, values: ArrayLike, name: str) -> Array:
-        joints = _numbers(values, self._home.shape, name)
+    def _require_valid_joints(self, values: ArrayLike, name: str) -> Array:
+        joints = _finite_array(values, self._home.shape, name)
         if fault := describe_limit_violation(self._arm.name, self._arm.robot, joints, _LIMIT_TOLERANCE):
             raise UsageError(f"{name}: {fault}")
         return joints
 
-    def _starts(self, first: Array) -> Iterator[Array]:
+    def _start_joints(self, first: Array) -> Iterator[Array]:
         """Yield start joints of searches: `first`, clipped to the limits, then random joints of a fixed seed."""
         low, high = self._range.T
         yield np.clip(first, low, high)
@@ -158,7 +160,7 @@ class Kinematics:
             yield rng.uniform(low, high)
 
 
-def _numbers(values: ArrayLike, shape: tuple[int, ...], name: str) -> Array:
+def _finite_array(values: ArrayLike, shape: tuple[int, ...], name: str) -> Array:
     try:
         found = np.asarray(values, dtype=np.float64)
     except (TypeError, ValueError) as error:

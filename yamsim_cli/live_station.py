@@ -41,7 +41,11 @@ class LiveStation(Closable):
         self._lock, self._over = threading.Lock(), threading.Event()
         self._failure: Exception | None = None
         self._paused, self._resumed = True, False
-        self._thread = threading.Thread(target=self._run, name="yamsim station", daemon=True) if by_clock else None
+        self._thread = (
+            threading.Thread(target=self._simulate_in_real_time, name="yamsim station", daemon=True)
+            if by_clock
+            else None
+        )
         if self._thread is not None:
             self._thread.start()
 
@@ -57,14 +61,14 @@ class LiveStation(Closable):
 
     def begin(self, seed: int = 0, trial: int = 0) -> int:
         """Reset to the start of a trial, and return its number. Time is paused meanwhile."""
-        with self._pause():
+        with self._paused_time():
             begun = self._station.begin(seed, trial)
             self._station.pictures()  # sets up the renderer, which takes about 1 s
         return begun
 
     def begin_demonstrated(self, seed: int = 0, trial: int = 0) -> NDArray[np.float32]:
         """Reset to a trial in which the expert succeeds, and return its commands (frames, numbers)."""
-        with self._pause():
+        with self._paused_time():
             rows = self._station.begin_demonstrated(seed, trial)
             self._station.pictures()
         return rows
@@ -93,7 +97,7 @@ class LiveStation(Closable):
 
     def judge(self) -> str:
         """Return why the trial is not successful at present; "" on success. Time is paused meanwhile."""
-        with self._pause():
+        with self._paused_time():
             return self._station.judge()
 
     def close(self) -> None:
@@ -104,14 +108,14 @@ class LiveStation(Closable):
         self._station.close()
 
     @contextmanager
-    def _pause(self) -> Iterator[None]:
+    def _paused_time(self) -> Iterator[None]:
         """Pause time in the block. After an exception in the block, time stays paused."""
         with self._lock:
             self._paused = True
             yield
             self._paused, self._resumed = False, True
 
-    def _run(self) -> None:
+    def _simulate_in_real_time(self) -> None:
         due = time.monotonic()
         while not self._over.wait(max(0.0, due - time.monotonic())):
             with self._lock:

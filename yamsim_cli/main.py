@@ -92,7 +92,7 @@ def _root(
     """Simulation toolkit for the I2RT YAM arm: recorded demonstrations on MuJoCo."""
 
 
-_INTERRUPTED = 130  # exit code after a signal
+_INTERRUPTED_CODE = 130  # exit code after a signal
 # Commands that run until a signal, which gives exit code 0.
 _ENDED_BY_SIGNAL = ("view", "serve-policy")
 
@@ -108,7 +108,7 @@ def main(interrupted: Callable[[], bool] = lambda: False) -> NoReturn:
         if interrupted():
             raise KeyboardInterrupt
         code = app(standalone_mode=False)
-        if code == _INTERRUPTED:
+        if code == _INTERRUPTED_CODE:
             # Typer converts a KeyboardInterrupt to this exit code.
             raise KeyboardInterrupt
         write_end_notes()
@@ -124,16 +124,18 @@ def main(interrupted: Callable[[], bool] = lambda: False) -> NoReturn:
         )
     except TyperException as error:
         if message := error.format_message():
-            _fail(f"{message.rstrip('.')}{_decimal_point(error)}; see {_command(error)} --help", error.exit_code)
+            _fail(
+                f"{message.rstrip('.')}{_decimal_point(error)}; see {_command_of_error(error)} --help", error.exit_code
+            )
         sys.exit(error.exit_code)
     except (typer.Abort, KeyboardInterrupt):
         if len(sys.argv) > 1 and sys.argv[1] in _ENDED_BY_SIGNAL:
             sys.exit(0)
-        _fail("interrupted", _INTERRUPTED)
+        _fail("interrupted", _INTERRUPTED_CODE)
     sys.exit(code if isinstance(code, int) else 0)
 
 
-def _command(error: TyperException) -> str:
+def _command_of_error(error: TyperException) -> str:
     names, context = list[str](), getattr(error, "ctx", None)
     while context is not None and context.parent is not None:
         names.insert(0, context.info_name)

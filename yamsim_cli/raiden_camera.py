@@ -104,7 +104,7 @@ class YamsimCamera(Camera):
         if self._file is not None:
             height, width, _ = self._picture.image.shape
             header = {"time_ns": self._picture.time_ns, "width": width, "height": height}
-            self._file.write(json.dumps(header).encode() + b"\n" + self._turned(self._picture.image).tobytes())
+            self._file.write(json.dumps(header).encode() + b"\n" + self._turn_upright(self._picture.image).tobytes())
         return True
 
     def get_frame(self) -> CameraFrame:
@@ -115,7 +115,7 @@ class YamsimCamera(Camera):
         """
         if self._picture is None:
             raise RuntimeError(f"camera {self._name}: call grab first")
-        image = self._turned(self._picture.image)[..., ::-1]
+        image = self._turn_upright(self._picture.image)[..., ::-1]
         return CameraFrame(color=np.ascontiguousarray(image), depth=None, timestamp_ns=self._picture.time_ns)
 
     def get_current_timestamp_ns(self) -> int:
@@ -136,5 +136,5 @@ class YamsimCamera(Camera):
             K[:2, 2] = form.width - 1 - K[0, 2], form.height - 1 - K[1, 2]
         return K, np.zeros(5), (form.width, form.height)
 
-    def _turned(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    def _turn_upright(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
         return image[::-1, ::-1] if self._name in _UPSIDE_DOWN else image

@@ -14,7 +14,7 @@ from .core.config.loader import load_config
 from .core.config.rig import RigConfig
 from .core.config.robot_families import ARMS, GRIPPERS, valid_families
 from .core.config.scene import SceneConfig
-from .core.errors import ConfigError, SimulationError, UsageError, suggest
+from .core.errors import ConfigError, SimulationError, UsageError, suggest_similar
 from .core.files.resources import Locations
 from .core.files.writing import describe_refusal, write_file
 from .core.robots.models import ArmModel, Gripper, find_gripper_fit
@@ -22,11 +22,11 @@ from .core.scene.assets import AssetStore, load_lock
 from .core.scene.build import build_rig_scene
 from .core.scene.compose import rig_mesh_sets
 
-_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
+_VALID_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 _HOLD_S = 1.0  # s, for which the arm holds its home posture: the drives settle
 _MAX_SAG = 0.1  # rad, deviation of a joint after `_HOLD_S`; a weak drive exceeds it
 
-_YAML = """\
+_YAML_TEMPLATE = """\
 # The arm {name}: check it with `yamsim robots check {name}`; `--rig {name}+linear_4310` then means it in every command.
 mjcf: arm.xml
 source: a skeleton, its figures are invented   # where your figures are from
@@ -50,7 +50,7 @@ grippers:
   linear_4310: {{}}
 """
 
-_XML = """\
+_XML_TEMPLATE = """\
 <!-- From the base to the flange, with a position drive for each joint. Lengths in m, masses in kg. -->
 <mujoco model="{name}">
   <compiler angle="radian" autolimits="true"/>
@@ -111,7 +111,7 @@ def robot_entries(locations: Locations) -> tuple[dict[str, Any], ...]:
 
     An invalid arm or station has the error as `fault`, and no parts in `goes_with`.
     """
-    meshes = _meshes(locations)
+    meshes = _present_mesh_sets(locations)
     families, faults = valid_families(locations)
     arms, broken_arms = _loaded_arms(locations, faults)
     grippers = {name: load_config(Gripper, GRIPPERS, name, locations) for name in locations.config_names(GRIPPERS)}
@@ -144,7 +144,7 @@ def robot_entries(locations: Locations) -> tuple[dict[str, Any], ...]:
                 **_common_fields(gripper.source, gripper.mjcf.file, gripper.mesh_sets, meshes),
             }
         )
-    return (*found, *_stations(locations, meshes))
+    return (*found, *_station_entries(locations, meshes))
 
 
 def robot_entry(name: str, locations: Locations) -> dict[str, Any]:
@@ -156,7 +156,7 @@ def robot_entry(name: str, locations: Locations) -> dict[str, Any]:
                 raise ConfigError(item["fault"])
             return item
     known = {*(item["name"] for item in items), *valid_families(locations)[0]}
-    raise UsageError(f"unknown robot {name!r}; {suggest(name, known)}")
+    raise UsageError(f"unknown robot {name!r}; {suggest_similar(name, known)}")
 
 
 def _loaded_arms(
@@ -177,7 +177,7 @@ def _invalid_entry(what: str, kind: str, name: str, fault: ConfigError, location
     return {"kind": what, "name": name, "goes_with": [], **_common_fields(None, path, (), {}), "fault": str(fault)}
 
 
-def _stations(locations: Locations, meshes: Mapping[str, bool]) -> Iterator[dict[str, Any]]:
+def _station_entries(locations: Locations, meshes: Mapping[str, bool]) -> Iterator[dict[str, Any]]:
     for name in locations.config_names("rigs"):
         try:
             rig = load_config(RigConfig, "rigs", name, locations)
@@ -202,9 +202,9 @@ def _can_mount(arm: ArmModel, gripper: Gripper) -> bool:
     return True
 
 
-def _meshes(locations: Locations) -> dict[str, bool]:
+def _present_mesh_sets(locations: Locations) -> dict[str, bool]:
     store = AssetStore(locations.assets)
-    return {name: store.resolve(assets) is not None for name, assets in load_lock(locations).sets.items()}
+    return {name: store.find_verified_folder(assets) is not None for name, assets in load_lock(locations).sets.items()}
 
 
 def _common_fields(source: str | None, path: str, sets: Iterable[str], meshes: Mapping[str, bool]) -> dict[str, Any]:
@@ -213,7 +213,7 @@ def _common_fields(source: str | None, path: str, sets: Iterable[str], meshes: M
 
 def write_robot_template(name: str, data: Path, locations: Locations) -> tuple[Path, ...]:
     """Write the template files of a new arm below the data directory `data`, and return their paths."""
-    if not _NAME.fullmatch(name):
+    if not _VALID_NAME.fullmatch(name):
         raise UsageError(
             f"{name!r} is not a valid name for an arm; use letters, digits and underscores, and begin with a letter"
         )
@@ -234,7 +234,7 @@ def write_robot_template(name: str, data: Path, locations: Locations) -> tuple[P
 def _arm_files(name: str) -> Mapping[str, str]:
     names = [f"joint{k}" for k in range(1, 7)]
     drives = "\n".join(f'    <position name="{one}" joint="{one}" class="{name}"/>' for one in names)
-    return {"model.yaml": _YAML.format(name=name), "arm.xml": _XML.format(name=name, drives=drives)}
+    return {"model.yaml": _YAML_TEMPLATE.format(name=name), "arm.xml": _XML_TEMPLATE.format(name=name, drives=drives)}
 
 
 def check_robot(name: str, locations: Locations) -> list[dict[str, Any]]:

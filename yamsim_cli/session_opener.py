@@ -21,9 +21,9 @@ if TYPE_CHECKING:
     from .core.files.resources import Locations
     from .core.scene.assets import AssetLock, AssetStore, FetchProgress
 
-_SIZES = range(16, 4097)  # px, of images
+_VALID_SIDES_PX = range(16, 4097)  # px, of images
 _NO_GL = "off"  # MUJOCO_GL without OpenGL; `use_gl` may replace it, but not a user's "disabled"
-_OFFLINE = "YAMSIM_OFFLINE"  # environment variable that prevents downloads of meshes, unless empty or 0
+_OFFLINE_VARIABLE = "YAMSIM_OFFLINE"  # environment variable that prevents downloads of meshes, unless empty or 0
 
 
 def _show_no_progress() -> AbstractContextManager[FetchProgress]:
@@ -31,7 +31,7 @@ def _show_no_progress() -> AbstractContextManager[FetchProgress]:
 
 
 # Setting (flag or keyword) -> key path in a record config; the task comes before the settings within it.
-_PATHS: dict[str, tuple[str, ...]] = {
+_SETTING_PATHS: dict[str, tuple[str, ...]] = {
     "rig": ("rig",),
     "revision": ("rig", "revision"),
     "robot": ("rig", "robot"),
@@ -57,8 +57,8 @@ _PATHS: dict[str, tuple[str, ...]] = {
     "randomize": ("randomization",),
 }
 
-# Settings whose key path depends on the task; see `_within`.
-_WITHIN_TASK = ("object", "target", "threshold")
+# Settings whose key path depends on the task; see `_task_key_path`.
+_TASK_SETTINGS = ("object", "target", "threshold")
 
 
 @dataclass(frozen=True)
@@ -92,14 +92,14 @@ class SessionOpener:
         """
         from .core.episode.sampling import require_start
 
-        where = self.locations()
+        where = self.find_locations()
         for setting in ("object", "target"):
             if isinstance(named := given.get(setting), str):
                 given[setting] = self.resolve_object(named, where, self.notify)
         if isinstance(named := given.get("task"), str):
             given["task"] = self.resolve_task(named)
         session = Session(
-            self.config(name, where, lambda config: require_start(Session(config, where)), **given), where
+            self.load_record_config(name, where, lambda config: require_start(Session(config, where)), **given), where
         )
         if not renders:
             self.skip_gl()
@@ -108,16 +108,16 @@ class SessionOpener:
         from .core.dataset.writing.directory_claim import recorded_meshes
 
         # The config may come from another dataset, whose meshes do not matter here.
-        session = Session(self.config(name, where, **given), where)
+        session = Session(self.load_record_config(name, where, **given), where)
         return self.with_meshes(session.with_values(meshes=recorded_meshes(resumes) if resumes else None))
 
-    def locations(self) -> Locations:
+    def find_locations(self) -> Locations:
         """Return the locations of configs, models and meshes that the environment defines."""
         from .core.files.resources import Locations
 
-        return Locations.find(self.environ)
+        return Locations.from_environment(self.environ)
 
-    def config(
+    def load_record_config(
         self, name: str, locations: Locations, check: Callable[[RecordConfig], None] = lambda config: None, **given: Any
     ) -> RecordConfig:
         """Load a record config with settings.
@@ -139,13 +139,15 @@ class SessionOpener:
             if not randomize and given.get("randomization"):
                 named, no = self.setting_label("randomization"), self.setting_label("no_randomize")
                 raise UsageError(f"{named} and {no} contradict each other; leave one out")
-            own = self.config(name, locations, **(given | {"randomize": None})).randomization.parts
+            own = self.load_record_config(name, locations, **(given | {"randomize": None})).randomization.varied_parts
             given["randomize"] = (None if own else "default") if randomize else "none"
         fps = given.pop("fps", None)
         paths = {
-            setting: path for setting, path in _PATHS.items() if given.get(setting) is not None and given[setting] != []
+            setting: path
+            for setting, path in _SETTING_PATHS.items()
+            if given.get(setting) is not None and given[setting] != []
         }
-        within = [setting for setting in _WITHIN_TASK if setting in paths]
+        within = [setting for setting in _TASK_SETTINGS if setting in paths]
         overrides: dict[KeyPath, tuple[str, Any]] = {
             path: (self.setting_label(setting), given[setting])
             for setting, path in paths.items()
@@ -160,10 +162,10 @@ class SessionOpener:
         if within:
             task = load_config(RecordConfig, "record", name, locations, overrides).task
             overrides |= {
-                self._within(task, setting): (self.setting_label(setting), given[setting]) for setting in within
+                self._task_key_path(task, setting): (self.setting_label(setting), given[setting]) for setting in within
             }
         if fps is not None:
-            overrides |= self._at_rate(fps, self.config(name, locations, **given).task.timing)
+            overrides |= self._at_rate(fps, self.load_record_config(name, locations, **given).task.timing)
 
         def check_all(config: Config) -> None:
             check_task_config(config)
@@ -172,7 +174,7 @@ class SessionOpener:
 
         return load_config(RecordConfig, "record", name, locations, overrides, check_all)
 
-    def _within(self, task: ProgramTask, setting: str) -> KeyPath:
+    def _task_key_path(self, task: ProgramTask, setting: str) -> KeyPath:
         """Return the key path of a setting within the task, which must have this key."""
         from .core.files.documents.config_base import ConflictError
 
@@ -202,14 +204,14 @@ class SessionOpener:
         from .core.files.documents.yaml_document import Document
 
         try:
-            read = config_model("tasks").read
+            read = config_model("tasks").read_document
             document = read(locations.config_file("tasks", task)) if isinstance(task, str) else Document(task, "task")
         except ConfigError:
             return None  # `load_config` reports the error
         rig = document.data.get("rig") if document.data.get("kind") == PROGRAM else None
-        return (document.place(("rig",)), rig) if isinstance(rig, str) else None
+        return (document.place_of(("rig",)), rig) if isinstance(rig, str) else None
 
-    def rig(
+    def load_rig(
         self,
         name: str,
         locations: Locations,
@@ -228,7 +230,7 @@ class SessionOpener:
         return load_config(RigConfig, "rigs", name, locations, overrides)
 
     def use_gl(self, locations: Locations, *, workers: bool = False) -> Locations:
-        """Find an OpenGL backend, set `MUJOCO_GL`, and return `locations` with the quality that `auto` stands for
+        """Find an OpenGL backend, set `MUJOCO_GL`, and return `find_locations` with the quality that `auto` stands for
         there.
 
         With several `workers`, Mesa's software renderer uses one core in each.
@@ -240,9 +242,9 @@ class SessionOpener:
         if backend.name is not None:
             self.environ["MUJOCO_GL"] = backend.name
             bind_backend(backend.name)
-        if workers and backend.software:
+        if workers and backend.is_software:
             self.environ.setdefault("LP_NUM_THREADS", "0")
-        return replace(locations, auto_quality="balanced" if backend.software else "high")
+        return replace(locations, auto_quality="balanced" if backend.is_software else "high")
 
     def skip_gl(self) -> None:
         """Set `MUJOCO_GL` so that MuJoCo does not load OpenGL."""
@@ -250,7 +252,7 @@ class SessionOpener:
 
     def stay_offline(self) -> None:
         """Show primitives for missing meshes instead of fetching them."""
-        self.environ[_OFFLINE] = "1"
+        self.environ[_OFFLINE_VARIABLE] = "1"
 
     def with_meshes(self, session: Session) -> Session:
         """Find or fetch all meshes of a scene, and return the session with their folders.
@@ -270,7 +272,7 @@ class SessionOpener:
     def with_mesh_folders(
         self, locations: Locations, names: Iterable[str], quality: RenderConfig | None = None
     ) -> Locations:
-        """Return `locations` with the folder of each asset set. Fetch missing sets; failures are only a note.
+        """Return `find_locations` with the folder of each asset set. Fetch missing sets; failures are only a note.
 
         The render quality decides whether meshes are reduced, now if necessary.
         """
@@ -281,11 +283,15 @@ class SessionOpener:
         wanted = set(names)
         own = {name for name in wanted if is_user_set(name)}
         locked = wanted - own - {IMPORTED}
-        meshes = {assets.name: store.resolve(assets) for assets in (lock.select(locked) if locked else ())}
+        meshes = {
+            assets.name: store.find_verified_folder(assets) for assets in (lock.select_sets(locked) if locked else ())
+        }
         if missing := [name for name, folder in meshes.items() if folder is None]:
-            meshes |= self._fetch(locations, lock, store, missing)
+            meshes |= self._fetch_missing_sets(locations, lock, store, missing)
         if quality is not None and quality.reduced_meshes:
-            meshes |= {name: self._reduced(lock, store, name, folder) for name, folder in meshes.items() if folder}
+            meshes |= {
+                name: self._reduced_mesh_folder(lock, store, name, folder) for name, folder in meshes.items() if folder
+            }
         meshes |= {name: resolve_user_set(store, name) for name in sorted(own)}
         if lost := [name for name in sorted(own) if meshes[name] is None]:
             self.notify(
@@ -296,7 +302,7 @@ class SessionOpener:
             meshes[IMPORTED] = locations.assets / IMPORTED
         return replace(locations, meshes=meshes)
 
-    def _fetch(
+    def _fetch_missing_sets(
         self, locations: Locations, lock: AssetLock, store: AssetStore, missing: Sequence[str]
     ) -> dict[str, Path | None]:
         """Fetch missing asset sets, unless the user chose primitives."""
@@ -311,7 +317,7 @@ class SessionOpener:
                     fetch_missing(lock, missing, store, progress)
             except ResourceError as error:
                 why = str(error)
-        found = {name: store.resolve(lock.sets[name]) for name in missing}
+        found = {name: store.find_verified_folder(lock.sets[name]) for name in missing}
         if lacking := [name for name, folder in found.items() if folder is None]:
             notice = f"The meshes of {' and '.join(lacking)} are not here, so primitives are shown: {why}."
             self.notify(notice)
@@ -320,13 +326,13 @@ class SessionOpener:
 
     def _wants_primitives(self, locations: Locations) -> bool:
         """Whether missing meshes are not fetched: offline, or YAMSIM_ASSETS is an empty folder or a file."""
-        if self.environ.get(_OFFLINE, "0") not in ("", "0"):
+        if self.environ.get(_OFFLINE_VARIABLE, "0") not in ("", "0"):
             return True
         if not self.environ.get("YAMSIM_ASSETS") or not locations.assets.exists():
             return False
         return not locations.assets.is_dir() or not any(locations.assets.iterdir())
 
-    def _reduced(self, lock: AssetLock, store: AssetStore, name: str, folder: Path) -> Path:
+    def _reduced_mesh_folder(self, lock: AssetLock, store: AssetStore, name: str, folder: Path) -> Path:
         """Return the folder of a set's simplified meshes, made if missing; on failure, return `folder`."""
         from .core.scene.assets import find_reduced, make_reduced
 
@@ -347,6 +353,9 @@ def parse_size(text: str) -> tuple[int, int]:
     width, cross, height = text.lower().partition("x")
     if not cross or not width.isdecimal() or not height.isdecimal():
         raise UsageError(f"--size {text!r} is not valid: give WIDTHxHEIGHT in pixels, such as 640x480")
-    if int(width) not in _SIZES or int(height) not in _SIZES:
-        raise UsageError(f"--size {text!r} is not valid: width and height must lie in {_SIZES[0]}..{_SIZES[-1]} pixels")
+    if int(width) not in _VALID_SIDES_PX or int(height) not in _VALID_SIDES_PX:
+        raise UsageError(
+            f"--size {text!r} is not valid: width and height must lie in "
+            f"{_VALID_SIDES_PX[0]}..{_VALID_SIDES_PX[-1]} pixels"
+        )
     return int(width), int(height)

@@ -61,8 +61,8 @@ class Station(Closable):
         if pictures:
             session = opener.open(settings.config, parallel=False, **settings.given)
         else:
-            where = opener.locations()
-            session = Session(opener.config(settings.config, where, **settings.given), where)
+            where = opener.find_locations()
+            session = Session(opener.load_record_config(settings.config, where, **settings.given), where)
         config = session.config
         self.form = StationForm.of_config(config)
         self._timing = config.task.timing
@@ -77,7 +77,7 @@ class Station(Closable):
     @property
     def time(self) -> float:
         """Simulated time since the start of the trial, s."""
-        return self._task.episode.seconds
+        return self._task.episode.simulated_seconds
 
     @property
     def prompt(self) -> str:
@@ -87,7 +87,7 @@ class Station(Closable):
     @property
     def tick_s(self) -> float:
         """Duration of a control tick, s. A frame has one or more ticks."""
-        return self._timing.tick
+        return self._timing.tick_seconds
 
     def begin(self, seed: int = 0, trial: int = 0) -> int:
         """Reset the scene to the start of a trial, as in `yamsim trials --seed SEED`.
@@ -100,8 +100,8 @@ class Station(Closable):
         """
         from .core.attempt_data import AttemptJob
 
-        self._task.begin(AttemptJob(seed, trial))
-        self._hold()
+        self._task.begin_trial(AttemptJob(seed, trial))
+        self._hold_joints()
         return self.trial
 
     def begin_demonstrated(self, seed: int = 0, trial: int = 0) -> NDArray[np.float32]:
@@ -116,14 +116,14 @@ class Station(Closable):
         from .core.attempt_data import AttemptJob
 
         actions = self._task.begin_demonstrated(AttemptJob(seed, trial))
-        self._hold()
-        drives = self._task.simulator.scene.drives
+        self._hold_joints()
+        drives = self._task.simulator.scene.recorded_drive_ctrl
         first = range(0, len(actions.ctrl), self._timing.ticks_per_frame)
-        return np.array([self._rows.action(actions.ctrl[k][drives], actions.magnet[k]) for k in first])
+        return np.array([self._rows.make_action_row(actions.ctrl[k][drives], actions.magnet[k]) for k in first])
 
     def state(self) -> Row:
         """Return the present joints and grippers, with encoder errors, as one number per name in `form.state`."""
-        return self._rows.state(self._task.episode.readings(self._task.attempt.job))
+        return self._rows.make_state_row(self._task.episode.simulated_encoder_readings(self._task.attempt.job))
 
     def environment(self) -> Row:
         """Return the object poses in the base of the left or only arm, one number per name in `form.environment`.
@@ -133,13 +133,13 @@ class Station(Closable):
         Raises:
             SimulationError: the objects of this trial have other joints than the typical objects of the task.
         """
-        from .core.dataset.environment_state import object_pose_keys, state_row
+        from .core.dataset.environment_state import make_state_row, object_pose_keys
 
         simulator = self._task.simulator
         replica, config = simulator.state_replay, simulator.config
         replica.set_state(self._task.episode.data.qpos)
         moving = {item.name: item for item in config.task.objects if item.links}
-        row = state_row(
+        row = make_state_row(
             [
                 (replica.T_object_in_base(name), replica.object_joints(moving[name]) if name in moving else ())
                 for name in object_pose_keys(config)
@@ -167,11 +167,11 @@ class Station(Closable):
         """Simulate one frame, and return whether the trial is successful. Time stops when the trial ends."""
         for _ in range(self._timing.ticks_per_frame):
             self.tick()
-        return self._task.succeeded
+        return self._task.is_successful
 
     def tick(self) -> None:
         """Simulate one control tick, unless the trial has ended."""
-        self._task.episode.step(*self._rows.command(self._command))
+        self._task.episode.step(*self._rows.split_action_row(self._command))
 
     def judge(self) -> str:
         """Return why the trial is not successful at present; "" on success."""
@@ -199,8 +199,8 @@ class Station(Closable):
         """Free the renderers."""
         self._task.close()
 
-    def _hold(self) -> None:
+    def _hold_joints(self) -> None:
         """Set the present joints, without encoder errors, as the command."""
         replica = self._task.simulator.state_replay
         replica.set_state(self._task.episode.data.qpos)
-        self._command = self._rows.action(replica.joints(), np.zeros(self._rows.arms, bool))
+        self._command = self._rows.make_action_row(replica.joint_positions(), np.zeros(self._rows.arms, bool))

@@ -53,7 +53,7 @@ class StationSettings:
 
     @property
     def given(self) -> dict[str, Any]:
-        """Return the settings as keyword arguments of `SessionOpener.config`, without the name of the config."""
+        """Return the settings as keyword arguments of `SessionOpener.load_record_config`."""
         apart = ("config", "spelling")
         given = {one.name: getattr(self, one.name) for one in dataclasses.fields(self) if one.name not in apart}
         return given | {"camera": given.pop("cameras"), "wrist": True}
@@ -83,7 +83,7 @@ class StationForm:
     def from_settings(cls, settings: StationSettings) -> StationForm:
         """Return the form of a station with these settings, without building a scene."""
         opener = settings.opener
-        return cls.of_config(opener.config(settings.config, opener.locations(), **settings.given))
+        return cls.of_config(opener.load_record_config(settings.config, opener.find_locations(), **settings.given))
 
     @classmethod
     def of_config(cls, config: RecordConfig) -> StationForm:
@@ -99,7 +99,7 @@ class StationForm:
             rows.action_names,
             state_names(tuple(object_pose_keys(config)), joints),
             dict.fromkeys(config.recorded_cameras, (height, width, 3)),
-            round(1 / (timing.tick * timing.ticks_per_frame), 6),
+            round(1 / (timing.tick_seconds * timing.ticks_per_frame), 6),
             config.task.max_ticks // timing.ticks_per_frame,
             config.task.language_prompt,
         )

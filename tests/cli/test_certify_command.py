@@ -9,7 +9,7 @@ import pytest
 from tests.cli.run_cli import yamsim
 from tests.meshes import box
 from tests.mugs import has_import_extra, write_mugs
-from yamsim_cli.core.geometry.stl import stl_bytes
+from yamsim_cli.core.geometry.stl import encode_stl
 
 needs_extra = pytest.mark.skipif(not has_import_extra(), reason="needs the extra: pip install 'yamsim[import]'")
 
@@ -67,7 +67,7 @@ def test_the_page_holds_every_check_and_a_picture(tmp_path: Path) -> None:
 
 
 def test_an_import_whose_certificate_fails_exits_as_certify_does(tmp_path: Path) -> None:
-    (tmp_path / "lump.stl").write_bytes(stl_bytes(*box(0.04)))
+    (tmp_path / "lump.stl").write_bytes(encode_stl(*box(0.04)))
     env = {"YAMSIM_DATA_DIR": str(tmp_path / "mine"), "YAMSIM_ASSETS": str(tmp_path / "assets")}
     run = yamsim("assets", "import", "lump.stl", "--mass", "5", "--json", cwd=tmp_path, env=env)
     assert run.code == 4, run.err

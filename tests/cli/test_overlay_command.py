@@ -21,7 +21,7 @@ from yamsim_cli.core.geometry.se3 import Array, pose
 pytestmark = pytest.mark.render
 
 CAMERA = "width: 640\nheight: 480\nK: [[600, 0, 319.5], [0, 600, 239.5], [0, 0, 1]]\n"
-VGA = CameraModel.pinhole(640, 480, 600.0)
+VGA = CameraModel.from_focal_length(640, 480, 600.0)
 NEAR = facing(0.0, 0.0, 0.75, 0.6, 0.15)
 # The same camera in raiden's file, beside another one.
 RAIDEN = {
@@ -45,7 +45,7 @@ def save_photo(
     placed = []
     for k, arm in enumerate(rig.arms):
         push = pose((0, pushed if k else 0.0, 0))
-        placed.append((arm.board.board, T_world_in_cam @ rig.T_base_in_world(k) @ push @ arm.T_board_in_base))
+        placed.append((arm.board.board_in_metres, T_world_in_cam @ rig.T_base_in_world(k) @ push @ arm.T_board_in_base))
     assert cv2.imwrite(str(path), photograph(camera, placed, seed=seed))
 
 
@@ -115,7 +115,7 @@ def test_a_pose_beyond_the_limits_is_uncertain_and_in_the_report(folder: Path, l
 def test_boards_from_the_front_give_no_pose_without_a_camera(folder: Path, locations: Locations) -> None:
     """Regression: a long lens far above was taken for a usual lens near by, with both arms `ok` metres off."""
     far = facing(0.0, 0.0, 2.0, 0.02, 0.01)
-    save_photo(folder / "photo.png", locations, CameraModel.pinhole(1280, 960, 3425.0), far)
+    save_photo(folder / "photo.png", locations, CameraModel.from_focal_length(1280, 960, 3425.0), far)
     run = yamsim("overlay", "--img", "photo.png", "--rig", "russet", "--json", cwd=folder)
     assert run.code == 4
     assert run.message.endswith("give --camera")

@@ -11,7 +11,7 @@ import pytest
 from tests.cli.run_cli import yamsim
 from tests.datasets.checks.sample import SampleDataset, episode
 from yamsim_cli.core.config.recording import RecordConfig
-from yamsim_cli.core.dataset.checks.problem import CODES
+from yamsim_cli.core.dataset.checks.problem import PROBLEM_CODES
 
 WHOLE, BAD, USAGE, MISSING = 0, 4, 2, 4
 
@@ -50,7 +50,7 @@ def test_a_damaged_dataset_gets_its_whole_report(dataset: Path, tmp_path: Path) 
     assert run.code == BAD
     last = run.err.splitlines()[-1]
     assert last.startswith(f"yamsim: {dataset}: ep_000001/lowdim/000002.pkl: frames are missing")
-    assert last.endswith("(and 1 more); " + CODES["frames.gap"].advice)
+    assert last.endswith("(and 1 more); " + PROBLEM_CODES["frames.gap"].advice)
     assert "2 errors, 1 warning" in run.out
     for code in ("frames.gap", "frames.count", "file.unexpected"):
         assert code in run.out
@@ -132,4 +132,4 @@ def test_the_worker_count_changes_nothing(dataset: Path) -> None:
 
 def test_every_code_is_on_its_page(repository: Path) -> None:
     text = (repository / "docs" / "checking.md").read_text()
-    assert [code for code in CODES if f"`{code}`" not in text] == []
+    assert [code for code in PROBLEM_CODES if f"`{code}`" not in text] == []

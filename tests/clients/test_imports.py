@@ -18,7 +18,7 @@ from tests.real.recordings.foreign import NAMES, PROMPT, START_NS, grey_of, shar
 from tests.real.recordings.making import swinging
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.rig import RigConfig
-from yamsim_cli.core.dataset.reader import RecordedEpisode, open_recorded, recorded_images
+from yamsim_cli.core.dataset.reader import RecordedEpisode, open_recorded_episode, read_side_by_side_images
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.recorded_motion import RecordedMotion
 from yamsim_cli.export.export_source import open_real_source
@@ -49,7 +49,7 @@ def same(
 
 
 def greys(episode: RecordedEpisode, camera: str) -> list[float]:
-    return [float(image.mean()) for image in recorded_images(episode, (camera,))]
+    return [float(image.mean()) for image in read_side_by_side_images(episode, (camera,))]
 
 
 def save_motions(path: Path, motions: Sequence[RecordedMotion], rig: RigConfig) -> Path:
@@ -76,7 +76,7 @@ def test_lerobots_own_datasets_come_in_and_go_out_again(
     dataset = bring_in(tmp_path / "real", [tmp_path / "written"], station, locations)
     for number, motion in enumerate(motions):
         same(dataset, number, motion, station, locations)
-        episode = open_recorded(dataset / f"ep_{number:06d}")
+        episode = open_recorded_episode(dataset / f"ep_{number:06d}")
         assert episode.frames()[0]["language_prompt"] == f"task {number}"
         wanted = [grey_of(k + 7 * number) for k in range(len(motion.times))]
         np.testing.assert_allclose(greys(episode, "top"), wanted, atol=4)
@@ -116,7 +116,7 @@ def test_raidens_own_recordings_come_in(
             assert mine is not None
             assert wanted is not None
             np.testing.assert_allclose(mine, wanted[kept], atol=1e-6)
-    assert open_recorded(dataset / "ep_000000").frames()[0]["language_prompt"] == PROMPT
+    assert open_recorded_episode(dataset / "ep_000000").frames()[0]["language_prompt"] == PROMPT
 
 
 @pytest.mark.client_heavy
@@ -162,7 +162,7 @@ def test_mcap_by_foxgloves_libraries_comes_in(
     done = client("mcap").run("mcap_writes.py", tmp_path / "motion.npz", tmp_path / "one.mcap", encoder)
     assert done == {"pictures": 25}
     dataset = bring_in(tmp_path / "real", [tmp_path / "one.mcap"], station, locations)
-    episode = open_recorded(dataset / "ep_000000")
+    episode = open_recorded_episode(dataset / "ep_000000")
     frames = episode.frames()
     np.testing.assert_allclose([frame["timestamp"] for frame in frames], motion.times[::EVERY], atol=1e-6)
     for k, arm in enumerate(motion.arms):

@@ -58,7 +58,7 @@ def exported(
     write_dataset(folder / "dataset", make_config(KINDS[request.param]), locations, EPISODES, jpeg)
     source = open_source(folder / "dataset", None, locations)
     export_lerobot(source, folder / "export", lambda *_: None)
-    return Exported(folder / "dataset", folder / "export", tuple(source.cameras), recorded(folder / "dataset"))
+    return Exported(folder / "dataset", folder / "export", tuple(source.camera_sizes), recorded(folder / "dataset"))
 
 
 @dataclass(frozen=True)

@@ -79,7 +79,7 @@ def episodes(
         simulator = Simulator(Session(config, locations))
         done = planned(simulator, SEED)
         assert done.outcome.success, done.outcome
-        states, arms, actions = done.states, simulator.scene.arms, all_actions(done.states)
+        states, arms, actions = done.recorded_states, simulator.scene.arms, all_actions(done.recorded_states)
         welds = [k for k, arm in enumerate(arms) if arm.weld is not None]
         np.savez(
             folder / f"{name}.npz",

@@ -131,7 +131,7 @@ def test_act_is_told_byte_for_byte_what_its_own_client_tells_it(
     joints[[6, 13]] *= 0.0475
     observed = {"joints": joints, "prompt": "hand it over", "time": 0.0}
     observed |= {f"{name}_rgb": picture for name, picture in pictures.items()}
-    message = MappedPolicy(_StubClient(), config, station).message(observed)
+    message = MappedPolicy(_StubClient(), config, station).make_message(observed)
     ours = load_json(dump_json(message))
     assert ours.keys() == theirs.keys()
     for key, value in theirs.items():
@@ -143,7 +143,7 @@ def test_act_is_told_byte_for_byte_what_its_own_client_tells_it(
 
 
 class _StubClient:
-    def begin(self, seed: int) -> None:
+    def begin_trial(self, seed: int) -> None:
         pass
 
     def infer(self, message: object) -> Mapping[str, object]:

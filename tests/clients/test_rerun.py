@@ -50,7 +50,7 @@ def test_rerun_reads_all_that_was_recorded(
     read = client(row).run("rerun_read.py", file)
     assert read["verified"], read["said"]
     assert read["recordings"] == {"dataset-ep_000000": ["dataset/ep_000000"]}
-    episode = next(source.episodes())
+    episode = next(source.open_episodes())
     frames = episode.frames()
     assert read["frames"] == list(range(len(frames)))
     np.testing.assert_allclose(read["seconds"], [frame["timestamp"] for frame in frames], atol=1e-6)

@@ -74,7 +74,7 @@ def test_markup_that_was_put_together_as_text_is_escaped() -> None:
     ],
 )
 def test_ticks_are_round_and_within(low: float, high: float, ticks: list[float]) -> None:
-    assert PixelScale(low, high, 0, 100).ticks(6) == pytest.approx(ticks)
+    assert PixelScale(low, high, 0, 100).round_tick_values(6) == pytest.approx(ticks)
 
 
 def test_a_scale_can_run_backwards() -> None:

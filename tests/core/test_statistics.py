@@ -6,7 +6,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from yamsim_cli.core.statistics import compute_coverage, histogram, student95, summarize_values, wilson95
+from yamsim_cli.core.statistics import (
+    compute_coverage,
+    compute_histogram,
+    student_t_quantile_95,
+    summarize_values,
+    wilson_interval_95,
+)
 
 # Source: the formula of Wilson (1927) as in R's prop.test(correct=FALSE) and Newcombe (1998), table I, method 3.
 PUBLISHED = [
@@ -29,18 +35,18 @@ counts = st.integers(1, 10_000).flatmap(lambda n: st.tuples(st.integers(0, n), s
 
 @pytest.mark.parametrize("freedom", STUDENT)
 def test_students_quantile_is_the_published_one(freedom: int) -> None:
-    assert student95(freedom) == pytest.approx(STUDENT[freedom], abs=6e-4)
+    assert student_t_quantile_95(freedom) == pytest.approx(STUDENT[freedom], abs=6e-4)
 
 
 @pytest.mark.parametrize(("successes", "n", "low", "high"), PUBLISHED)
 def test_the_interval_is_the_published_one(successes, n, low, high):
-    assert wilson95(successes, n) == pytest.approx((low, high), abs=6e-5)
+    assert wilson_interval_95(successes, n) == pytest.approx((low, high), abs=6e-5)
 
 
 @given(counts)
 def test_the_interval_holds_the_rate_and_lies_in_the_range_of_rates(count):
     successes, n = count
-    low, high = wilson95(successes, n)
+    low, high = wilson_interval_95(successes, n)
     assert 0 <= low <= successes / n <= high <= 1
     assert low < high
     assert (low == 0) is (successes == 0) and (high == 1) is (successes == n)
@@ -49,15 +55,15 @@ def test_the_interval_holds_the_rate_and_lies_in_the_range_of_rates(count):
 @given(counts)
 def test_successes_and_failures_mirror_each_other(count):
     successes, n = count
-    low, high = wilson95(successes, n)
-    assert wilson95(n - successes, n) == pytest.approx((1 - high, 1 - low), abs=1e-12)
+    low, high = wilson_interval_95(successes, n)
+    assert wilson_interval_95(n - successes, n) == pytest.approx((1 - high, 1 - low), abs=1e-12)
 
 
 @given(counts)
 def test_its_bounds_are_where_the_rate_is_196_standard_errors_away(count):
     """By definition, from either bound, the observed rate is just as far away as 95 % allows."""
     successes, n = count
-    for bound in wilson95(successes, n):
+    for bound in wilson_interval_95(successes, n):
         if 0 < bound < 1:
             distance = abs(successes / n - bound) / math.sqrt(bound * (1 - bound) / n)
             assert distance == pytest.approx(1.959964, rel=1e-4)
@@ -78,7 +84,7 @@ def test_the_spread_is_ordered_and_of_plain_floats(values):
 
 def test_a_histogram_counts_every_value_in_round_bins():
     values = [0.0012, 0.0013, 0.0029, 0.0031, 0.0070]
-    found = histogram(values)
+    found = compute_histogram(values)
     edges, counts = found["edges"], found["counts"]
     assert sum(counts) == len(values)
     assert len(edges) == len(counts) + 1
@@ -91,18 +97,18 @@ def test_a_histogram_counts_every_value_in_round_bins():
 
 @given(st.lists(st.floats(-10, 10), min_size=1, max_size=50))
 def test_a_histogram_of_anything_is_small_and_complete(values):
-    found = histogram(values)
+    found = compute_histogram(values)
     assert sum(found["counts"]) == len(values)
     assert len(found["counts"]) <= 45
     assert all(low < high for low, high in itertools.pairwise(found["edges"]))
 
 
 def test_statistics_without_values():
-    assert wilson95(0, 0) == (0.0, 1.0)
+    assert wilson_interval_95(0, 0) == (0.0, 1.0)
     assert summarize_values([]) is None
-    assert histogram([]) is None
+    assert compute_histogram([]) is None
     grid = compute_coverage([(0.3, 0.0)], (0.3, 0.3), (0.0, 0.0), 0.05)
-    assert (grid.cells, grid.cells_hit, grid.outside) == (1, 1, 0)
+    assert (grid.cell_count, grid.hit_cell_count, grid.outside) == (1, 1, 0)
 
 
 def test_cells_of_a_box_are_counted():
@@ -110,6 +116,6 @@ def test_cells_of_a_box_are_counted():
         [(0.30, -0.18), (0.55, 0.18), (0.31, -0.17), (0.2, 0.0), (0.4, 0.19)], (0.30, 0.55), (-0.18, 0.18), 0.05
     )
     assert grid.shape == (5, 8)
-    assert (grid.cells, grid.cells_hit, grid.outside) == (40, 2, 2)
+    assert (grid.cell_count, grid.hit_cell_count, grid.outside) == (40, 2, 2)
     assert grid.hits[0][0] == 2
     assert grid.hits[4][7] == 1

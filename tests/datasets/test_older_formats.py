@@ -33,7 +33,7 @@ def present(tmp_path_factory: pytest.TempPathFactory, config: RecordConfig, loca
     path = tmp_path_factory.mktemp("present") / "dataset"
     write_dataset(path, config, locations, EPISODES)
     with DatasetWriter(path, config.data_config(), OpenMode.RESUME) as writer:
-        writer.finish()
+        writer.write_manifest()
     return path
 
 
@@ -89,8 +89,8 @@ def test_it_is_resumed_and_keeps_its_bytes(dataset: Path, config: RecordConfig, 
     third = open_episodes(present)[0].record.model_copy(update={"episode": 2, "attempt": 2, "files": {}})
     with DatasetWriter(dataset, config.data_config(), OpenMode.RESUME) as writer:
         assert (writer.episodes, writer.repairs) == (EPISODES, [])
-        writer.publish(third, {})
-        writer.finish()
+        writer.publish_episode(third, {})
+        writer.write_manifest()
     after = tree(dataset)
     del before["manifest.json"]
     assert before.items() <= after.items()

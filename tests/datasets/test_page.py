@@ -15,7 +15,7 @@ from tests.datasets.checks.sample import CAMERA, SampleDataset, episode, look, p
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.errors import ResourceError
 from yamsim_cli.core.files.resources import Locations
-from yamsim_cli.datasets.check_summary import summarize
+from yamsim_cli.datasets.check_summary import summarize_checks
 from yamsim_cli.datasets.dataset_page import FrameStrip, dataset_page
 from yamsim_cli.datasets.summarize import contact_sheet, write_report
 
@@ -34,7 +34,7 @@ def report(tmp_path: Path, locations: Locations) -> Callable[[SampleDataset], st
         path = sample.write(tmp_path / "dataset")
         change(path)
         survey = look(path, locations)
-        return dataset_page(survey, summarize(survey, (0.001, 0.05)), contact_sheet(survey), "Made by a test.")
+        return dataset_page(survey, summarize_checks(survey, (0.001, 0.05)), contact_sheet(survey), "Made by a test.")
 
     return of
 
@@ -120,7 +120,7 @@ def test_a_dataset_without_episodes(sample: SampleDataset, report: Any) -> None:
 
 def test_a_plain_recording(sample: SampleDataset, tmp_path: Path, locations: Locations) -> None:
     survey = look(sample.write_plain(tmp_path / "plain"), locations)
-    text = dataset_page(survey, summarize(survey, (0.05,)), contact_sheet(survey), "")
+    text = dataset_page(survey, summarize_checks(survey, (0.05,)), contact_sheet(survey), "")
     needs_nothing_else(text)
     assert pictures_are_well_formed(text) == 6
     assert "y, m, in the robot&#x27;s base" in text
@@ -144,7 +144,7 @@ def test_nothing_in_a_dataset_becomes_markup(sample: SampleDataset, tmp_path: Pa
     (path / f"ep_{EVIL}").mkdir()
     survey = look(path, locations)
     text = dataset_page(
-        survey, summarize(survey, (0.05,)), [*contact_sheet(survey), FrameStrip(EVIL, EVIL, [b"x"])], EVIL
+        survey, summarize_checks(survey, (0.05,)), [*contact_sheet(survey), FrameStrip(EVIL, EVIL, [b"x"])], EVIL
     )
     reader = needs_nothing_else(text)
     assert EVIL not in text
@@ -177,7 +177,7 @@ def test_pictures_are_of_the_camera_that_stands_still(
 
 def test_a_report_is_written_whole_or_not_at_all(sample: SampleDataset, tmp_path: Path, locations: Locations) -> None:
     survey = look(sample.write(tmp_path / "dataset"), locations)
-    summary = summarize(survey, (0.05,))
+    summary = summarize_checks(survey, (0.05,))
     write_report(survey, summary, tmp_path / "report.html")
     assert (tmp_path / "report.html").read_text().endswith("</html>\n")
     assert sorted(file.name for file in tmp_path.iterdir()) == ["dataset", "report.html"]

@@ -12,8 +12,8 @@ import pytest
 from tests.datasets.checks.sample import CAMERA, FRAMES, OUTCOME, SampleDataset, episode, look
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.files.resources import Locations
-from yamsim_cli.core.statistics import wilson95
-from yamsim_cli.datasets.check_summary import summarize
+from yamsim_cli.core.statistics import wilson_interval_95
+from yamsim_cli.datasets.check_summary import summarize_checks
 
 
 @pytest.fixture
@@ -25,7 +25,7 @@ def sample(config: RecordConfig) -> SampleDataset:
 def summary(tmp_path: Path, locations: Locations) -> Callable[..., dict[str, Any]]:
     def of(sample: SampleDataset, thresholds: Sequence[float] = (0.05, 0.08), plain: bool = False) -> dict[str, Any]:
         path = (sample.write_plain if plain else sample.write)(tmp_path / "dataset")
-        report = summarize(look(path, locations), thresholds)
+        report = summarize_checks(look(path, locations), thresholds)
         json.dumps(report, allow_nan=False)
         return report
 
@@ -61,7 +61,7 @@ def test_outcomes_are_scored_by_every_threshold(config: RecordConfig, summary: A
     put(sample, (0.01, 0.06, 0.07, 0.2))
     report = summary(sample, (0.05, 0.065, 0.08))
     assert report["success_rate"] == {"0.05": 0.25, "0.065": 0.5, "0.08": 0.75}
-    assert report["wilson95"]["0.065"] == wilson95(2, 4)
+    assert report["wilson95"]["0.065"] == wilson_interval_95(2, 4)
     assert report["dxy_m"]["max"] == pytest.approx(0.2, abs=1e-6)
     assert report["dxy_m"]["median"] == pytest.approx(0.065, abs=1e-6)
     assert sum(report["dxy_m"]["histogram"]["counts"]) == 4
@@ -81,9 +81,9 @@ def test_attempts_are_scored_too_and_counted_by_cause(sample: SampleDataset, sum
     attempts = summary(sample)["attempts"]
     assert (attempts["n"], attempts["n_success"]) == (7, 3)
     assert attempts["success_rate"] == pytest.approx(3 / 7)
-    assert attempts["wilson95"] == wilson95(3, 7)
+    assert attempts["wilson95"] == wilson_interval_95(3, 7)
     assert attempts["rates"] == {"0.05": pytest.approx(3 / 7), "0.08": pytest.approx(4 / 7)}
-    assert attempts["rates_wilson95"]["0.08"] == wilson95(4, 7)
+    assert attempts["rates_wilson95"]["0.08"] == wilson_interval_95(4, 7)
     assert next(iter(attempts["causes"])) == "off_target"
     assert attempts["causes"] == {"off_target": 2, "dropped": 1, "no_layout": 1}
 

@@ -14,7 +14,7 @@ from tests.cli.run_cli import Run, yamsim
 from tests.unrendered import SIZE, change_frame, change_record, frame_count, read_frame, write_dataset
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.session import Session
-from yamsim_cli.core.dataset.reader import dataset_config, select_episodes
+from yamsim_cli.core.dataset.reader import read_recording_config, select_episodes
 from yamsim_cli.core.episode.attempt_payload import APPEARANCE_REVISION, ENGINE
 from yamsim_cli.core.errors import DatasetError, UsageError
 from yamsim_cli.core.files.resources import Locations
@@ -39,7 +39,9 @@ def dataset(original: Path, tmp_path: Path) -> Path:
 
 @pytest.fixture(scope="module")
 def verifier(original: Path, locations: Locations) -> EpisodeVerifier:
-    return EpisodeVerifier(Session(dataset_config(original, locations), locations), Tolerances(values=0.0, images=None))
+    return EpisodeVerifier(
+        Session(read_recording_config(original, locations), locations), Tolerances(values=0.0, images=None)
+    )
 
 
 @pytest.fixture
@@ -119,7 +121,7 @@ def test_an_episode_that_shows_other_meshes_than_its_dataset_is_named(
     dataset: Path, locations: Locations, tmp_path: Path
 ) -> None:
     said = {"i2rt_yam_crank": "full " + "0" * 64, "ycb": "primitives"}
-    config = dataset_config(dataset, locations).model_copy(update={"meshes": said})
+    config = read_recording_config(dataset, locations).model_copy(update={"meshes": said})
     with EpisodeVerifier(Session(config, locations), Tolerances(values=0.0, images=None)) as verifier:
         change_record(dataset / "ep_000001", meshes=said)
         assert verifier.run((1, dataset / "ep_000001")).agrees
@@ -193,10 +195,10 @@ def test_which_episodes(original: Path, tmp_path: Path) -> None:
 def test_without_a_usable_config_nothing_can_be_made_again(dataset: Path, locations: Locations) -> None:
     (dataset / "config.yaml").write_text("seed: [")
     with pytest.raises(DatasetError, match=r"config\.yaml"):
-        dataset_config(dataset, locations)
+        read_recording_config(dataset, locations)
     (dataset / "config.yaml").unlink()
     with pytest.raises(DatasetError, match="nothing of the dataset can be simulated again"):
-        dataset_config(dataset, locations)
+        read_recording_config(dataset, locations)
 
 
 def test_the_command_agrees_with_a_whole_dataset(original: Path) -> None:
@@ -245,7 +247,7 @@ def verdict_without_version(dataset: Path, locations: Locations, name: str) -> E
     change_record(
         dataset / "ep_000000", versions={key: text for key, text in record["versions"].items() if key != name}
     )
-    session = Session(dataset_config(dataset, locations), locations)
+    session = Session(read_recording_config(dataset, locations), locations)
     with EpisodeVerifier(session, Tolerances(values=0.0, images=0.0)) as verifier:
         return verifier.run((0, dataset / "ep_000000"))
 

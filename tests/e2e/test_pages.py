@@ -170,7 +170,7 @@ def no_meshes(line: str, locations: Locations) -> str | None:
     """Return why a line that fetches or reads meshes is not run; None if it can run."""
     lock, store = load_lock(locations), AssetStore(locations.assets)
     if line.startswith(("yamsim assets fetch", "yamsim assets import 0")) and not all(
-        store.resolve(assets) for assets in lock.sets.values()
+        store.find_verified_folder(assets) for assets in lock.sets.values()
     ):
         return "the meshes are not here, and this test uses no network"
     return None

@@ -24,7 +24,7 @@ from yamsim_cli.session_opener import SessionOpener
 pytestmark = [pytest.mark.render, pytest.mark.slow]
 
 # One of the folds, which take a minute each.
-NAMES = Locations.find(os.environ).config_names("tasks")
+NAMES = Locations.from_environment(os.environ).config_names("tasks")
 SHIPPED = [name for name in NAMES if not name.startswith("fold_") or name == "fold_napkin"]
 
 
@@ -58,7 +58,7 @@ def test_kill_and_resume_give_what_an_undisturbed_run_gives(
 @pytest.mark.parametrize("task", SHIPPED)
 def test_each_shipped_task_is_made_again_bit_for_bit(task: str, locations: Locations, tmp_path: Path) -> None:
     opener = SessionOpener(os.environ, lambda text: None, lambda setting: f"--{setting}")
-    config = opener.config("default", locations, task=task, n=1, workers=1, size="32x24", quality="fast")
+    config = opener.load_record_config("default", locations, task=task, n=1, workers=1, size="32x24", quality="fast")
     session = Session(config, locations).without_meshes()
     out = tmp_path / "dataset"
     watch = RecordCallbacks(lambda done, wanted, attempts: None, lambda text: None)

@@ -219,7 +219,7 @@ def test_the_quality_that_was_chosen_is_kept(dataset: Path) -> None:
     """`auto` is resolved before rendering; the dataset has its value and the renderer."""
     config = yaml.safe_load((dataset / "config.yaml").read_text())
     renderer = json.loads((dataset / "ep_000000" / "episode.json").read_text())["renderer"]
-    assert config["render"]["name"] == ("balanced" if GlBackend("egl", renderer).software else "high")
+    assert config["render"]["name"] == ("balanced" if GlBackend("egl", renderer).is_software else "high")
     assert config["render"]["shadow_map_px"] > 0
 
 

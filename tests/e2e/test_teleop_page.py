@@ -81,7 +81,7 @@ def driving(config: RecordConfig, locations: Locations, out: Path) -> Iterator[t
         wait_until(lambda: urls)
         yield urls[0], scenes[0]
     finally:
-        stop.request()
+        stop.request_stop()
         thread.join()
 
 
@@ -98,17 +98,17 @@ def test_a_drag_of_the_gizmo_moves_the_hand(
         browser.open(url)
         wait_until(lambda: "not recording" in browser.text())
         time.sleep(2)
-        before = driven.target
+        before = driven.target_pose
         # The arrow along the hand's y axis, which is the world's here.
         arrow = before[:3, 3] + 0.11 * before[:3, 1]
         start, end = (pixel(config, browser, point) for point in (arrow, arrow + 0.1 * before[:3, 1]))
         browser.drag(start, end)
         browser.screenshot(screens / "teleop_dragged.png")
-        wait_until(lambda: driven.target[1, 3] > 0.05)
-        moved = driven.target[:3, 3] - before[:3, 3]
+        wait_until(lambda: driven.target_pose[1, 3] > 0.05)
+        moved = driven.target_pose[:3, 3] - before[:3, 3]
         assert np.allclose(moved, (0, moved[1], 0), atol=2e-3)
         assert moved[1] == pytest.approx(0.1, abs=0.04)
-        wait_until(lambda: at(driven, driven.target[:3, 3], 0.01))
+        wait_until(lambda: at(driven, driven.target_pose[:3, 3], 0.01))
 
 
 def test_every_key_counts_and_none_overtakes_a_number(
@@ -117,11 +117,11 @@ def test_every_key_counts_and_none_overtakes_a_number(
     with driving(config, locations, tmp_path / "d") as (url, driven):
         browser.open(url)
         wait_until(lambda: "not recording" in browser.text())
-        x, _, z = driven.target[:3, 3]
+        x, _, z = driven.target_pose[:3, 3]
         browser.run(SET_NUMBER, Y, "0.080")
         browser.keys("iiyyyhk")
         wanted = (x + 0.01, 0.08, z + 0.02)
-        wait_until(lambda: np.allclose(driven.target[:3, 3], wanted, atol=1e-6))
+        wait_until(lambda: np.allclose(driven.target_pose[:3, 3], wanted, atol=1e-6))
         # All numbers are sent at once: before the page has followed, the other numbers would be old.
         wait_until(lambda: np.allclose([float(n) for n in browser.run(NUMBERS)[:3]], wanted, atol=6e-4))
         browser.run(SET_NUMBER, X, "0.300")
@@ -151,15 +151,15 @@ def test_what_is_done_on_the_page_is_an_episode(
         browser.open(url)
         wait_until(lambda: "not recording" in browser.text())
         browser.click("Start recording")
-        wait_until(lambda: driven.recording and "not recording" not in browser.text())
+        wait_until(lambda: driven.is_recording and "not recording" not in browser.text())
         home = browser.run(NUMBERS)
         browser.click("Point down")
-        wait_until(lambda: driven.target[2, 2] < -0.999)
+        wait_until(lambda: driven.target_pose[2, 2] < -0.999)
         heading = math.degrees(math.atan2(T_grasp[1, 1], T_grasp[0, 1]))
         # A gripper turned by 180 degrees is equivalent.
         heading = heading if heading > 0 else heading + 180
         browser.run(SET_NUMBER, HEADING, f"{heading:.1f}")
-        wait_until(lambda: hand_heading(driven.target) == pytest.approx(math.radians(heading), abs=0.001))
+        wait_until(lambda: hand_heading(driven.target_pose) == pytest.approx(math.radians(heading), abs=0.001))
         x, y, z = T_grasp[:3, 3]
         go((x, y, 0.15))
         go((x, y, z))
@@ -184,13 +184,13 @@ def test_what_is_done_on_the_page_is_an_episode(
 
         # A second, discarded recording, and a target out of reach.
         browser.keys("r")
-        wait_until(lambda: driven.recording)
+        wait_until(lambda: driven.is_recording)
         wait_until(lambda: browser.run(NUMBERS) == home)
         browser.run(SET_NUMBER, X, "1.200")
         wait_until(lambda: "out of reach" in browser.text())
         browser.screenshot(screens / "teleop_out_of_reach.png")
         browser.keys("x")
-        wait_until(lambda: not driven.recording and "discarded" in browser.text())
+        wait_until(lambda: not driven.is_recording and "discarded" in browser.text())
     record = json.loads((out / "ep_000000" / "episode.json").read_text())
     assert (record["source"], record["outcome"]["success"]) == ("teleop", True)
     summary = yamsim("summarize", str(out), "--strict", "--json")
@@ -206,7 +206,7 @@ def test_a_page_that_is_closed_pauses_its_recording(
         browser.open(url)
         wait_until(lambda: "not recording" in browser.text())
         browser.click("Start recording")
-        wait_until(lambda: driven.recording)
+        wait_until(lambda: driven.is_recording)
         browser.open("about:blank")
         wait_until(lambda: driven.paused)
         before = driven.status.seconds

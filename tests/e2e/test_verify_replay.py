@@ -103,7 +103,7 @@ def test_trials_are_filmed_failures_first(
     with Simulator(
         Session(make_config({("task", "goal", "on", "radius"): 0.0035}), locations).without_meshes()
     ) as simulator:
-        lengths = [len(planned(simulator, 2, number).states) for number in (failed[0], 0)]
+        lengths = [len(planned(simulator, 2, number).recorded_states) for number in (failed[0], 0)]
     for name, length in zip(names, lengths, strict=True):
         with av.open(str(tmp_path / "films" / name)) as container:
             assert sum(1 for _ in container.decode(video=0)) == length

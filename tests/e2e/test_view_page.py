@@ -85,7 +85,9 @@ def test_the_boards_on_the_page_are_the_rigs_own(
     for k, arm in enumerate(rig.arms):
         assert arm.board is not None
         T_board_in_world = rig.T_base_in_world(k) @ arm.T_board_in_base
-        for number, corners in zip(arm.board.board.ids, arm.board.board.corners(), strict=True):
+        for number, corners in zip(
+            arm.board.board_in_metres.marker_ids, arm.board.board_in_metres.marker_corners(), strict=True
+        ):
             places[number] = (T_board_in_world @ (*corners.mean(axis=0), 1.0))[:2]
     middle = np.array([*np.mean(list(places.values()), axis=0), 0.0])
     # The picture's right is world +x, its top world +y. Slightly off the vertical, where "up" is undefined.

@@ -16,10 +16,10 @@ from tests.export.raiden_diff import column, differences, frames_of
 from tests.unrendered import change_record
 from yamsim_cli.core.attempt_data import AttemptJob
 from yamsim_cli.core.config.session import Session
-from yamsim_cli.core.dataset.reader import dataset_config
+from yamsim_cli.core.dataset.reader import read_recording_config
 from yamsim_cli.core.errors import DatasetError, UsageError
 from yamsim_cli.core.files.resources import Locations
-from yamsim_cli.core.geometry.se3 import Array, inverse, pose
+from yamsim_cli.core.geometry.se3 import Array, invert_pose, pose
 from yamsim_cli.export.export_source import open_source
 from yamsim_cli.export.lerobot import export_lerobot
 from yamsim_cli.export.raiden import export_raiden
@@ -106,7 +106,7 @@ def test_raidens_cameras_are_in_the_left_base_and_its_calibration_says_so_too(tw
     calibration = json.loads((raiden / "calibration_results.json").read_text())
     between = calibration["bimanual_transform"]
     # Its converter inverts the value of this name.
-    T_right_in_left = inverse(np.array(between["right_base_to_left_base"]))
+    T_right_in_left = invert_pose(np.array(between["right_base_to_left_base"]))
     np.testing.assert_allclose(T_right_in_left[:3, 3], (0, -0.591, 0), atol=1e-6)
     np.testing.assert_allclose(between["T_right_base_in_left_base"], T_right_in_left, atol=1e-9)
     for number, (side, base) in enumerate(zip(SIDES, (np.eye(4), T_right_in_left), strict=True)):
@@ -192,7 +192,7 @@ def test_lerobots_actions_are_those_that_a_policy_answers_with(
 ) -> None:
     np.save(tmp_path / "actions.npy", rows(lerobot, "data/*/*.parquet")["action"])
     (tmp_path / "player.py").write_text(PLAYER.format(file=str(tmp_path / "actions.npy")))
-    config = dataset_config(two_armed, locations)
+    config = read_recording_config(two_armed, locations)
     with TrialRunner(Session(config, locations), PolicyChoice("player.py:Player", tmp_path)) as runner:
         outcome = runner.run(AttemptJob(config.seed, 0)).outcome
     assert outcome.success, outcome.detail
@@ -235,4 +235,4 @@ def test_episodes_of_one_arm_and_of_two_do_not_mix(two_armed: Path, locations: L
     change_record(copy / "ep_000001", arms=1)
     source = open_source(copy, None, locations)
     with pytest.raises(DatasetError, match=r"has other arms than ep_000000 \(1, not 2\)"):
-        list(source.episodes())
+        list(source.open_episodes())

@@ -11,8 +11,8 @@ import pytest
 
 from tests.export.conftest import ignore
 from tests.unrendered import change_record
-from yamsim_cli.core.dataset.dataset_paths import EPISODE
-from yamsim_cli.core.dataset.reader import open_recorded
+from yamsim_cli.core.dataset.dataset_paths import EPISODE_FILE
+from yamsim_cli.core.dataset.reader import open_recorded_episode
 from yamsim_cli.core.errors import DatasetError
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.export.export_source import SimulatedSource, open_source
@@ -40,7 +40,7 @@ def crafted(dataset: Path, tmp_path: Path) -> Path:
     path = tmp_path / "in" / "dataset"
     shutil.copytree(dataset, path)
     for directory in sorted(path.glob("ep_*")):
-        record = json.loads((directory / EPISODE).read_text())
+        record = json.loads((directory / EPISODE_FILE).read_text())
         cameras = {_AWAY if name == _CAMERA else name: size for name, size in record["cameras"].items()}
         files = {name.replace(f"rgb/{_CAMERA}/", f"rgb/{_AWAY}/"): value for name, value in record["files"].items()}
         change_record(directory, cameras=cameras, files=files)
@@ -77,7 +77,7 @@ def test_a_camera_with_a_path_as_its_name_is_refused(
 def test_every_name_of_a_record_is_checked(dataset: Path, tmp_path: Path, key: str, value: object) -> None:
     directory = tmp_path / "ep_000000"
     shutil.copytree(dataset / "ep_000000", directory)
-    open_recorded(directory)
+    open_recorded_episode(directory)
     change_record(directory, **{key: value})
     with pytest.raises(DatasetError, match=rf"episode.json: {key}\."):
-        open_recorded(directory)
+        open_recorded_episode(directory)

@@ -289,6 +289,6 @@ def test_overlay_reads_the_cameras_of_the_calibration_file(
     file = write(dataset, tmp_path / "out", locations, SOURCE) / "calibration_results.json"
     frame = load_frame((dataset / "ep_000000/lowdim/000000.pkl").read_bytes())
     for camera, name in CAMERAS:
-        model = load_config(CameraConfig, "cameras", f"{file}:{name}", locations).model
+        model = load_config(CameraConfig, "cameras", f"{file}:{name}", locations).camera_model
         assert (model.width, model.height) == SIZE
         np.testing.assert_allclose(model.K, frame["intrinsics"][camera], rtol=1e-6)

@@ -21,9 +21,9 @@ from tests.unrendered import change_frame, frame_count, write_dataset
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.session import Session
 from yamsim_cli.core.dataset.lowdim import SIMULATION, recorded_actions
-from yamsim_cli.core.dataset.reader import dataset_config, open_episode
+from yamsim_cli.core.dataset.reader import open_episode, read_recording_config
 from yamsim_cli.core.episode.episode_rules import EXPERT_RULES
-from yamsim_cli.core.episode.execution import run_actions
+from yamsim_cli.core.episode.execution import simulate_actions
 from yamsim_cli.core.episode.simulator import Simulator
 from yamsim_cli.core.errors import DatasetError
 from yamsim_cli.core.files.resources import Locations
@@ -38,7 +38,7 @@ TICK, PERIOD = 0.032, 0.064
 
 @pytest.fixture(scope="module")
 def simulator(dataset: Path, locations: Locations) -> Iterator[Simulator]:
-    with Simulator(Session(dataset_config(dataset, locations), locations)) as made:
+    with Simulator(Session(read_recording_config(dataset, locations), locations)) as made:
         yield made
 
 
@@ -59,14 +59,14 @@ def test_between_frames_the_states_are_the_simulations_and_the_commands_the_plan
     ticks = 2 * episode.record.frames - 1
     seen = StateSampler(simulator.scene.model, np.arange(ticks) * TICK)
     done = planned(simulator, episode.record.seed, episode.record.attempt)
-    plan = all_actions(done.states).joints[:, 0]
+    plan = all_actions(done.recorded_states).joints[:, 0]
     found = resample_episode(simulator, episode, 1 / TICK)
     recorded = recorded_actions(episode.frames(), simulator.scene.model.nq, simulator.scene.model.nu)
     assert recorded
-    run_actions(simulator, done.attempt, recorded[1], EXPERT_RULES, on_step=seen)
+    simulate_actions(simulator, done.attempt, recorded[1], EXPERT_RULES, on_step=seen)
     assert len(found.times) == ticks
     np.testing.assert_array_equal(found.qpos, seen.qpos)
-    np.testing.assert_array_equal(found.qpos[::2], [state.qpos for state in done.states])
+    np.testing.assert_array_equal(found.qpos[::2], [state.qpos for state in done.recorded_states])
     found_commands = np.array([frame["action_joints"] for frame in found.frames])
     np.testing.assert_array_equal(found_commands[::2], plan[0:ticks:2].astype(np.float32))
     off = np.abs(found_commands - plan[:ticks])

@@ -20,7 +20,7 @@ from yamsim_cli.core.dataset.lowdim import dump_frame
 from yamsim_cli.core.errors import ConfigError, ResourceError, UsageError
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.geometry.camera import CameraModel
-from yamsim_cli.core.geometry.se3 import inverse
+from yamsim_cli.core.geometry.se3 import invert_pose
 from yamsim_cli.core.images.jpeg import decode_jpeg
 from yamsim_cli.gap_photos.photo_comparison import (
     PhotoRequest,
@@ -55,7 +55,7 @@ def photographed(gap: MotionGap, locations: Locations) -> MotionGap:
         for k in TAKEN:
             (stand,) = postures_at(gap.motion, k, studio.rig)
             shot = studio.shoot(VIEW, np.append(stand.joints, stand.opening)[None])
-            T_cam_in_base = inverse(studio.rig.T_base_in_world(0)) @ VIEW
+            T_cam_in_base = invert_pose(studio.rig.T_base_in_world(0)) @ VIEW
             frame = {"intrinsics": {SCENE_CAMERA: np.array(CAMERA.K)}, "extrinsics": {SCENE_CAMERA: T_cam_in_base}}
             _write(Path(gap.name), k, shot.image, frame)
     return gap
@@ -106,7 +106,7 @@ def test_a_board_says_where_a_camera_stood_that_nobody_recorded(
     report, _ = _compare(other, locations, PhotoRequest(10, CAMERA))
     assert report["photos"] == 2 and report["outline_px"]["worst"] < 1
     with pytest.raises(ConfigError, match="320 x 240"):
-        _compare(other, locations, PhotoRequest(10, CameraModel.pinhole(320, 240, 300.0)))
+        _compare(other, locations, PhotoRequest(10, CameraModel.from_focal_length(320, 240, 300.0)))
 
 
 @pytest.mark.render

@@ -72,10 +72,12 @@ def take(
         tamper(stage.model)
         mujoco.mj_forward(stage.model, stage.data)
     part_of_geom = np.array([_part(stage.model, int(body)) for body in stage.model.geom_bodyid] + [0], np.uint8)
-    with stage.renderer() as renderer:
+    with stage.open_renderer() as renderer:
         return {
             view: GoldenPicture(
-                renderer.render(stage.data, view).copy(), part_of_geom[renderer.segment(stage.data, view)], stage
+                renderer.render(stage.data, view).copy(),
+                part_of_geom[renderer.render_geom_ids(stage.data, view)],
+                stage,
             )
             for view in VIEWS
         }
@@ -120,7 +122,7 @@ def centre_faults(shot: GoldenPicture, rig: str, view: str) -> list[str]:
         if len(rows) == 0:
             found.append(f"centre: {part} is not seen at all")
             continue
-        expected = shot.stage.cameras[view].pixel(centre)
+        expected = shot.stage.cameras[view].project_point(centre)
         off = float(np.hypot(columns.mean() - expected[0], rows.mean() - expected[1]))
         if off > MAX_CENTRE_PX:
             found.append(f"centre: {part} is seen {off:.1f} px from where it should be, at most {MAX_CENTRE_PX}")

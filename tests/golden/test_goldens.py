@@ -114,7 +114,7 @@ def test_every_marker_is_found_from_above(name: str, locations: Locations) -> No
     # Where a shadow ends on a marker, the plain detector misplaces its corners.
     quality = quality.model_copy(update={"shadow_map_px": 0})
     stage = set_up_views(Blueprint(rig, scene), locations, quality, size)
-    with stage.renderer() as renderer:
+    with stage.open_renderer() as renderer:
         grey = cv2.cvtColor(renderer.render(stage.data, "near_top"), cv2.COLOR_RGB2GRAY)
     dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_6X6_250)
     corners, ids, _ = cv2.aruco.ArucoDetector(dictionary).detectMarkers(grey)
@@ -127,7 +127,9 @@ def test_every_marker_is_found_from_above(name: str, locations: Locations) -> No
         board = rig.arms[arm].board
         assert board is not None
         T = rig.T_base_in_world(arm) @ rig.arms[arm].T_board_in_base
-        for number, marker in zip(board.board.ids, board.board.corners(), strict=True):
+        for number, marker in zip(
+            board.board_in_metres.marker_ids, board.board_in_metres.marker_corners(), strict=True
+        ):
             seen = corners[ids.ravel().tolist().index(number)][0]
-            wanted = np.array([camera.pixel((T @ [*corner, 1])[:3]) for corner in marker])
+            wanted = np.array([camera.project_point((T @ [*corner, 1])[:3]) for corner in marker])
             np.testing.assert_allclose(seen, wanted, atol=1.5)

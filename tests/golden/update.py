@@ -12,5 +12,5 @@ if __name__ == "__main__":
 
     from tests.golden.shots import update
 
-    for path in update(Locations.find(os.environ)):
+    for path in update(Locations.from_environment(os.environ)):
         print(path)

@@ -22,7 +22,7 @@ from kitchenbench.sim import build_blueprint, make_success_checker
 from yamsim_cli.core.errors import UsageError
 from yamsim_cli.core.geometry.se3 import quat_from_rotation, rotation_from_vector
 from yamsim_cli.kitchenbench.asset_configs import COMPARTMENT
-from yamsim_cli.kitchenbench.benchmark_scene import KINDS, build_benchmark_scene, open_station_session
+from yamsim_cli.kitchenbench.benchmark_scene import GOAL_KINDS, build_benchmark_scene, open_station_session
 from yamsim_cli.kitchenbench.embodiment import CAMERAS, JOINTS, YamsimEmbodiment
 from yamsim_cli.kitchenbench.object_poses import AHEAD, BESIDE
 from yamsim_cli.kitchenbench.policy import YamsimExpert
@@ -80,7 +80,9 @@ def test_scenes_of_others_are_refused(embodiment: YamsimEmbodiment) -> None:
 
 def test_a_kind_without_physics_is_refused(embodiment: YamsimEmbodiment) -> None:
     scene = tasks.TASK_FACTORIES["pour_pasta"]().scenes[0]
-    with pytest.raises(LookupError, match=f"goals of kind 'pour_into' are not supported; valid: {sorted(KINDS)[0]}"):
+    with pytest.raises(
+        LookupError, match=f"goals of kind 'pour_into' are not supported; valid: {sorted(GOAL_KINDS)[0]}"
+    ):
         embodiment.reset(scene, seed=0)
 
 
@@ -110,7 +112,7 @@ def test_scenes_come_to_rest_and_answer_all_queries(name: str, base: Any) -> Non
         verdict = make_success_checker(blueprint, world)(world)
         assert not verdict.success and "unknown" not in verdict.explanation
         start = motion.data.qpos.copy()
-        motion.act(motion.state())
+        motion.execute_action(motion.measured_state())
         moved = {n: np.abs((motion.data.qpos - start)[k]).max() for n, k in _places(realized).items()}
         assert max(moved.values()) < 0.002, moved
     finally:

@@ -114,11 +114,11 @@ def test_cutlery_has_places_in_its_compartment_and_beside_the_tray() -> None:
         bench, roles = planning.context, planning.simulator.roles
         assert roles is not None
         put = PlaceInCompartment(thing="knife_1", into="compartment_knife", beside="sortable")
-        inside = put.goals(bench, roles, "knife_1")
+        inside = put.goal_poses(bench, roles, "knife_1")
         assert (
             inside and bench.world.points_inside("compartment_knife", inside[0][None, :3, 3] + (0.0, 0.0, 0.01)).all()
         )
-        aside = PutBesideTray(thing="knife_1").goals(bench, roles, "knife_1")
+        aside = PutBesideTray(thing="knife_1").goal_poses(bench, roles, "knife_1")
         assert aside and not any(bench.world.points_inside("tray", T[None, :3, 3]).any() for T in aside)
     finally:
         planning.close()
@@ -170,7 +170,7 @@ def test_a_leaning_piece_gets_the_height_of_its_attitude() -> None:
         mujoco.mj_kinematics(planning.simulator.scene.model, bench.world.data)
         put = PlaceInCompartment(thing="knife_1", into="compartment_knife", beside="sortable")
         for skill, onto in ((put, "compartment_knife"), (PutBesideTray(thing="knife_1"), "table")):
-            goals = skill.goals(bench, roles, "knife_1")
+            goals = skill.goal_poses(bench, roles, "knife_1")
             upright = next(T for T in goals if T[2, 2] > 0.999)
             other = next(T for T in goals if T[2, 2] < 0.99)
             for T in (upright, other):
@@ -211,8 +211,8 @@ def test_a_piece_is_put_down_where_it_can_be_taken_on() -> None:
             def fault(self, *_: object) -> str | None:  # type: ignore[override]
                 return None
 
-        nearest = PutBesideTray(thing="spoon_1").goals(bench, roles, "spoon_1")
-        taken_on = PutBesideTray(thing="spoon_1", then=Onwards(thing="spoon_1")).goals(bench, roles, "spoon_1")
+        nearest = PutBesideTray(thing="spoon_1").goal_poses(bench, roles, "spoon_1")
+        taken_on = PutBesideTray(thing="spoon_1", then=Onwards(thing="spoon_1")).goal_poses(bench, roles, "spoon_1")
         assert len(nearest) == len(taken_on)
         grips = [
             (hand, next(bench.grasp_candidates("spoon_1", hand.max_opening)).T_pinch_in_thing)

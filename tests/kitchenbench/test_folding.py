@@ -80,7 +80,11 @@ def test_layers_are_laid_farther_than_what_has_a_wrinkle() -> None:
 
     def farther(single: bool) -> list[float]:
         """How much farther along y than its mirrored points each end of a whole side is laid."""
-        ways = [way for way in possible_folds(wrinkled, single) if way.points == ((0, 0), (0, 8)) and way.share > 0.49]
+        ways = [
+            way
+            for way in possible_folds(wrinkled, single)
+            if way.grasped_points == ((0, 0), (0, 8)) and way.share > 0.49
+        ]
         return [float(to[1] - wrinkled[12, 0, 1]) for way in ways for _, to in way.corners]
 
     assert farther(single=True) == pytest.approx([0.02, 0.02])
@@ -99,14 +103,14 @@ def test_what_the_expert_aims_at_is_what_the_checker_asks(name: str) -> None:
     scene = realized(name)
     try:
         item = scene.blueprint.objects[0]
-        cloth = scene.items[item.name].cloth
+        cloth = scene.object_configs[item.name].cloth
         assert cloth is not None
         world = KitchenWorld(scene, SceneStepper(scene, 10))
         checker = make_success_checker(scene.blueprint, world)
         area = required_area(scene.blueprint, item, cloth)
-        said = checker(_Square(world, math.sqrt(area) + 2 * cloth.radius))
+        said = checker(_Square(world, math.sqrt(area) + 2 * cloth.half_thickness))
         assert said.success, said.explanation
-        assert not checker(_Square(world, 1.03 * math.sqrt(area) + 2 * cloth.radius)).success
+        assert not checker(_Square(world, 1.03 * math.sqrt(area) + 2 * cloth.half_thickness)).success
     finally:
         scene.simulator.close()
 

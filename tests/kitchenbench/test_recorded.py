@@ -21,12 +21,12 @@ from kitchenbench.sim import build_blueprint, make_success_checker
 from tests.attempts import all_actions
 from yamsim_cli.core.attempt_data import AttemptJob
 from yamsim_cli.core.config.session import Session
-from yamsim_cli.core.dataset.reader import dataset_config
+from yamsim_cli.core.dataset.reader import read_recording_config
 from yamsim_cli.core.dataset.writing.directory_claim import OpenMode
-from yamsim_cli.core.episode.execution import demonstrate
+from yamsim_cli.core.episode.execution import simulate_expert
 from yamsim_cli.core.episode.expert import arm_sides
 from yamsim_cli.core.episode.sampling import sample_attempt
-from yamsim_cli.core.episode.simulator import Simulators
+from yamsim_cli.core.episode.simulator import SimulatorCache
 from yamsim_cli.core.errors import UsageError
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.sim.sim_world import SimWorld, make_sim_world
@@ -58,13 +58,13 @@ def session(task: dict[str, Any], locations: Locations) -> Session:
 
 def _session(task: dict[str, Any], locations: Locations) -> Session:
     opener = SessionOpener(os.environ, lambda text: None, "--{}".format)
-    config = opener.config("default", locations, task=task, n=1, workers=1, size="32x24", quality="fast")
+    config = opener.load_record_config("default", locations, task=task, n=1, workers=1, size="32x24", quality="fast")
     return Session(config, locations).without_meshes()
 
 
 @pytest.fixture(scope="module")
-def simulators(session: Session) -> Iterator[Simulators]:
-    with Simulators(session) as made:
+def simulators(session: Session) -> Iterator[SimulatorCache]:
+    with SimulatorCache(session) as made:
         yield made
 
 
@@ -104,7 +104,7 @@ def test_a_scene_that_cannot_be_recorded_is_refused(name: str, said: str) -> Non
     assert str(caught.value).startswith(f"{name}: ") and said in str(caught.value)
 
 
-def test_attempts_go_through_all_realizations(simulators: Simulators, task: dict[str, Any]) -> None:
+def test_attempts_go_through_all_realizations(simulators: SimulatorCache, task: dict[str, Any]) -> None:
     starts = set()
     for number in range(4):
         job = AttemptJob(0, number)
@@ -128,24 +128,24 @@ class Queries:
 
 
 @pytest.mark.slow
-def test_the_goal_holds_when_the_benchmarks_checker_says_so(simulators: Simulators, task: dict[str, Any]) -> None:
+def test_the_goal_holds_when_the_benchmarks_checker_says_so(simulators: SimulatorCache, task: dict[str, Any]) -> None:
     job = AttemptJob(0, 0)
     simulator = simulators.get(job)
-    done = demonstrate(simulator, sample_attempt(simulator, job))
+    done = simulate_expert(simulator, sample_attempt(simulator, job))
     assert done.outcome.success, done.outcome
     scene, goal = simulator.scene, simulator.config.task.goal
     data = mujoco.MjData(scene.model)
     world = SimWorld(scene.model, data, scene.arms, arm_sides(simulator.config), list(scene.object_qpos))
     checker = make_success_checker(build_blueprint(SCENE, task["arrangements"][0]["seed"]), Queries(world))  # type: ignore[arg-type]
     agreed = []
-    for state in done.states[::5]:
+    for state in done.recorded_states[::5]:
         data.qpos[:] = state.qpos
         mujoco.mj_forward(scene.model, data)
         ours = all(measure.holds for measure in goal.measures(world, simulator.roles))
         assert ours == checker(Queries(world)).success  # type: ignore[arg-type]
         agreed.append(ours)
     assert not agreed[0] and agreed[-1]
-    assert len(all_actions(done.states).ctrl) > 100
+    assert len(all_actions(done.recorded_states).ctrl) > 100
 
 
 @pytest.mark.slow
@@ -153,13 +153,13 @@ def test_cutlery_is_put_onto_a_napkin_that_bends(locations: Locations) -> None:
     scene = next(scene for scene in tasks.TASK_FACTORIES["place_cutlery"]().scenes if scene.id.endswith("napkin-soft"))
     task = resolve_scene_task("kitchenbench/place_cutlery/napkin-soft")
     assert isinstance(task, dict) and task["things"]["napkin"]["of"][0]["cloth"]["size_mm"] == [200.0, 200.0]
-    with Simulators(_session(task, locations)) as simulators:
+    with SimulatorCache(_session(task, locations)) as simulators:
         simulator = simulators.get(AttemptJob(0, 0))
         attempt = sample_attempt(simulator, AttemptJob(0, 0))
-        done = demonstrate(simulator, attempt)
+        done = simulate_expert(simulator, attempt)
         assert done.outcome.success, done.outcome
         data = mujoco.MjData(simulator.scene.model)
-        simulator.scene.reset(data, done.states[-1].qpos)
+        simulator.scene.reset(data, done.recorded_states[-1].qpos)
         world = make_sim_world(simulator.scene, data, arm_sides(simulator.config))
         checker = make_success_checker(build_blueprint(scene, task["arrangements"][0]["seed"]), Queries(world))  # type: ignore[arg-type]
         assert checker(Queries(world)).success  # type: ignore[arg-type]
@@ -177,7 +177,7 @@ def test_what_is_recorded_is_made_again_without_the_benchmark(
     watch = RecordCallbacks(lambda done, wanted, attempts: None, lambda text: None)
     record(session, RecordingOutput(out, OpenMode.NEW), InlineExecutorFactory(), watch, StopRequest())
     monkeypatch.setitem(__import__("sys").modules, "kitchenbench", None)
-    again = Session(dataset_config(out, locations), locations).without_meshes()
+    again = Session(read_recording_config(out, locations), locations).without_meshes()
     with EpisodeVerifier(again, Tolerances(0.0, 0.0)) as verifier:
         verdict = verifier.run((0, out / "ep_000000"))
     assert verdict.agrees, verdict

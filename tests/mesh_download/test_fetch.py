@@ -113,11 +113,11 @@ def test_two_processes_at_once_fetch_once(world, tmp_path):
 
 @pytest.mark.network
 def test_the_committed_lock_can_really_be_fetched(tmp_path):
-    lock, store = load_lock(Locations.find({})), AssetStore(tmp_path / "store")
+    lock, store = load_lock(Locations.from_environment({})), AssetStore(tmp_path / "store")
     seen: list[tuple[str, int, int]] = []
     report = fetch(lock, lock.sets, store, default_sources(lock), lambda *event: seen.append(event))
     assert [fetched.name for fetched in report.sets] == list(lock.sets)
-    assert all(store.resolve(assets) is not None for assets in lock.sets.values())
+    assert all(store.find_verified_folder(assets) is not None for assets in lock.sets.values())
     assert {fetched.source for fetched in fetch(lock, lock.sets, store, []).sets} == {"store"}
     assert all(0 <= done <= total for _, done, total in seen)
     assert {path.name for path in store.root.iterdir()} == {a.directory_name for a in lock.sets.values()} | {".lock"}

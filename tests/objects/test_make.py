@@ -23,7 +23,7 @@ from yamsim_cli.core.scene.assets import AssetStore, resolve_user_set
 from yamsim_cli.core.scene.objects.scene_object import add_object
 from yamsim_cli.objects.building import ImportOptions, build_object
 from yamsim_cli.objects.certify.single_object_pick import reachable_grasp_points
-from yamsim_cli.objects.convex_decomposition import decompose
+from yamsim_cli.objects.convex_decomposition import decompose_body
 from yamsim_cli.objects.importing.file_import import import_directly, import_file, object_name_of
 from yamsim_cli.objects.part_surfaces import solid_or_sheet
 from yamsim_cli.objects.primitives import PointBody
@@ -76,7 +76,7 @@ def test_an_open_surface_has_the_mass_of_a_sheet() -> None:
 
 def test_a_mug_stands_on_its_foot_and_holds_things() -> None:
     made = build_object(thing(mug_surface()), ImportOptions("mug", mass=0.3, collision="hull"), Path("unused"))
-    item = ObjectConfig.model_validate(made.with_set("own-mug-000000000000"))
+    item = ObjectConfig.model_validate(made.config_with_mesh_set("own-mug-000000000000"))
     assert item.rest_height == 0 and item.preposition == "in"
     assert item.support_height == pytest.approx(0.006, abs=2e-4)
     assert item.mesh.origin == pytest.approx((0, 0, 0), abs=1e-3)
@@ -112,7 +112,7 @@ def test_a_block_becomes_a_box_primitive() -> None:
 
 def test_the_interior_of_a_mug_adds_no_mass() -> None:
     vertices, faces = mug_mesh(32)
-    body = PointBody.inside(vertices, faces.astype(np.int32))
+    body = PointBody.from_mesh(vertices, faces.astype(np.int32))
     inner = np.hypot(body.points[:, 0], body.points[:, 1]) < RADIUS - WALL - 0.001
     assert body.points[inner, 2].max() < 0.008
     assert len(body.points) * body.step**3 == pytest.approx(uniform_mass_properties(*mug_mesh(32)).volume, rel=0.05)
@@ -134,14 +134,14 @@ def test_a_convex_decomposition_is_cached(tmp_path: Path, monkeypatch: pytest.Mo
     mesh = corner.to_mesh()
     body = np.array(mesh.vert_properties[:, :3], np.float64), np.array(mesh.tri_verts, np.int32)
     shares: list[float] = []
-    parts = decompose(body, tmp_path, share=shares.append)
+    parts = decompose_body(body, tmp_path, share=shares.append)
     assert 2 <= len(parts) <= 4
     assert sum(uniform_mass_properties(*part).volume for part in parts) == pytest.approx(
         uniform_mass_properties(*body).volume, rel=0.15
     )
     assert shares == sorted(shares) and shares[-1] == 1.0
     monkeypatch.setattr("yamsim_cli.objects.convex_decomposition.run_child", None)
-    again = decompose(body, tmp_path)
+    again = decompose_body(body, tmp_path)
     assert all(np.array_equal(a[0], b[0]) for a, b in zip(parts, again, strict=True))
 
 
@@ -150,7 +150,7 @@ def test_a_convex_decomposition_is_cached(tmp_path: Path, monkeypatch: pytest.Mo
 def test_a_convex_decomposition_has_a_time_limit(tmp_path: Path) -> None:
     vertices, faces = mug_mesh(64)
     with pytest.raises(ResourceError, match=r"convex parts is not done after 0\.5 s: reduce the mesh first"):
-        decompose((vertices, faces.astype(np.int32)), tmp_path, limit_s=0.5)
+        decompose_body((vertices, faces.astype(np.int32)), tmp_path, limit_s=0.5)
 
 
 @pytest.mark.slow
@@ -198,7 +198,7 @@ def test_joints_of_a_file_move_in_a_scene(tmp_path: Path, name: str, text: str) 
     (tmp_path / name).write_text(text)
     made = build_object(read_file(tmp_path / name, tmp_path), ImportOptions("thing"), tmp_path)
     set_name = "own-thing-000000000000"
-    item = ObjectConfig.model_validate(made.with_set(set_name))
+    item = ObjectConfig.model_validate(made.config_with_mesh_set(set_name))
     folder = tmp_path / set_name
     folder.mkdir()
     for file, data in made.files.items():

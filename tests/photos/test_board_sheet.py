@@ -14,7 +14,7 @@ from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.errors import ConfigError, ResourceError
 from yamsim_cli.core.geometry.board import Board
-from yamsim_cli.core.geometry.camera import Intrinsics, project
+from yamsim_cli.core.geometry.camera import Intrinsics, project_points
 from yamsim_cli.core.geometry.se3 import pose, rotation_from_vector
 from yamsim_cli.core.images.board_image import board_image, board_texture, marker_cells
 from yamsim_cli.photos.board_sheet import (
@@ -216,15 +216,15 @@ def test_all_markers_of_the_bimanual_rig_are_found_where_the_board_has_them(loca
     rig = load_config(RigConfig, "rigs", "bimanual", locations)
     cell, quiet = 10, 2
     seen = []
-    for board in (arm.board.board for arm in rig.arms):
+    for board in (arm.board.board_in_metres for arm in rig.arms):
         found = detect(board_image(board, cell, quiet))
-        assert tuple(sorted(found)) == board.ids
+        assert tuple(sorted(found)) == board.marker_ids
         px_per_metre = 8 * cell / board.marker_length
         # From the `board` frame, y up, to pixel centres, y down.
-        places = board.corners()[..., :2] * (1, -1) + (board.width / 2, board.height / 2)
+        places = board.marker_corners()[..., :2] * (1, -1) + (board.width / 2, board.height / 2)
         expected = places * px_per_metre + quiet * cell - 0.5
         # OpenCV gives the outermost black pixels: half a pixel inside the edge.
-        assert np.abs(np.array([found[i] for i in board.ids]) - expected).max() < 0.6
+        assert np.abs(np.array([found[i] for i in board.marker_ids]) - expected).max() < 0.6
         seen += found
     assert sorted(seen) == list(range(217, 235))
 
@@ -242,10 +242,10 @@ def test_a_camera_sees_the_corners_where_the_board_frame_puts_them():
     photo = cv2.warpPerspective(image, cam_from_pixel, (640, 480), flags=cv2.INTER_AREA, borderValue=(128,))
 
     found = detect(photo)
-    assert tuple(sorted(found)) == BOARD.ids
-    corners = BOARD.corners().reshape(-1, 3) @ T_board_in_cam[:3, :3].T + T_board_in_cam[:3, 3]
-    expected = project(camera.K, corners).reshape(-1, 4, 2)
-    assert np.abs(np.array([found[i] for i in BOARD.ids]) - expected).max() < 1.5
+    assert tuple(sorted(found)) == BOARD.marker_ids
+    corners = BOARD.marker_corners().reshape(-1, 3) @ T_board_in_cam[:3, :3].T + T_board_in_cam[:3, 3]
+    expected = project_points(camera.K, corners).reshape(-1, 4, 2)
+    assert np.abs(np.array([found[i] for i in BOARD.marker_ids]) - expected).max() < 1.5
 
 
 def test_markers_are_opencvs_and_gaps_are_white():
@@ -254,7 +254,7 @@ def test_markers_are_opencvs_and_gaps_are_white():
     dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_6X6_250)
     assert image.shape == (276, 276)  # 2 quiet zones, 3 markers of 8 cells, 2 gaps of 0.8
     seen = np.full_like(image, 255)
-    for k, number in enumerate(BOARD.ids):
+    for k, number in enumerate(BOARD.marker_ids):
         y, x = (10 + part * 88 for part in divmod(k, 3))
         seen[y : y + 80, x : x + 80] = dictionary.generateImageMarker(number, 80, borderBits=1)
     assert np.array_equal(image, seen)
@@ -263,9 +263,9 @@ def test_markers_are_opencvs_and_gaps_are_white():
 def test_an_uneven_gap_shifts_no_marker_by_more_than_half_a_pixel():
     board = Board("uneven", 0, 6, 2, "DICT_4X4_50", 0.02, 0.00377)
     found = detect(board_image(board, 10, 2), board.dictionary)
-    assert tuple(sorted(found)) == board.ids
-    places = (board.corners()[..., :2] * (1, -1) + (board.width / 2, board.height / 2)) * 60 / 0.02 + 20 - 0.5
-    assert np.abs(np.array([found[i] for i in board.ids]) - places).max() < 1.1
+    assert tuple(sorted(found)) == board.marker_ids
+    places = (board.marker_corners()[..., :2] * (1, -1) + (board.width / 2, board.height / 2)) * 60 / 0.02 + 20 - 0.5
+    assert np.abs(np.array([found[i] for i in board.marker_ids]) - places).max() < 1.1
 
 
 def test_a_texture_is_the_board_to_its_edge():

@@ -49,7 +49,7 @@ def test_the_ray_field_agrees_with_single_rays(camera: CameraModel) -> None:
     assert field.shape == (len(y), len(x), 2)
     exact = viewing_rays(camera, np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)).reshape(field.shape)
     # In pixels, the error of interpolation and single precision together.
-    assert np.abs(field - exact).max() * camera.focal < 5e-4
+    assert np.abs(field - exact).max() * camera.mean_focal_length < 5e-4
 
 
 def test_empty_arrays_give_empty_arrays() -> None:
@@ -72,7 +72,7 @@ def test_points_of_an_ideal_picture_come_out_where_the_lens_has_them(camera: Cam
         near = (slice(max(0, int(y) - 40), int(y) + 40), slice(max(0, int(x) - 40), int(x) + 40))
         distance = (columns[near] - x) ** 2 + (rows[near] - y) ** 2
         picture[near] += 250 * np.exp(-distance / (2 * (4 * supersample) ** 2))
-    bent = warp.image(np.round(picture).astype(np.uint8)).astype(np.float64)
+    bent = warp.distort_picture(np.round(picture).astype(np.uint8)).astype(np.float64)
     assert bent.shape == (camera.height, camera.width)
     for x, y in pixels:
         patch = np.s_[round(y) - 14 : round(y) + 15, round(x) - 14 : round(x) + 15]
@@ -89,7 +89,7 @@ def test_distorting_labels_creates_no_new_labels(camera: CameraModel) -> None:
     rng = np.random.default_rng(0)
     ideal = rng.integers(0, 3, (warp.ideal.height // 8 + 1, warp.ideal.width // 8 + 1)).repeat(8, 0).repeat(8, 1)
     labels = ideal[: warp.ideal.height, : warp.ideal.width].astype(np.uint8)
-    bent = warp.image(labels, nearest=True)
+    bent = warp.distort_picture(labels, nearest=True)
     assert set(np.unique(bent)) == {0, 1, 2}
     assert bent.shape == (camera.height, camera.width)
 
@@ -101,7 +101,7 @@ def test_flattening_undoes_the_lens(camera: CameraModel) -> None:
     ideal = warp.ideal
     rows, columns = np.mgrid[: ideal.height, : ideal.width]
     picture = (128 + 60 * np.sin(columns / 25) + 60 * np.cos(rows / 31)).astype(np.uint8)
-    flat = warp.undistort(warp.image(picture))
+    flat = warp.undistort_photo(warp.distort_picture(picture))
     assert flat.shape == picture.shape
     seen = np.round(viewing_rays(camera, whole_image(camera, 5)) * (ideal.fx, ideal.fy) + (ideal.cx, ideal.cy)).astype(
         int
@@ -115,7 +115,7 @@ def test_flattening_undoes_the_lens(camera: CameraModel) -> None:
 @pytest.mark.parametrize("supersample", [2, 3])
 def test_every_nth_pixel_of_the_ideal_picture_is_the_coarse_cameras(supersample: int) -> None:
     warp = LensWarp(WEBCAM, supersample)
-    fine, coarse = warp.ideal, warp.coarse
+    fine, coarse = warp.ideal, warp.coarse_intrinsics
     picture = np.zeros((fine.height, fine.width))[::supersample, ::supersample]
     assert picture.shape == (coarse.height, coarse.width)
     k = 37

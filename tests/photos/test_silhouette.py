@@ -8,7 +8,7 @@ import pytest
 
 from yamsim_cli.core.geometry.se3 import pose, rotation_from_vector
 from yamsim_cli.photos.edge_alignment import (
-    REACH,
+    DEFAULT_REACH,
     PoseCorrection,
     edge_equations,
     edge_offsets,
@@ -65,17 +65,17 @@ def test_the_outline_against_what_lies_in_front_is_left_out() -> None:
 @pytest.mark.parametrize("offset", [-3.0, -0.7, 0.0, 0.3, 2.4])
 def test_edges_are_found_to_a_fraction_of_a_pixel(offset: float) -> None:
     found = edge_offsets(disk(radius=RADIUS + offset), mask_outline(mask()))
-    assert found.found > 0.99
+    assert found.found_share > 0.99
     assert np.nanmean(found.offsets) == pytest.approx(offset, abs=0.12)
-    assert found.residual == pytest.approx(abs(offset), abs=0.3)
+    assert found.median_distance == pytest.approx(abs(offset), abs=0.3)
 
 
 def test_what_has_no_edge_counts_as_far() -> None:
     nothing = edge_offsets(np.full((240, 320), 100, np.uint8), mask_outline(mask()))
-    assert (nothing.found, nothing.residual) == (0.0, REACH)
+    assert (nothing.found_share, nothing.median_distance) == (0.0, DEFAULT_REACH)
     faint = edge_offsets((disk() // 40) + 100, mask_outline(mask()))
-    assert faint.found == 0.0
-    assert edge_offsets(disk(), mask_outline(np.zeros((240, 320), bool))).residual is None
+    assert faint.found_share == 0.0
+    assert edge_offsets(disk(), mask_outline(np.zeros((240, 320), bool))).median_distance is None
 
 
 def test_large_photos_are_looked_at_in_larger_grains() -> None:
@@ -84,7 +84,7 @@ def test_large_photos_are_looked_at_in_larger_grains() -> None:
     shape = (2400, 3200)
     line = mask_outline(mask((1600.0, 1200.0), 600.0, shape))
     off = edge_offsets(disk((1600.0, 1200.0), 620.0, shape), line)
-    assert off.reach == 3 * REACH
+    assert off.reach == 3 * DEFAULT_REACH
     assert np.nanmean(off.offsets) == pytest.approx(20.0, abs=0.5)
 
 
@@ -101,7 +101,7 @@ def test_a_flat_disk_is_pulled_back_onto_its_picture() -> None:
         offsets = edge_offsets(photo, line, reach).offsets
         part = edge_equations(line, np.full(len(line.points), T[2, 3]), offsets, K, T[:3, 3].copy())
         move = solve_correction([part], T[:3, 3].copy(), weak, so_far)
-        T, so_far = move.apply(T), so_far + move.step
+        T, so_far = move.apply_to_pose(T), so_far + move.step
     assert T[:2, 3] == pytest.approx((0.012, -0.008), abs=0.0008)
     assert T[2, 3] == pytest.approx(1.0, abs=0.005)
 
@@ -135,11 +135,11 @@ def test_outlines_that_move_together_are_weighed_together() -> None:
 
 def test_without_an_outline_the_pose_stays() -> None:
     nothing = edge_equations(mask_outline(np.zeros((9, 9), bool)), np.zeros(0), np.zeros(0), np.eye(3), np.zeros(3))
-    assert solve_correction([nothing], np.zeros(3), np.eye(6), np.zeros(6)).size == 0.0
+    assert solve_correction([nothing], np.zeros(3), np.eye(6), np.zeros(6)).approximate_displacement == 0.0
 
 
 def test_a_correction_turns_about_its_centre() -> None:
     turn = PoseCorrection(np.array([0, 0, np.pi / 2, 0, 0, 0.1]), np.array([1.0, 0, 0]))
-    moved = turn.apply(pose((1.0, 1.0, 0.0)))
+    moved = turn.apply_to_pose(pose((1.0, 1.0, 0.0)))
     assert moved[:3, 3] == pytest.approx((0.0, 0.0, 0.1))
     assert moved[:3, :3] == pytest.approx(rotation_from_vector([0, 0, np.pi / 2]))

@@ -60,7 +60,7 @@ def test_act_sends_arrays_and_understands_them() -> None:
 def test_openpi_sends_arrays_and_understands_them() -> None:
     with openpi_server(lambda data: pack_openpi(doubled(unpack_openpi(data)))) as url:
         client = OpenpiClient(url, 5.0)
-        client.begin(0)
+        client.begin_trial(0)
         for _ in range(3):
             np.testing.assert_array_equal(client.infer(MESSAGE)["actions"], np.full((3, 14), 2.0))
         # Longer than the short forms of a frame's length.
@@ -75,7 +75,7 @@ def test_an_error_of_openpis_server_is_told_and_the_next_trial_connects_again() 
         with pytest.raises(RemoteError, match="KeyError: 'no such thing'") as caught:
             client.infer(MESSAGE)
         assert caught.value.fault.traceback.startswith("Traceback")
-        client.begin(1)
+        client.begin_trial(1)
         assert client.infer(MESSAGE) == {"a": 1}
         client.close()
 

@@ -13,12 +13,12 @@ from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.policy import PolicyConfig
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.session import Session
-from yamsim_cli.core.dataset.environment_state import joints_key, object_pose_keys, state_names, state_row
+from yamsim_cli.core.dataset.environment_state import joints_key, make_state_row, object_pose_keys, state_names
 from yamsim_cli.core.episode.attempt_payload import frame_records
 from yamsim_cli.core.episode.episode_rules import EpisodeRules
-from yamsim_cli.core.episode.execution import demonstrate
+from yamsim_cli.core.episode.execution import simulate_expert
 from yamsim_cli.core.episode.sampling import sample_attempt
-from yamsim_cli.core.episode.simulator import Simulators, open_episode
+from yamsim_cli.core.episode.simulator import SimulatorCache, open_episode
 from yamsim_cli.core.errors import UsageError
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.geometry.se3 import pose, rotation_z
@@ -31,7 +31,7 @@ from yamsim_cli.policies.lerobot import check_rows
 class StateOnlyClient:
     """A client that only receives observations."""
 
-    def begin(self, seed: int) -> None: ...
+    def begin_trial(self, seed: int) -> None: ...
 
     def infer(self, message: object) -> dict[str, object]:
         return {}
@@ -41,7 +41,7 @@ class StateOnlyClient:
 
 def test_a_row_has_a_position_two_axes_and_joints() -> None:
     turned = pose((1.0, 2.0, 3.0), rotation_z(np.pi / 2))
-    row = state_row([(turned, ()), (np.eye(4), (0.25,))])
+    row = make_state_row([(turned, ()), (np.eye(4), (0.25,))])
     np.testing.assert_allclose(row, [1, 2, 3, 0, 1, 0, -1, 0, 0, 0, 0, 0, 1, 0, 0, 0, 1, 0, 0.25], atol=1e-12)
     names = state_names(("cup", "cabinet"), {"cabinet": ("slide",)})
     assert len(names) == len(row) == len(set(names))
@@ -73,17 +73,17 @@ def test_a_policy_is_told_what_an_export_would_hold(
     policy = MappedPolicy(StateOnlyClient(), mapping, policy_station(config), ["observation.environment_state"])
     assert (policy.wants, policy.images) == (("objects",), ())
     assert sorted(object_pose_keys(config)) == things
-    with Simulators(Session(config, locations)) as simulators:
+    with SimulatorCache(Session(config, locations)) as simulators:
         job = AttemptJob(0, 0)
         simulator = simulators.get(job)
-        done = demonstrate(simulator, sample_attempt(simulator, job))
-        (frame,) = frame_records(simulator, done.attempt, done.states[-1:])
-        episode = open_episode(simulator, replace(done.attempt, start=done.states[-1].qpos), EpisodeRules())
+        done = simulate_expert(simulator, sample_attempt(simulator, job))
+        (frame,) = frame_records(simulator, done.attempt, done.recorded_states[-1:])
+        episode = open_episode(simulator, replace(done.attempt, start=done.recorded_states[-1].qpos), EpisodeRules())
         seen = ObservationBuilder(simulator, policy.images, policy.wants).observe(
             episode, done.attempt, ObservationRenderer(_nothing)
         )
-        told = policy.message(seen)["observation.environment_state"]
-    recorded = state_row(
+        told = policy.make_message(seen)["observation.environment_state"]
+    recorded = make_state_row(
         [(frame[f"{name}_pose"], frame.get(joints_key(name), ())) for name in object_pose_keys(config)]
     )
     assert (told.shape, told.dtype) == ((width,), np.float32)
@@ -94,7 +94,7 @@ def test_a_checkpoint_that_does_not_ask_is_not_told(config: RecordConfig, locati
     mapping = load_config(PolicyConfig, "policies", "lerobot_export", locations)
     policy = MappedPolicy(StateOnlyClient(), mapping, policy_station(config), ["observation.state"])
     assert policy.wants == ()
-    message = policy.message({"joints": np.zeros(7), "prompt": "do it", "time": 0.0})
+    message = policy.make_message({"joints": np.zeros(7), "prompt": "do it", "time": 0.0})
     assert set(message) == {"observation.state", "task"}
 
 

@@ -93,7 +93,7 @@ class Recording:
         self.stage = stage
         self.meshes: dict[str, Path | None] = {}
         self.warnings: list[str] = []
-        self.locations = Locations(Locations.find({}).data, Path("/nowhere"))
+        self.locations = Locations(Locations.from_environment({}).data, Path("/nowhere"))
         self.stop = StopRequest()
 
     def run(self, executor: Inline | None = None, mode: OpenMode = OpenMode.NEW, workers: int = 2) -> RecordReport:
@@ -110,4 +110,4 @@ class Recording:
         return self.run(executor, OpenMode.RESUME)
 
     def causes(self) -> list[str | None]:
-        return [attempt.outcome.cause for attempt in Ledger(self.path).known.values()]
+        return [attempt.outcome.cause for attempt in Ledger(self.path).known_attempts.values()]

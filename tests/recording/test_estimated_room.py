@@ -12,7 +12,7 @@ from yamsim_cli.api import API_SESSION_OPENER, record
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.dataset.writing.directory_claim import OpenMode
 from yamsim_cli.core.errors import ResourceError
-from yamsim_cli.core.expert.skills.program import SKILL_SECONDS, SKILLS, typical_ticks
+from yamsim_cli.core.expert.skills.program import SKILL_SECONDS, SKILLS, typical_tick_count
 from yamsim_cli.recording.collect import RecordCallbacks
 from yamsim_cli.recording.recording_output import RecordingOutput, open_destination
 
@@ -48,7 +48,7 @@ def test_every_skill_has_a_duration() -> None:
 @pytest.mark.parametrize("task", RECORDED_FRAMES)
 def test_a_programs_typical_duration_is_near_what_was_recorded(task: str) -> None:
     program = config_of(task).task
-    frames = typical_ticks(program) / program.timing.ticks_per_frame
+    frames = typical_tick_count(program) / program.timing.ticks_per_frame
     assert 0.7 < frames / RECORDED_FRAMES[task] < 2
 
 

@@ -15,7 +15,7 @@ import pytest
 from tests.core.dataset.making import tree
 from tests.recording.fake_episodes import Recording
 from yamsim_cli.core.config.recording import RecordConfig
-from yamsim_cli.core.dataset.dataset_paths import CONFIG
+from yamsim_cli.core.dataset.dataset_paths import CONFIG_FILE
 from yamsim_cli.core.dataset.writing.directory_claim import OpenMode
 from yamsim_cli.core.dataset.writing.integrity import inspect_episodes
 from yamsim_cli.core.dataset.writing.ledger import Ledger
@@ -76,11 +76,11 @@ def assert_whole(path: Path) -> None:
         return
     assert all(found.fault is None for found in inspect_episodes(path))
     episodes = {found.number for found in inspect_episodes(path)}
-    logged = {attempt.episode for attempt in Ledger(path).known.values()} - {None}
+    logged = {attempt.episode for attempt in Ledger(path).known_attempts.values()} - {None}
     assert logged <= episodes
     assert len(episodes - logged) <= 1, "the one that was published when the ledger failed"
     if episodes:
-        assert (path / CONFIG).is_file()
+        assert (path / CONFIG_FILE).is_file()
 
 
 def every_third(calls: int, fault: Fault) -> range:

@@ -42,7 +42,7 @@ class Target:
         self.refuse = True
         self.open = threading.Event()
         self.reached = threading.Event()
-        real = DatasetWriter.publish
+        real = DatasetWriter.publish_episode
 
         def publish(writer: DatasetWriter, record: EpisodeRecord, files: Mapping[str, bytes]) -> None:
             self.room -= 1
@@ -53,7 +53,7 @@ class Target:
                 assert self.open.wait(30)
             real(writer, record, files)
 
-        monkeypatch.setattr(DatasetWriter, "publish", publish)
+        monkeypatch.setattr(DatasetWriter, "publish_episode", publish)
 
 
 @pytest.fixture
@@ -74,7 +74,7 @@ def keep_all_in_the_stage(recording: Recording, target: Target, room: int = 0) -
 
     def blocked() -> None:
         target.reached.wait(30)
-        stop.request()
+        stop.request_stop()
 
     waiter = threading.Thread(target=blocked)
     waiter.start()
@@ -162,7 +162,7 @@ def test_a_target_that_does_not_answer_does_not_hold_the_end_up(
     recording: Recording, target: Target, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     touched: list[str] = []
-    monkeypatch.setattr(DatasetWriter, "finish", lambda writer: touched.append("finish"))
+    monkeypatch.setattr(DatasetWriter, "write_manifest", lambda writer: touched.append("finish"))
     keep_all_in_the_stage(recording, target)
     assert touched == []
     target.open.set()
@@ -234,6 +234,6 @@ def test_a_bug_in_the_mover_does_not_go_unheard(recording: Recording, monkeypatc
     def broken(writer: DatasetWriter, attempt: AttemptRecord) -> None:
         raise ZeroDivisionError("a bug")
 
-    monkeypatch.setattr(DatasetWriter, "log", broken)
+    monkeypatch.setattr(DatasetWriter, "log_attempt", broken)
     with pytest.raises(ZeroDivisionError):
         recording.run()

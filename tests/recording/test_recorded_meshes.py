@@ -27,7 +27,7 @@ from yamsim_cli.core.episode.runner import AttemptRunner
 from yamsim_cli.core.errors import ConfigError, ResourceError
 from yamsim_cli.core.files.documents.yaml_document import load_yaml
 from yamsim_cli.core.files.resources import Locations, Meshes
-from yamsim_cli.core.geometry.stl import stl_bytes
+from yamsim_cli.core.geometry.stl import encode_stl
 from yamsim_cli.core.scene.build import with_mesh_descriptions
 from yamsim_cli.core.workers.executors import InlineExecutor
 from yamsim_cli.recording.executor_factories import pack_session, unpack_session, unpacked_runner
@@ -134,7 +134,7 @@ def test_of_another_configuration_its_keys_are_named_first(
 
 def test_a_recorded_config_asks_for_no_meshes_in_a_new_dataset(recording: Recording, meshes: Meshes) -> None:
     """Its statement holds for that dataset only."""
-    there = replace(Locations.find({}), meshes=meshes)
+    there = replace(Locations.from_environment({}), meshes=meshes)
     recording.config = with_mesh_descriptions(Session(recording.config, there)).config
     recording.run()
     assert load_yaml(recording.path / "config.yaml").data["meshes"] == {ARM: "primitives", YCB: "primitives"}
@@ -238,7 +238,7 @@ def test_every_cast_of_a_task_shows_the_meshes_that_the_recording_states(tmp_pat
     for mesh in ("012_strawberry", "018_plum", "015_peach"):
         other = stand_ins(tmp_path / mesh, session.locations, "i2rt_yam_linear_4310", YCB, SMALL, OBJECTS)
         assert other[OBJECTS] is not None
-        (other[OBJECTS] / f"{mesh}.stl").write_bytes(stl_bytes(*box(0.021, cuts=1)))
+        (other[OBJECTS] / f"{mesh}.stl").write_bytes(encode_stl(*box(0.021, cuts=1)))
         with pytest.raises(ResourceError, match=f"{OBJECTS}: full"):
             AttemptRunner(replace(session, locations=replace(session.locations, meshes=other)), render=True)
 
@@ -258,8 +258,8 @@ def test_what_is_unpacked_is_what_was_packed(tmp_path: Path, config: RecordConfi
     unpacked = unpack_session(packed, tmp_path / "there")
     assert unpacked.config == config
     there = unpacked.locations
-    assert there.file("robot_models/arm/arm.xml").read_text() == "mine"
-    assert there.file("robot_models/arm/deep/part.xml").read_text() == "theirs"
+    assert there.find_data_file("robot_models/arm/arm.xml").read_text() == "mine"
+    assert there.find_data_file("robot_models/arm/deep/part.xml").read_text() == "theirs"
     assert there.meshes == {"set": tmp_path / "there/meshes/set", "missing": None}
     assert (tmp_path / "there/meshes/set/link.stl").read_bytes() == b"\0\xff"
 

@@ -16,7 +16,7 @@ from yamsim_cli.core.attempt_data import Attempt, AttemptJob, AttemptPayload, Fa
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.dataset.writing.directory_claim import OpenMode
 from yamsim_cli.core.errors import DatasetError, InterruptedJobError, PartialJobError, ResourceError
-from yamsim_cli.core.expert.skills.program import typical_ticks
+from yamsim_cli.core.expert.skills.program import typical_tick_count
 from yamsim_cli.core.files.filesystem_mounts import Mount
 from yamsim_cli.core.workers.stop_request import StopRequest
 
@@ -203,7 +203,7 @@ def test_a_wish_to_stop_lets_attempts_in_hand_finish_and_begins_no_other(
     recording: Recording, undisturbed: dict[str, bytes]
 ) -> None:
     def stopping(job: AttemptJob) -> AttemptPayload:
-        recording.stop.request()
+        recording.stop.request_stop()
         return payload(job)
 
     executor = Inline(stopping)
@@ -220,7 +220,7 @@ def test_a_wish_to_stop_lets_attempts_in_hand_finish_and_begins_no_other(
 
 def test_a_wish_to_stop_does_not_wait_for_ever(recording: Recording, monkeypatch: pytest.MonkeyPatch) -> None:
     def hang(job: AttemptJob) -> AttemptPayload:
-        recording.stop.request()
+        recording.stop.request_stop()
         raise TimeoutError
 
     monkeypatch.setattr(StopRequest, "seconds_since_request", 61.0)
@@ -270,7 +270,7 @@ def test_a_network_mount_is_warned_of_with_the_files_per_episode(
     recording.run()
     (warning,) = recording.warnings
     task = recording.config.task
-    files = math.ceil(typical_ticks(task) / task.timing.ticks_per_frame) * (3 if wrist else 2)
+    files = math.ceil(typical_tick_count(task) / task.timing.ticks_per_frame) * (3 if wrist else 2)
     assert f"is on /far, which is fuse.sshfs (host:/x): an episode has {files} files" in warning
     recording.warnings.clear()
     recording.resume()

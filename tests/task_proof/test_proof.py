@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from tests.programs import ONTO_PLATE, changed, first_attempt, session_of
-from yamsim_cli.core.episode.execution import demonstrate
-from yamsim_cli.core.episode.simulator import Simulators
+from yamsim_cli.core.episode.execution import simulate_expert
+from yamsim_cli.core.episode.simulator import SimulatorCache
 from yamsim_cli.core.errors import SimulationError
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.task_validation.task_catalog import task_entries, task_entry
@@ -24,25 +24,25 @@ from yamsim_cli.task_validation.validation import (
 
 
 @pytest.fixture(scope="module")
-def simulators(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Simulators]:
+def simulators(tmp_path_factory: pytest.TempPathFactory) -> Iterator[SimulatorCache]:
     missed = {"thing": "cube", "what": "60 mm higher", "move": [0, 0, 0.06]}
     task = changed({("near_misses",): [missed]})
-    with Simulators(session_of(tmp_path_factory.mktemp("task"), task)) as made:
+    with SimulatorCache(session_of(tmp_path_factory.mktemp("task"), task)) as made:
         yield made
 
 
-def test_near_misses_of_a_good_goal_do_not_count(simulators: Simulators) -> None:
+def test_near_misses_of_a_good_goal_do_not_count(simulators: SimulatorCache) -> None:
     simulator, attempt = first_attempt(simulators)
-    check = check_near_misses(simulator, demonstrate(simulator, attempt))
+    check = check_near_misses(simulator, simulate_expert(simulator, attempt))
     assert check.ok and check.value == 0 and check.detail == "2 near misses, none counts"
 
 
 def test_a_near_miss_that_counts_is_named(tmp_path: Path) -> None:
     ahead = {"thing": "cube", "what": "20 mm ahead", "move": [0.02, 0, 0.0]}
     task = changed({("near_misses",): [ahead], ("goal",): {"on": {"thing": "cube", "surface": "plate"}}})
-    with Simulators(session_of(tmp_path, task)) as simulators:
+    with SimulatorCache(session_of(tmp_path, task)) as simulators:
         simulator, attempt = first_attempt(simulators)
-        check = check_near_misses(simulator, demonstrate(simulator, attempt))
+        check = check_near_misses(simulator, simulate_expert(simulator, attempt))
     assert check.ok is False and "of which these count: the cube 20 mm ahead" in check.detail
 
 
@@ -59,33 +59,33 @@ def test_each_near_miss_starts_from_the_success(tmp_path: Path) -> None:
             ("near_misses",): [{"thing": "cube", "what": "60 mm higher", "move": [0, 0, 0.06]}],
         }
     )
-    with Simulators(session_of(tmp_path, task)) as simulators:
+    with SimulatorCache(session_of(tmp_path, task)) as simulators:
         simulator, attempt = first_attempt(simulators)
-        done = demonstrate(simulator, attempt)
+        done = simulate_expert(simulator, attempt)
         assert done.outcome.success, done.outcome
         check = check_near_misses(simulator, done)
     assert check.detail == "3 near misses, of which these count: the cube_2 60 mm higher"
 
 
-def test_the_share_in_reach_is_measured(simulators: Simulators, tmp_path: Path) -> None:
+def test_the_share_in_reach_is_measured(simulators: SimulatorCache, tmp_path: Path) -> None:
     simulator, _ = first_attempt(simulators)
     assert check_reach(simulator).value == 1.0
     far = changed({("starts", "cube", "x"): [0.3, 1.1], ("starts", "cube", "y"): [0.0, 0.0]})
-    with Simulators(session_of(tmp_path, far)) as others:
+    with SimulatorCache(session_of(tmp_path, far)) as others:
         other, _ = first_attempt(others)
         check = check_reach(other)
     assert check.ok is False and check.value is not None and 0.2 < check.value < 0.6
     assert "cube" in check.detail and "at least 90% is needed" in check.detail
 
 
-def test_nothing_and_open_fingers_reach_nothing(simulators: Simulators) -> None:
+def test_nothing_and_open_fingers_reach_nothing(simulators: SimulatorCache) -> None:
     assert check_holding_still(simulators, 0, 1).ok
     assert check_open_fingers(simulators, 0, 1).ok
 
 
 def test_a_goal_that_nothing_is_needed_for_has_no_start(tmp_path: Path) -> None:
     lying = changed({("goal",): {"upright": {"thing": "cube"}}})
-    with Simulators(session_of(tmp_path, lying)) as simulators:
+    with SimulatorCache(session_of(tmp_path, lying)) as simulators:
         check = check_holding_still(simulators, 0, 1)
     assert check.ok is False and check.detail == "no attempt had a start"
 

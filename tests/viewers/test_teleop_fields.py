@@ -82,7 +82,7 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> list[float]:
 
 def test_the_fields_follow_the_target(fields: TargetFields, page: Page) -> None:
     assert (page.place.value, page.heading.value) == ((0.3, 0.0, 0.2), 0.0)
-    assert not fields.typed
+    assert not fields.has_typed_numbers
     moved = T_HOME.copy()
     moved[0, 3] = 0.35
     fields.show(moved)
@@ -94,13 +94,13 @@ def test_a_number_is_taken_when_no_digit_has_come_for_a_second(
 ) -> None:
     for z in (0.0, 0.1, 0.15):
         page.place.typed((0.3, 0.0, z))
-        assert not fields.ready
+        assert not fields.is_typing_done
         clock[0] += 0.9
-        assert not fields.ready
+        assert not fields.is_typing_done
     clock[0] += 0.11
-    assert fields.ready
-    assert np.allclose(fields.take(T_HOME)[:3, 3], (0.3, 0.0, 0.15))
-    assert not fields.typed
+    assert fields.is_typing_done
+    assert np.allclose(fields.apply_typed(T_HOME)[:3, 3], (0.3, 0.0, 0.15))
+    assert not fields.has_typed_numbers
 
 
 def test_nothing_is_written_over_what_is_typed(fields: TargetFields, page: Page) -> None:
@@ -109,7 +109,7 @@ def test_nothing_is_written_over_what_is_typed(fields: TargetFields, page: Page)
     moved[1, 3] = 0.05
     fields.show(moved)
     assert page.place.value == (0.4, 0.0, 0.2)
-    target = fields.take(moved)
+    target = fields.apply_typed(moved)
     assert np.allclose(target[:3, 3], (0.4, 0.05, 0.2001)), "and it moves only what was typed"
     fields.show(target)
     assert page.place.value == (0.4, 0.05, 0.2)
@@ -124,13 +124,13 @@ def test_a_number_that_has_come_but_is_not_told_of_yet_is_not_written_over(field
 def test_a_typed_number_is_not_sent_back(fields: TargetFields, page: Page) -> None:
     before = page.place.writes
     page.place.typed((0.4, 0.0, 0.2))
-    fields.show(fields.take(T_HOME))
+    fields.show(fields.apply_typed(T_HOME))
     assert page.place.writes == before, "it would arrive over the next digit"
 
 
 def test_a_target_that_became_another_is_shown(fields: TargetFields, page: Page) -> None:
     page.place.typed((0.3, 0.0, -0.1))
-    lifted = fields.take(T_HOME)
+    lifted = fields.apply_typed(T_HOME)
     lifted[2, 3] = 0.012
     fields.show(lifted)
     assert page.place.value == (0.3, 0.0, 0.012)
@@ -138,6 +138,6 @@ def test_a_target_that_became_another_is_shown(fields: TargetFields, page: Page)
 
 def test_a_heading_turns_the_hand_about_the_vertical(fields: TargetFields, page: Page) -> None:
     page.heading.typed(30.0)
-    target = fields.take(T_HOME)
+    target = fields.apply_typed(T_HOME)
     assert np.degrees(hand_heading(target)) == pytest.approx(30.0)
     assert np.array_equal(target[:3, 3], T_HOME[:3, 3])

@@ -21,9 +21,9 @@ from yamsim_cli.core.attempt_data import ActionSequence, AttemptJob, StepState
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.objects.object_config import ObjectConfig
 from yamsim_cli.core.episode.episode_rules import REPLAY_RULES
-from yamsim_cli.core.episode.execution import demonstrate, run_actions
+from yamsim_cli.core.episode.execution import simulate_actions, simulate_expert
 from yamsim_cli.core.episode.sampling import sample_attempt
-from yamsim_cli.core.episode.simulator import Simulator, Simulators
+from yamsim_cli.core.episode.simulator import Simulator, SimulatorCache
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.geometry.cloth_contacts import count_self_intersections
 from yamsim_cli.core.geometry.se3 import Array
@@ -64,7 +64,7 @@ class _Watching:
 
     def __init__(self) -> None:
         self.sheets: dict[str, Sheet] = {}
-        self._ticks, update = 0, ClothConstraints.update
+        self._ticks, update = 0, ClothConstraints.update_grasps
 
         def seen(grips: ClothConstraints, data: mujoco.MjData, ctrl: Array) -> list[bool]:
             self._ticks += 1
@@ -74,33 +74,34 @@ class _Watching:
                     sheet.see(cloth.points(data.qpos))
             return update(grips, data, ctrl)
 
-        ClothConstraints.update = seen  # type: ignore[assignment, method-assign]
+        ClothConstraints.update_grasps = seen  # type: ignore[assignment, method-assign]
 
 
 def fold(task: str, count: int, first: int, spoilt: int) -> None:
     """Attempts of a task's expert; the first ones also without closing fingers, and released half-way."""
     watching = _Watching()
     opener = SessionOpener(os.environ, lambda text: None, str)
-    with Simulators(opener.open("default", renders=False, task=task)) as simulators:
+    with SimulatorCache(opener.open("default", renders=False, task=task)) as simulators:
         for number in range(first, first + count):
             watching.sheets.clear()
             job, began = AttemptJob(0, number), time.process_time()
             simulator = simulators.get(job)
-            done = demonstrate(simulator, sample_attempt(simulator, job))
+            done = simulate_expert(simulator, sample_attempt(simulator, job))
             took = time.process_time() - began - sum(sheet.seconds for sheet in watching.sheets.values())
             outcome, sheets = done.outcome, list(watching.sheets.values())
             print(
                 f"{number}: {outcome.cause or 'folded'}; {'; '.join(m.detail for m in outcome.measures if m.detail)}; "
                 f"stretch {max(s.stretch for s in sheets):.1%}, {max(s.crossings for s in sheets)} edges through "
-                f"triangles; {took:.1f} s for {len(done.states) * 0.064:.1f} s; {len(outcome.recoveries)} recoveries",
+                f"triangles; {took:.1f} s for {len(done.recorded_states) * 0.064:.1f} s; "
+                f"{len(outcome.recoveries)} recoveries",
                 flush=True,
             )
             if number - first < spoilt and outcome.success:
-                stuck = demonstrate(simulator, done.attempt, grips=False).outcome
+                stuck = simulate_expert(simulator, done.attempt, grips=False).outcome
                 print(f"   the expert's fingers do not close: {stuck.cause or 'folded'}", flush=True)
                 for what, share in (("the same motion, fingers open", 0.0), ("let go half-way", 0.5)):
-                    opened = _opened(simulator, done.states, share)
-                    spoilt_one = run_actions(simulator, done.attempt, opened, REPLAY_RULES).outcome
+                    opened = _opened(simulator, done.recorded_states, share)
+                    spoilt_one = simulate_actions(simulator, done.attempt, opened, REPLAY_RULES).outcome
                     said = "; ".join(measure.detail for measure in spoilt_one.measures if measure.detail)
                     print(f"   {what}: {spoilt_one.cause or 'folded'}, {said}", flush=True)
 
@@ -120,7 +121,7 @@ def _opened(simulator: Simulator, states: Sequence[StepState], share: float) -> 
 
 def shake(name: str, count: int) -> None:
     """A cloth over a table, dropped in a random orientation, or pulled at a point in three directions and released."""
-    item = load_config(ObjectConfig, "objects", name, Locations.find(os.environ))
+    item = load_config(ObjectConfig, "objects", name, Locations.from_environment(os.environ))
     assert item.cloth is not None, "give a cloth"
     spec, rest = mujoco.MjSpec(), flat_points(item.cloth)
     spec.option.timestep, spec.option.integrator = _STEP, mujoco.mjtIntegrator.mjINT_DISCRETE
@@ -137,7 +138,9 @@ def shake(name: str, count: int) -> None:
     unstable, sheets, began = 0, [], time.process_time()
     for number in range(count):
         sheet = Sheet(item.cloth.grid, rest)
-        unstable += not _shaken(model, data, sheet, item.cloth.radius, np.random.default_rng(number), bool(number % 2))
+        unstable += not _shaken(
+            model, data, sheet, item.cloth.half_thickness, np.random.default_rng(number), bool(number % 2)
+        )
         sheets.append(sheet)
     took = time.process_time() - began - sum(sheet.seconds for sheet in sheets)
     drops, pulls = (max(sheet.stretch for sheet in sheets[k::2]) for k in (0, 1))

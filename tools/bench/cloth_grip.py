@@ -62,7 +62,7 @@ def settings() -> list[Setting]:
 
 def slip(gripper: str, setting: Setting) -> float:
     """Return how much less the cloth rose than the hand, mm."""
-    found = load_config(ObjectConfig, "objects", _CLOTH, Locations.find(os.environ))
+    found = load_config(ObjectConfig, "objects", _CLOTH, Locations.from_environment(os.environ))
     assert found.cloth is not None
     cloth = found.cloth.model_copy(update={"grid": (setting.grid, setting.grid), "friction": setting.friction})
     model = _model(gripper, found.model_copy(update={"cloth": cloth}), setting)
@@ -77,7 +77,7 @@ def slip(gripper: str, setting: Setting) -> float:
         data.mocap_pos[0, 2] = tips - 1.0
     else:
         table = tips - setting.tips
-        at = rest + np.array([half - _INWARDS, half - _INWARDS, cloth.radius + table])
+        at = rest + np.array([half - _INWARDS, half - _INWARDS, cloth.half_thickness + table])
         data.mocap_pos[0, 2] = table
     data.qpos[points] = at - rest
     mujoco.mj_kinematics(model, data)

@@ -102,7 +102,7 @@ def main(count: int) -> None:
     done = []
     with tempfile.TemporaryDirectory() as scratch:
         for seed in range(count):
-            session = cabinet_session(Path(scratch), seed, Locations.find(os.environ))
+            session = cabinet_session(Path(scratch), seed, Locations.from_environment(os.environ))
             opened, shut = open_and_shut(session)
             done.append(opened > 0.07 and shut < 0.02)
             print(f"{seed}: open {opened * 1000:.0f} mm, then {shut * 1000:.0f} mm")

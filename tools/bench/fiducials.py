@@ -32,9 +32,9 @@ from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.geometry.camera import CameraModel
-from yamsim_cli.core.geometry.se3 import Array, inverse, rotation_vector
+from yamsim_cli.core.geometry.se3 import Array, invert_pose, rotation_vector
 from yamsim_cli.photos.fiducials.board_detection import BoardDetection, BoardStatus
-from yamsim_cli.photos.fiducials.board_localization import locate_boards, locate_together
+from yamsim_cli.photos.fiducials.board_localization import locate_boards, locate_boards_together
 from yamsim_cli.photos.overlay.photo_arm_poses import find_arms
 from yamsim_cli.photos.overlay.photo_cameras import PhotoCamera
 from yamsim_cli.photos.overlay.photos import Photo
@@ -124,7 +124,7 @@ def run(case: PhotoCase, poses: int, seed: int) -> list[Trial]:
     cv2.setNumThreads(1)
     camera = CameraModel(CAMERA.width, CAMERA.height, CAMERA.K, case.distortion)
     rng = np.random.default_rng([seed, *case.name.encode()])
-    where = Locations.find(os.environ)
+    where = Locations.from_environment(os.environ)
     said = load_config(RigConfig, "rigs", "russet" if case.both or case.second_print != 1 else "bimanual", where)
     trials: list[Trial] = []
     with Photographer(_as_printed(said, case.second_print), where, camera) as photographer:
@@ -151,12 +151,12 @@ def _one(case: PhotoCase, photographer: Photographer, rng: np.random.Generator) 
     which, distance = int(rng.integers(len(photographer.boards))), _distance(case, rng)
     T_cam = shot_of(photographer, rng, distance, case.tilt, which)
     placed = photographer.boards[which]
-    truth = inverse(T_cam) @ placed.T_in_world
+    truth = invert_pose(T_cam) @ placed.T_in_world
     image = photographer.take()
     if case.damage:
         image = case.damage(rng, cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), photographer.camera, placed.board, truth)
     if case.hidden:
-        hidden = rng.permutation(len(placed.board.ids))[: case.hidden].tolist()
+        hidden = rng.permutation(len(placed.board.marker_ids))[: case.hidden].tolist()
         image = covered(image, photographer.camera, placed.board, truth, hidden)
     photo = spoilt(image, rng, **dict(case.spoil))  # type: ignore[arg-type]
     began = time.process_time()
@@ -174,7 +174,7 @@ def _each(case: PhotoCase, said: RigConfig, photographer: Photographer, rng: np.
     arms = find_arms(said, Photo(Path("photo.png")), photo, lens, trust_margin=False).arms
     took = time.process_time() - began
     return [
-        _trial(case, distance, arm.detection, inverse(T_cam) @ placed.T_in_world, took)
+        _trial(case, distance, arm.detection, invert_pose(T_cam) @ placed.T_in_world, took)
         for arm, placed in zip(arms, photographer.boards, strict=True)
         if arm.detection
     ]
@@ -191,10 +191,13 @@ def _both(case: PhotoCase, photographer: Photographer, rng: np.random.Generator)
     began = time.process_time()
     seen, _ = locate_boards(photo, photographer.camera, [placed.board for placed in photographer.boards])
     if all(one.status is BoardStatus.OK for one in seen):
-        seen = locate_together(photo, photographer.camera, seen, [b.T_in_world for b in photographer.boards]) or seen
+        seen = (
+            locate_boards_together(photo, photographer.camera, seen, [b.T_in_world for b in photographer.boards])
+            or seen
+        )
     took = time.process_time() - began
     return [
-        _trial(case, distance, one, inverse(T_cam) @ placed.T_in_world, took)
+        _trial(case, distance, one, invert_pose(T_cam) @ placed.T_in_world, took)
         for one, placed in zip(seen, photographer.boards, strict=True)
     ]
 

@@ -22,7 +22,7 @@ from rich.console import Console
 from tests.truth_photos import Photographer, shot_of, spoilt
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.geometry.camera import CameraModel
-from yamsim_cli.core.geometry.se3 import Array, inverse, rotation_vector
+from yamsim_cli.core.geometry.se3 import Array, invert_pose, rotation_vector
 from yamsim_cli.photos.fiducials.board_detection import BoardDetection
 from yamsim_cli.photos.fiducials.board_localization import locate_boards
 
@@ -55,7 +55,9 @@ class Filament:
         self._fixed.type, self._fixed.fixedcamid = mujoco.mjtCamera.mjCAMERA_FIXED, self._model.camera("photo").id
         # Both eyes of the stereo camera coincide: the photo has one eye.
         self._model.cam_ipd[self._fixed.fixedcamid] = 0.0
-        self._model.cam_fovy[self._fixed.fixedcamid] = math.degrees(2 * math.atan(camera.height / 2 / camera.focal))
+        self._model.cam_fovy[self._fixed.fixedcamid] = math.degrees(
+            2 * math.atan(camera.height / 2 / camera.mean_focal_length)
+        )
 
     def take(self) -> np.ndarray:
         """The picture as RGB (height, width, 3)."""
@@ -87,13 +89,13 @@ def main() -> None:
     options = parser.parse_args()
     cv2.setNumThreads(1)
     console = Console()
-    camera = CameraModel.pinhole(*SIZES[options.size])
+    camera = CameraModel.from_focal_length(*SIZES[options.size])
     rng = np.random.default_rng(options.seed)
     if options.keep:
         options.keep.mkdir(parents=True, exist_ok=True)
     boards = found = wrong = 0
     errors, times = [], []
-    with Photographer("russet", Locations.find(os.environ), camera) as photographer:
+    with Photographer("russet", Locations.from_environment(os.environ), camera) as photographer:
         filament = Filament(photographer)
         placed = photographer.boards
         T_rig = [one.T_in_world for one in placed]
@@ -109,7 +111,7 @@ def main() -> None:
             seen, _ = locate_boards(photo, camera, [one.board for one in placed], T_rig)
             times.append(time.thread_time() - began)
             for n, (one, sighting) in enumerate(zip(placed, seen, strict=True)):
-                truth = inverse(T_cam) @ one.T_in_world
+                truth = invert_pose(T_cam) @ one.T_in_world
                 visible = photographer.shows(T_cam, n)
                 boards += visible
                 if sighting.status != "ok":

@@ -11,7 +11,7 @@ from tests.attempts import all_actions
 from tools.bench.setting import Stopwatch
 from yamsim_cli.core.episode.attempt_payload import frame_records
 from yamsim_cli.core.episode.episode_rules import EXPERT_RULES
-from yamsim_cli.core.episode.execution import SimulatedAttempt, run_actions
+from yamsim_cli.core.episode.execution import SimulatedAttempt, simulate_actions
 from yamsim_cli.core.episode.simulator import Simulator
 from yamsim_cli.core.files.writing import publish_directory
 from yamsim_cli.core.images.jpeg import encode_jpeg
@@ -26,13 +26,13 @@ def floor_seconds(simulator: Simulator, done: SimulatedAttempt, place: Path) -> 
     config, scene = simulator.config, simulator.scene
     physics, drawing, encoding, writing = (Stopwatch() for _ in range(4))
     with physics:
-        run_actions(simulator, done.attempt, all_actions(done.states), EXPERT_RULES)
+        simulate_actions(simulator, done.attempt, all_actions(done.recorded_states), EXPERT_RULES)
     data = mujoco.MjData(scene.model)
     width, height = config.image.size_px
     image = np.empty((height, width, 3), np.uint8)
     files = {}
     for k, (state, frame) in enumerate(
-        zip(done.states, frame_records(simulator, done.attempt, done.states), strict=True)
+        zip(done.recorded_states, frame_records(simulator, done.attempt, done.recorded_states), strict=True)
     ):
         data.qpos[:] = state.qpos
         mujoco.mj_forward(scene.model, data)

@@ -44,7 +44,7 @@ def jittered(rng: np.random.Generator) -> Array:
 
 def real(scene: CompiledScene, times: Array, commands: Array, planted: TruePlantDifference) -> RecordedMotion:
     """Return the measurements of a plant with commands (n, dof)."""
-    arm, data = scene.arm, mujoco.MjData(scene.model)
+    arm, data = scene.first_arm, mujoco.MjData(scene.model)
     own = scene.model.dof_frictionloss[arm.joint_dof].copy()
     scene.model.dof_frictionloss[arm.joint_dof] = own * planted.friction
     qpos = scene.model.qpos0.copy()

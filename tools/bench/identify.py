@@ -25,8 +25,8 @@ from yamsim_cli.core.config.scene import SceneConfig
 from yamsim_cli.core.errors import DatasetError
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.geometry.se3 import Array
-from yamsim_cli.real.identify.excitation import Excitation, excite
-from yamsim_cli.real.identify.identification import IdentificationResult, identify
+from yamsim_cli.real.identify.excitation import Excitation, generate_excitation
+from yamsim_cli.real.identify.identification import IdentificationResult, identify_arms
 
 # Name -> largest error, as a share of the true value, or in its own unit.
 _GOALS = {
@@ -88,7 +88,7 @@ def _refused(rig: RigConfig, motion: Excitation, opened: float, number: int) -> 
     log = drive(arm, random_plant(arm, rng), motion.times, commands, rng, opening=opened)
     name = arm.robot.joint_names[joint]
     try:
-        identify(rig, [log], [], "planted")
+        identify_arms(rig, [log], [], "planted")
         said = "taken"
     except DatasetError as error:
         said = str(error)
@@ -107,12 +107,12 @@ def main() -> None:
     parser.add_argument("--bad", type=int, default=0, help="how many badly excited logs of 30 s")
     parser.add_argument("--rig", default="single")
     options = parser.parse_args()
-    where = Locations.find(os.environ)
+    where = Locations.from_environment(os.environ)
     rig = load_config(RigConfig, "rigs", options.rig, where)
     scene = load_config(SceneConfig, "scenes", "tabletop", where)
     opened = rig.arms[0].robot.fingers.initial_opening if rig.arms[0].robot.fingers else 0.0
     if options.bad:
-        motion = excite(rig, 0, scene, where, 30.0, 0)
+        motion = generate_excitation(rig, 0, scene, where, 30.0, 0)
         refused = [_refused(rig, motion, opened, number) for number in range(options.bad)]
         sys.stdout.write(f"{sum(refused)} of {len(refused)} badly excited logs are refused by the joint's name\n")
     rows: list[_Row] = []
@@ -121,15 +121,15 @@ def main() -> None:
     for number in range(options.first, options.first + options.plants):
         if time.perf_counter() - began > 60 * options.minutes:
             break
-        motion = excite(rig, 0, scene, where, options.seconds, number)
+        motion = generate_excitation(rig, 0, scene, where, options.seconds, number)
         rng = np.random.default_rng(number)
         planted = random_plant(rig.arms[0], rng)
         log = drive(rig.arms[0], planted, motion.times, motion.commands, rng, opening=opened)
         begun = time.perf_counter()
-        found = identify(rig, [log], [], "planted")[0]
+        found = identify_arms(rig, [log], [], "planted")[0]
         here = _rows(planted, found, rig.arms[0].robot.joint_names)
         rows += here
-        falls.append(found.gap.reduction)
+        falls.append(found.held_out_error.relative_reduction)
         _tell(number, planted, found, here, time.perf_counter() - begun)
     if rows:
         _table(rows, falls)
@@ -138,7 +138,7 @@ def main() -> None:
 def _tell(number: int, planted: TrueParameters, found: IdentificationResult, rows: list[_Row], spent: float) -> None:
     missed = [f"{r.joint} {r.name} {r.error:.3g}" for r in rows if r.told and r.error > _GOALS[r.name][0]]
     outside = [f"{r.joint} {r.name}" for r in rows if not r.inside]
-    gap = f"gap {1000 * found.gap.rms_before:.1f} -> {1000 * found.gap.rms_after:.2f} mrad"
+    gap = f"gap {1000 * found.held_out_error.rms_before:.1f} -> {1000 * found.held_out_error.rms_after:.2f} mrad"
     sys.stdout.write(
         f"plant {number}: {planted.law}, {planted.integrator}, {spent:.0f} s, {gap}; missed: {', '.join(missed)}; "
         f"outside: {', '.join(outside)}\n"

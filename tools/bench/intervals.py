@@ -29,7 +29,7 @@ from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.geometry.se3 import Array, rotation_vector
 from yamsim_cli.photos.overlay.photo_arm_poses import RigInPhoto, find_arms
 from yamsim_cli.photos.overlay.photo_cameras import PhotoCamera as PhotoLens
-from yamsim_cli.photos.overlay.photo_cameras import unknown_lens
+from yamsim_cli.photos.overlay.photo_cameras import estimate_camera
 from yamsim_cli.photos.overlay.photos import Photo
 
 TILTS = ((0, 10), (10, 20), (20, 30), (30, 45), (45, 60), (60, 70))
@@ -95,7 +95,7 @@ class Outcome:
 def run(case: IntervalCase, views: int, seed: int) -> list[Outcome]:
     """Take and analyse `views` photos for one row, in a separate process."""
     cv2.setNumThreads(1)
-    rig = load_config(RigConfig, "rigs", "russet", Locations.find(os.environ))
+    rig = load_config(RigConfig, "rigs", "russet", Locations.from_environment(os.environ))
     return [outcome for k in range(views // case.photos) for outcome in outcomes(case, rig, seed, k)]
 
 
@@ -106,11 +106,11 @@ def outcomes(case: IntervalCase, rig: RigConfig, seed: int, k: int) -> list[Outc
     taken = [random_view(rng, rig, camera=camera) for _ in range(case.photos)]
     photos = [view.photo(1000 * k + n) for n, view in enumerate(taken)]
     if case.given:
-        focal = camera.focal * math.exp(rng.normal() * FOCAL_SIGMA)
+        focal = camera.mean_focal_length * math.exp(rng.normal() * FOCAL_SIGMA)
         K = ((focal, 0.0, camera.K[0][2]), (0.0, focal, camera.K[1][2]), camera.K[2])
         lens = PhotoLens.from_calibration(replace(camera, K=K, focal_sigma=FOCAL_SIGMA), "file")
     else:
-        lens = unknown_lens((np.dstack([grey] * 3) for grey in photos), photos[0].shape[:2], rig)
+        lens = estimate_camera((np.dstack([grey] * 3) for grey in photos), photos[0].shape[:2], rig)
     found = []
     for view, grey in zip(taken, photos, strict=True):
         result = find_arms(rig, Photo(Path(f"{k}.png")), grey, lens, trust_margin=False)
@@ -125,11 +125,11 @@ def _outcome(case: IntervalCase, k: int, rig: RigConfig, view: RandomView, resul
         case.name,
         k,
         camera.width,
-        camera.focal,
+        camera.mean_focal_length,
         math.degrees(view.tilt),
         str(seen.status),
         seen.reason,
-        (focal.low or 0.0) <= camera.focal <= (focal.high or math.inf),
+        (focal.low or 0.0) <= camera.mean_focal_length <= (focal.high or math.inf),
     )
     if seen.T_board_in_cam is None:
         return outcome
@@ -143,7 +143,8 @@ def _outcome(case: IntervalCase, k: int, rig: RigConfig, view: RandomView, resul
     return replace(
         outcome,
         focal_sigma=result.lens.camera.focal_sigma,
-        focal_off=math.log(result.lens.camera.focal / camera.focal) / result.lens.camera.focal_sigma,
+        focal_off=math.log(result.lens.camera.mean_focal_length / camera.mean_focal_length)
+        / result.lens.camera.focal_sigma,
         position=_squared(shift, seen.covariance[3:, 3:]),
         turn=_squared(turn, seen.covariance[:3, :3]),
         position_off=float(np.linalg.norm(shift)) / seen.position_sigma,

@@ -87,7 +87,7 @@ def main() -> None:
     parser.add_argument("--series", type=int, default=10, help="Of each row; twice as many in which nothing moves.")
     options = parser.parse_args()
     cv2.setNumThreads(1)
-    locations = Locations.find(os.environ)
+    locations = Locations.from_environment(os.environ)
     rig = load_config(RigConfig, "rigs", "russet", locations)
     table = Table(title=f"Moves in series of {PHOTOS} photos", title_justify="left", show_edge=False)
     for column in ("moved", "series", "told as such, at its photo", "told otherwise", "off by, mm", "off by, degrees"):

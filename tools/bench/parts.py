@@ -23,7 +23,7 @@ from yamsim_cli.core.scene.arm_model import kinematic_model
 from yamsim_cli.core.scene.build import build_scene
 from yamsim_cli.photos.fiducials.board_localization import locate_boards
 
-_CAMERA = CameraModel.pinhole(640, 480, 600.0)
+_CAMERA = CameraModel.from_focal_length(640, 480, 600.0)
 _QUALITIES = {"fast": 20, "balanced": 20, "high": 5}
 
 
@@ -33,9 +33,9 @@ def measure_parts(episodes: int) -> dict[str, float]:
     figures = {"compose and compile the scene": median_seconds(lambda _: build_scene(using), 3)}
     with Simulator(using) as simulator:
         figures["plan and simulate a trial"] = median_seconds(lambda k: planned(simulator, 0, k), episodes)
-        states = planned(simulator, 0).states
+        states = planned(simulator, 0).recorded_states
         figures["solve IK, from another pose of a trial"] = _ik_seconds(
-            [state.qpos[simulator.scene.arm.joint_qpos] for state in states]
+            [state.qpos[simulator.scene.first_arm.joint_qpos] for state in states]
         )
     for quality, repetitions in _QUALITIES.items():
         figures |= _rendering(quality, states[20].qpos, repetitions)
@@ -47,7 +47,7 @@ def _ik_seconds(joints: list[Array]) -> float:
     using = setting("fast")
     solver = IkSolver(kinematic_model(using.config.rig.arms[0]), np.eye(4))
     solver.set_held_frame(np.eye(4))
-    targets = [solver.pose_of(there) for there in joints]
+    targets = [solver.forward_kinematics(there) for there in joints]
     return median_seconds(lambda k: solver.solve(targets[k], joints[k - 5], 100), len(targets) - 1)
 
 
@@ -64,8 +64,8 @@ def _rendering(quality: str, qpos: Array, repetitions: int) -> dict[str, float]:
 
 
 def _locate_seconds() -> float:
-    rig = load_config(RigConfig, "rigs", "bimanual", Locations.find(os.environ))
+    rig = load_config(RigConfig, "rigs", "bimanual", Locations.from_environment(os.environ))
     assert rig.arms[0].board is not None
-    board = rig.arms[0].board.board
+    board = rig.arms[0].board.board_in_metres
     photo = photograph(_CAMERA, [(board, facing(0.02, 0.03, 0.8))])
     return median_seconds(lambda _: locate_boards(photo, _CAMERA, [board]), 10)

@@ -156,7 +156,7 @@ def _rendered(quality: str, episodes: Sequence[SimulatedAttempt]) -> list[Image]
         return [
             image
             for done in episodes
-            for state in done.states[::_COMPARED]
+            for state in done.recorded_states[::_COMPARED]
             for image in render_cameras(simulator, done.attempt, state.qpos, simulator.scene.cameras[:1]).values()
         ]
 

@@ -65,8 +65,8 @@ class PlainPipeline:
 
     def make(self, done: SimulatedAttempt, out: Path) -> list[NDArray[np.uint8]]:
         """Solve, simulate, render and write one episode into `out`. Return the rendered pictures."""
-        start, actions = done.states[0].qpos, all_actions(done.states)
-        self._solve(start[self._scene.arm.joint_qpos], actions)
+        start, actions = done.recorded_states[0].qpos, all_actions(done.recorded_states)
+        self._solve(start[self._scene.first_arm.joint_qpos], actions)
         return self._simulate_and_render(start, actions, out)
 
     def _solve(self, start: NDArray[np.float64], actions: ActionSequence) -> None:
@@ -96,10 +96,10 @@ class PlainPipeline:
         scene.reset(data, start)
         images = []
         for tick, ctrl in enumerate(actions.ctrl):
-            if actions.magnet[tick, 0] and not data.eq_active[scene.arm.weld]:
+            if actions.magnet[tick, 0] and not data.eq_active[scene.first_arm.weld]:
                 mujoco.mj_kinematics(model, data)
-                set_weld_pose(model, scene.arm, data, carried)
-            data.eq_active[scene.arm.weld] = actions.magnet[tick, 0]
+                set_weld_pose(model, scene.first_arm, data, carried)
+            data.eq_active[scene.first_arm.weld] = actions.magnet[tick, 0]
             data.ctrl[:] = ctrl
             if tick % timing.ticks_per_frame == 0:
                 mujoco.mj_forward(model, data)

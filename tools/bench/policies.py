@@ -60,7 +60,7 @@ def main() -> None:
         ours, theirs = multiprocessing.Pipe()
         process = multiprocessing.get_context("spawn").Process(target=serve, args=(scheme, theirs), daemon=True)
         process.start()
-        config = load_config(PolicyConfig, "policies", _CONFIGS[scheme], Locations.find(os.environ))
+        config = load_config(PolicyConfig, "policies", _CONFIGS[scheme], Locations.from_environment(os.environ))
         policy = MappedPolicy(make(ours.recv(), 10.0), config, STATION)
         policy.reset(0)
         seconds = []

@@ -25,7 +25,7 @@ from yamsim_cli.core.geometry.camera import CameraModel
 from yamsim_cli.core.geometry.se3 import Array, pose, rotation_from_vector, rotation_vector
 from yamsim_cli.photos.fiducials.board_localization import locate_boards
 
-CAMERA = CameraModel.pinhole(640, 480, 600.0)
+CAMERA = CameraModel.from_focal_length(640, 480, 600.0)
 BOARD = Board("one", 217, 3, 3, "DICT_6X6_250", 0.02923077, 0.002923077)
 # Quantiles of squared distances of three degrees of freedom.
 CHI_68, CHI_95, CHI_997 = 3.506, 7.815, 13.931

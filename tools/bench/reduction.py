@@ -25,20 +25,20 @@ def main() -> None:
 
     from tests.silhouettes import Silhouettes, overlap
     from yamsim_cli.core.files.resources import Locations
-    from yamsim_cli.core.geometry.stl import read_stl
+    from yamsim_cli.core.geometry.stl import decode_stl
     from yamsim_cli.core.geometry.surface_distance import hausdorff_distance
     from yamsim_cli.core.scene.assets import AssetStore, Reduction, load_lock
     from yamsim_cli.core.scene.assets.mesh_reduction import collapse_edges, remove_slivers
 
-    where = Locations.find(os.environ)
+    where = Locations.from_environment(os.environ)
     store = AssetStore(where.assets)
     for assets in load_lock(where).sets.values():
-        folder = store.resolve(assets)
+        folder = store.find_verified_folder(assets)
         if folder is None:
             print(f"{assets.name}: not here, run yamsim assets fetch")
             continue
         for file in (name for name in assets.files if not sys.argv[1:] or name in sys.argv[1:]):
-            vertices, faces = read_stl((folder / file).read_bytes())
+            vertices, faces = decode_stl((folder / file).read_bytes())
             source = vertices * 1000, faces
             camera = Silhouettes(source[0])
             outlines = camera.of(*source)

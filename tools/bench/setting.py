@@ -53,7 +53,7 @@ def use_gl() -> str:
 
 def setting(quality: str) -> Session:
     """The default recording, rendered with a quality."""
-    where = Locations.find(os.environ)
+    where = Locations.from_environment(os.environ)
     config = load_config(RecordConfig, "record", "default", where, {("render",): ("--quality", quality)})
     # After the choice of a backend, because it imports MuJoCo.
     from yamsim_cli.core.scene.blueprint import recording_blueprint
@@ -63,5 +63,5 @@ def setting(quality: str) -> Session:
     meshes: dict[str, Path | None] = {}
     for name in visual_mesh_sets(recording_blueprint(config)):
         reduced = find_reduced(store, lock.sets[name]) if config.render.reduced_meshes else None
-        meshes[name] = reduced.directory if reduced else store.resolve(lock.sets[name])
+        meshes[name] = reduced.directory if reduced else store.find_verified_folder(lock.sets[name])
     return Session(config, replace(where, meshes=meshes))

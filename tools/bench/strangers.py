@@ -18,7 +18,7 @@ from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.geometry.camera import CameraModel
 from yamsim_cli.photos.fiducials.board_localization import locate_boards
 
-CAMERA = CameraModel.pinhole(640, 480, 600.0)
+CAMERA = CameraModel.from_focal_length(640, 480, 600.0)
 
 
 def main() -> None:
@@ -27,8 +27,8 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
     cv2.setNumThreads(1)
-    rig = load_config(RigConfig, "rigs", "russet", Locations.find(os.environ))
-    boards = [arm.board.board for arm in rig.arms if arm.board]
+    rig = load_config(RigConfig, "rigs", "russet", Locations.from_environment(os.environ))
+    boards = [arm.board.board_in_metres for arm in rig.arms if arm.board]
     T_rig = [rig.T_base_in_world(k) @ arm.T_board_in_base for k, arm in enumerate(rig.arms) if arm.board]
     table = Table(title="Photos without our boards", title_justify="left", show_edge=False)
     for column in ("", "photos", "with a pose", "ms"):

@@ -28,7 +28,7 @@ def imported(file: Path, folder: Path, **wishes: Any) -> Any:
     from yamsim_cli.objects.importing.file_import import import_file
     from yamsim_cli.objects.readers.object_reader import UnitOptions
 
-    where = replace(Locations.find(os.environ), assets=folder / "assets")
+    where = replace(Locations.from_environment(os.environ), assets=folder / "assets")
     plain = file.suffix in (".obj", ".ply", ".stl")
     units = UnitOptions("m", "z") if plain else UnitOptions()
     options = ImportOptions(**{"name": "mug", **wishes})

@@ -20,7 +20,7 @@ from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.objects.object_config import ObjectConfig
 from yamsim_cli.core.errors import YamsimError
 from yamsim_cli.core.files.resources import Locations
-from yamsim_cli.core.geometry.stl import stl_bytes
+from yamsim_cli.core.geometry.stl import encode_stl
 from yamsim_cli.objects.building import ImportOptions
 from yamsim_cli.objects.certify.physics_checks import find_hollow
 from yamsim_cli.objects.certify.tested_object import (
@@ -38,7 +38,7 @@ _SHIPPED = ("025_mug", "024_bowl", "kitchen_cup", "kitchen_bowl", "kitchen_plate
 
 def main() -> None:
     """Measure and print."""
-    where = Locations.find({})
+    where = Locations.from_environment({})
     table = Table(title="One physics step of 2 ms, the thing at rest with a ball in it", title_justify="left")
     for column in ("thing", "collides by", "geoms", "contacts", "ms a step", "ball stays in"):
         table.add_column(column, justify="left" if column in ("thing", "collides by") else "right")
@@ -48,7 +48,7 @@ def main() -> None:
             item = load_config(ObjectConfig, "objects", name, where)
             table.add_row(name, "primitives", *_measured(read_tested_object(item, {}, where)))
         file = Path(folder) / "mug.stl"
-        file.write_bytes(stl_bytes(*mug_mesh()))
+        file.write_bytes(encode_stl(*mug_mesh()))
         for kind in ("hull", "sdf", "primitives", "decompose"):
             try:
                 options = ImportOptions(f"mug_{kind}", 0.3, None, kind, None, None)  # type: ignore[arg-type]

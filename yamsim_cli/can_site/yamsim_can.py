@@ -16,11 +16,11 @@ from can.interfaces.socketcan import SocketcanBus
 
 _FRAME = struct.Struct("=IB3x8s")  # Linux `struct can_frame`: identifier with flags, length, 8 data bytes
 _EXTENDED, _REMOTE, _ERROR = 0x80000000, 0x40000000, 0x20000000  # flags in the identifier
-_FOLDER = "YAMSIM_CAN_FOLDER"  # environment variable: folder with a Unix socket per channel
+_FOLDER_VARIABLE = "YAMSIM_CAN_FOLDER"  # environment variable: folder with a Unix socket per channel
 
 
-def _place(channel):
-    return Path(os.environ[_FOLDER]) / str(channel)
+def _bus_socket_path(channel):
+    return Path(os.environ[_FOLDER_VARIABLE]) / str(channel)
 
 
 class Bus(can.BusABC):
@@ -28,19 +28,19 @@ class Bus(can.BusABC):
 
     def __new__(cls, channel, **kwargs):
         """Return a connection if yamsim serves the channel, else python-can's `SocketcanBus`."""
-        if not _place(channel).is_socket():
+        if not _bus_socket_path(channel).is_socket():
             return SocketcanBus(channel, **kwargs)
         return super().__new__(cls)
 
     def __init__(self, channel, can_filters=None, receive_own_messages=False, **kwargs):
         self.channel = channel
         self.channel_info = f"yamsim channel '{channel}'"
-        self._own = receive_own_messages
-        self._kept = []
+        self._receives_own = receive_own_messages
+        self._own_messages = []
         self._buffer = b""
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         try:
-            self._socket.connect(str(_place(channel)))
+            self._socket.connect(str(_bus_socket_path(channel)))
         except OSError as error:
             self._socket.close()
             raise can.CanInitializationError(f"{channel} is not served any more: {error.strerror}") from error
@@ -60,12 +60,12 @@ class Bus(can.BusABC):
                     raise can.CanOperationError("the bus takes no more messages") from None
             except OSError as error:
                 raise can.CanOperationError(f"{self.channel} is gone: {error.strerror}") from error
-        if self._own:
-            self._kept.append(self._message(_FRAME.pack(msg.arbitration_id | flags, msg.dlc, data)))
+        if self._receives_own:
+            self._own_messages.append(self._decode_message(_FRAME.pack(msg.arbitration_id | flags, msg.dlc, data)))
 
     def _recv_internal(self, timeout):
-        if self._kept:
-            return self._kept.pop(0), False
+        if self._own_messages:
+            return self._own_messages.pop(0), False
         if len(self._buffer) < _FRAME.size:
             try:
                 if not select.select([self._socket], [], [], timeout)[0]:
@@ -79,9 +79,9 @@ class Bus(can.BusABC):
             if len(self._buffer) < _FRAME.size:
                 return None, False
         wire, self._buffer = self._buffer[: _FRAME.size], self._buffer[_FRAME.size :]
-        return self._message(wire), False
+        return self._decode_message(wire), False
 
-    def _message(self, wire):
+    def _decode_message(self, wire):
         identifier, length, data = _FRAME.unpack(wire)
         extended = bool(identifier & _EXTENDED)
         return can.Message(

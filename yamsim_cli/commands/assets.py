@@ -38,16 +38,16 @@ def list_assets(json: Json = False) -> None:
     """
     from yamsim_cli.terminal.console import print_table
 
-    lock, store = _open()
-    items = [item for assets in lock.sets.values() for item in _files(assets, store)]
-    things = _things(lock)
+    lock, store = _open_store()
+    items = [item for assets in lock.sets.values() for item in _file_entries(assets, store)]
+    things = _certificate_entries(lock)
     if json:
         print_json({"items": items, "things": things})
     else:
-        print_table(_table(items, ("name", "set", "status", "size"), 3))
-        print_table(_table(things, ("name", "certificate", "failed"), 3))
+        print_table(_entry_table(items, ("name", "set", "status", "size"), 3))
+        print_table(_entry_table(things, ("name", "certificate", "failed"), 3))
         for assets in lock.sets.values():
-            print_line(f"{assets.name} ({assets.license}): {store.status(assets)[0].path.parent}")
+            print_line(f"{assets.name} ({assets.license}): {store.file_states(assets)[0].path.parent}")
 
 
 @app.command()
@@ -66,13 +66,13 @@ def fetch(
     """
     from yamsim_cli.terminal.console import print_table
 
-    lock, store = _open()
+    lock, store = _open_store()
     report, reduced = _fetch_with_progress(lock, store, names or [])
     items = [
         {
             "name": fetched.name,
             "files": len(lock.sets[fetched.name].files),
-            "size": lock.sets[fetched.name].size,
+            "size": lock.sets[fetched.name].total_bytes,
             "license": lock.sets[fetched.name].license,
             "source": fetched.source,
             "path": str(fetched.directory),
@@ -86,19 +86,19 @@ def fetch(
     if json:
         print_json({"items": items})
     else:
-        print_table(_table(items, ("name", "source", "files", "size", "faces", "reduced_faces"), 2))
+        print_table(_entry_table(items, ("name", "source", "files", "size", "faces", "reduced_faces"), 2))
         for item in items:
             print_line(f"{item['name']}: {item['path']}")
 
 
-def _open() -> tuple[AssetLock, AssetStore]:
+def _open_store() -> tuple[AssetLock, AssetStore]:
     from yamsim_cli.core.scene.assets import AssetStore, load_lock
 
-    locations = opener.locations()
+    locations = opener.find_locations()
     return load_lock(locations), AssetStore(locations.assets)
 
 
-def _files(assets: AssetSet, store: AssetStore) -> Sequence[Mapping[str, object]]:
+def _file_entries(assets: AssetSet, store: AssetStore) -> Sequence[Mapping[str, object]]:
     return [
         {
             "name": state.name,
@@ -110,16 +110,16 @@ def _files(assets: AssetSet, store: AssetStore) -> Sequence[Mapping[str, object]
             "on_demand": assets.on_demand,
             "path": str(state.path),
         }
-        for state in store.status(assets)
+        for state in store.file_states(assets)
     ]
 
 
-def _things(lock: AssetLock) -> list[dict[str, Any]]:
+def _certificate_entries(lock: AssetLock) -> list[dict[str, Any]]:
     from yamsim_cli.core.config.loader import load_config
     from yamsim_cli.core.config.objects.object_config import ObjectConfig
     from yamsim_cli.core.scene.certificates import find_certificate
 
-    where = opener.locations()
+    where = opener.find_locations()
     found = list[dict[str, Any]]()
     for name in where.config_names("objects"):
         try:
@@ -156,14 +156,14 @@ def _fetch_with_progress(
     return report, reduced
 
 
-def _table(items: Sequence[Mapping[str, Any]], columns: tuple[str, ...], numbers_from: int) -> ItemTable:
+def _entry_table(items: Sequence[Mapping[str, Any]], columns: tuple[str, ...], numbers_from: int) -> ItemTable:
     table = ItemTable([column.replace("_", " ") for column in columns], numbers_from=numbers_from)
     for item in items:
-        table.add_row(*(_shown(column, item[column]) for column in columns))
+        table.add_row(*(_cell_text(column, item[column]) for column in columns))
     return table
 
 
-def _shown(column: str, value: Any) -> str:
+def _cell_text(column: str, value: Any) -> str:
     if value is None:
         return ""
     if isinstance(value, list):
@@ -187,21 +187,21 @@ def certify_object(
     """
     if html:
         require_unused("--html", html, overwrite=overwrite)
-        opener.use_gl(opener.locations())
+        opener.use_gl(opener.find_locations())
     else:
         opener.skip_gl()
-    certified = _certify(thing)
+    certified = _certify_and_store(thing)
     found = certified.to_json_data()
     if html:
-        from yamsim_cli.objects.certify.report import write_page
+        from yamsim_cli.objects.certify.report import write_certificate_page
 
-        write_page(certified, html)
+        write_certificate_page(certified, html)
         found["html"] = str(html)
     print_report(found, lambda: _certificate_table(found["checks"]), json)
     if html and not json:
         print_note(f"The page is in {html}.")
     if not certified.ok:
-        raise ResourceError(_failure(certified))
+        raise ResourceError(_failure_text(certified))
 
 
 def _certificate_table(checks: Sequence[Mapping[str, Any]]) -> ItemTable:
@@ -212,29 +212,29 @@ def _certificate_table(checks: Sequence[Mapping[str, Any]]) -> ItemTable:
     return table
 
 
-def _certify(thing: str) -> CertificationResult:
+def _certify_and_store(thing: str) -> CertificationResult:
     from yamsim_cli.core.config.loader import load_config
     from yamsim_cli.core.config.objects.object_config import ObjectConfig
     from yamsim_cli.core.scene.assets import load_lock
     from yamsim_cli.core.scene.certificates import store_certificate
-    from yamsim_cli.objects.certify.certify import certify
+    from yamsim_cli.objects.certify.certify import run_object_checks
 
-    where = opener.locations()
+    where = opener.find_locations()
     item = load_config(ObjectConfig, "objects", thing, where)
     where = opener.with_mesh_folders(where, item.mesh_sets)
     with progress_bar(f"certifying {item.name}", "checks") as advance:
-        certified = certify(item, where.meshes, where, advance)
+        certified = run_object_checks(item, where.meshes, where, advance)
     made_with = {"yamsim": __version__, "mujoco": version("mujoco")}
     store_certificate(where.assets, item, load_lock(where), certified.to_json_data(), made_with)
     return certified
 
 
-def _failure(certified: CertificationResult) -> str:
+def _failure_text(certified: CertificationResult) -> str:
     from yamsim_cli.objects.certify.certify import CHECKS
 
-    code = certified.failed[0]
+    code = certified.failed_codes[0]
     check, outcome = CHECKS[code], certified.outcomes[code]
-    more = f" (and {len(certified.failed) - 1} more)" if len(certified.failed) > 1 else ""
+    more = f" (and {len(certified.failed_codes) - 1} more)" if len(certified.failed_codes) > 1 else ""
     return f"{certified.subject.item.name}: {check.title}: {outcome.note} [{code}]{more}; {check.advice}"
 
 
@@ -282,9 +282,9 @@ def import_object(
 
     Example: yamsim assets import mug.stl --name my_mug --mass 0.3 --out my_mug.yaml
     """
-    from yamsim_cli.objects.readers import ENDINGS
+    from yamsim_cli.objects.readers import OBJECT_SUFFIXES
 
-    if Path(source).suffix.lower() not in ENDINGS:
+    if Path(source).suffix.lower() not in OBJECT_SUFFIXES:
         if name is not None:
             raise UsageError("--name is for your own files; a YCB object keeps its name")
         item, lines = _import_ycb(source, mass, out)
@@ -301,8 +301,8 @@ def import_object(
     certified = None
     if certify:
         opener.skip_gl()
-        certified = _certify(item["path"])
-    item["certificate"] = certified and {"ok": certified.ok, "failed": list(certified.failed)}
+        certified = _certify_and_store(item["path"])
+    item["certificate"] = certified and {"ok": certified.ok, "failed": list(certified.failed_codes)}
     if json:
         print_json({"items": [item]})
     else:
@@ -310,14 +310,14 @@ def import_object(
             print_line(line)
     if certified is not None:
         if not certified.ok:
-            raise ResourceError(f"{item['path']} is written, but its certificate failed: {_failure(certified)}")
+            raise ResourceError(f"{item['path']} is written, but its certificate failed: {_failure_text(certified)}")
         print_note("Certificate: passed")
 
 
 def _import_ycb(name: str, mass: float | None, out: Path | None) -> tuple[dict[str, Any], list[str]]:
     from yamsim_cli.objects.importing.ycb_import import import_ycb
 
-    made = import_ycb(name, opener.locations(), None if mass is None else mass * 1000, out)
+    made = import_ycb(name, opener.find_locations(), None if mass is None else mass * 1000, out)
     item = _ycb_item(made)
     held = f"{item['width_mm']:g} mm wide where it is held" if item["width_mm"] else "a vessel to put things in or on"
     return item, [
@@ -335,7 +335,7 @@ def _import_file(
 
     with progress_bar(f"importing {file.name}", "%") as advance:
         imported = import_file(
-            file, units, options, opener.locations(), out, lambda done: advance(round(100 * done), 100)
+            file, units, options, opener.find_locations(), out, lambda done: advance(round(100 * done), 100)
         )
     made = imported.built_object
     for text in made.notes:

@@ -43,22 +43,22 @@ def boards(
     from yamsim_cli.core.files.writing import write_outputs
     from yamsim_cli.photos.board_sheet import PAPERS, board_sheet
 
-    arms = load_config(RigConfig, "rigs", rig, opener.locations()).arms
+    arms = load_config(RigConfig, "rigs", rig, opener.find_locations()).arms
     owned = {arm.name: arm.board for arm in arms if arm.board}
     if not owned:
         raise ConfigError(f"rig {rig!r} has no boards to print; give one of its arms a `board`, or choose another rig")
 
-    for path in dict.fromkeys(_file(out, name) for name in owned):
+    for path in dict.fromkeys(_board_file(out, name) for name in owned):
         require_unused("--out", path, overwrite=overwrite)
-    sheets = {name: board_sheet(config.board, name, PAPERS[paper]) for name, config in owned.items()}
-    files = _files(sheets, out)
+    sheets = {name: board_sheet(config.board_in_metres, name, PAPERS[paper]) for name, config in owned.items()}
+    files = _board_files(sheets, out)
     write_outputs(files)
     if json:
         described = [
             {
                 "arm": name,
                 "name": config.name,
-                "ids": list(config.board.ids),
+                "ids": list(config.board_in_metres.marker_ids),
                 "marker_length_mm": config.marker_length_mm,
                 "paper": str(paper),
             }
@@ -70,14 +70,14 @@ def boards(
         print_line(str(path))
 
 
-def _file(out: Path, arm: str) -> Path:
+def _board_file(out: Path, arm: str) -> Path:
     """Return `out` if it is a PDF, which holds all boards, else one PNG for each arm."""
     return out if out.suffix.lower() == ".pdf" else out.with_name(f"{out.stem}_{arm}{out.suffix}")
 
 
-def _files(sheets: dict[str, PrintedPage], out: Path) -> dict[Path, bytes]:
+def _board_files(sheets: dict[str, PrintedPage], out: Path) -> dict[Path, bytes]:
     from yamsim_cli.photos.board_sheet import pdf_bytes, png_bytes
 
     if out.suffix.lower() == ".pdf":
         return {out: pdf_bytes(list(sheets.values()))}
-    return {_file(out, name): png_bytes(sheet) for name, sheet in sheets.items()}
+    return {_board_file(out, name): png_bytes(sheet) for name, sheet in sheets.items()}

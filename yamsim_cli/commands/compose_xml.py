@@ -43,7 +43,7 @@ def compose_xml(
     """
     if grasp is not None and task is None:
         raise UsageError("--grasp needs --task; give --task, or leave --grasp out")
-    where = opener.locations()
+    where = opener.find_locations()
     opener.skip_gl()
 
     from yamsim_cli.core.config.loader import load_config
@@ -56,10 +56,13 @@ def compose_xml(
     if task is None:
         scene, home = load_config(SceneConfig, "scenes", "studio", where), None
         blueprint = Blueprint(
-            opener.rig(rig or "single", where, margin, revision, robot), scene, boards=boards, background=background
+            opener.load_rig(rig or "single", where, margin, revision, robot),
+            scene,
+            boards=boards,
+            background=background,
         )
     else:
-        config = opener.config(
+        config = opener.load_record_config(
             "default", where, rig=rig, revision=revision, robot=robot, margin=margin, task=task, seed=seed, grasp=grasp
         )
         config, home = first_attempt_start(Session(config, where))

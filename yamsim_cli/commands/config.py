@@ -25,37 +25,39 @@ def list_configs(json: Json = False) -> None:
 
     Example: yamsim config list
     """
-    from yamsim_cli.core.config.loader import KINDS
+    from yamsim_cli.core.config.loader import CONFIG_KINDS
 
-    where = opener.locations()
+    where = opener.find_locations()
     items = [
         {"kind": kind, "name": name, "path": str(where.config_file(kind, name))}
-        for kind in KINDS
+        for kind in CONFIG_KINDS
         for name in where.config_names(kind)
     ]
     if json:
         print_json({"items": items})
         return
-    print_table(FactTable((kind, ", ".join(item["name"] for item in items if item["kind"] == kind)) for kind in KINDS))
+    print_table(
+        FactTable((kind, ", ".join(item["name"] for item in items if item["kind"] == kind)) for kind in CONFIG_KINDS)
+    )
     for root in where.data:
         print_line(f"Configs are files such as {root / 'configs' / 'KIND' / 'NAME.yaml'}")
 
 
-def _named(context: typer.Context, name: str) -> str:
+def _require_config_name(context: typer.Context, name: str) -> str:
     kind = context.params.get("kind", "")
     if name or context.resilient_parsing:
         return name
     from yamsim_cli.core.config.loader import config_model
 
     config_model(kind)
-    raise typer.BadParameter(f"say which one; valid: {', '.join(opener.locations().config_names(kind)) or 'none'}")
+    raise typer.BadParameter(f"say which one; valid: {', '.join(opener.find_locations().config_names(kind)) or 'none'}")
 
 
 @app.command()
 def show(
     kind: Kind,
     name: Annotated[
-        str, typer.Argument(help="A config's name or a YAML file.", show_default=False, callback=_named)
+        str, typer.Argument(help="A config's name or a YAML file.", show_default=False, callback=_require_config_name)
     ] = "",
     json: Json = False,
 ) -> None:
@@ -66,7 +68,7 @@ def show(
     from yamsim_cli.core.config.loader import config_model, load_config
     from yamsim_cli.core.files.documents.yaml_document import dump_yaml
 
-    data: dict[str, Any] = load_config(config_model(kind), kind, name, opener.locations()).model_dump(mode="json")
+    data: dict[str, Any] = load_config(config_model(kind), kind, name, opener.find_locations()).model_dump(mode="json")
     if json:
         print_json(data)
     else:
@@ -86,13 +88,13 @@ def validate(
 
     Example: yamsim config validate my_rig.yaml --kind rigs
     """
-    from yamsim_cli.core.config.loader import KINDS, config_model, validate_file
+    from yamsim_cli.core.config.loader import CONFIG_KINDS, config_model, validate_file
     from yamsim_cli.core.expert.skills.program_checks import check_task_config
 
     guessed = kind or file.resolve().parent.name
-    if kind is None and guessed not in KINDS:
-        raise UsageError(f"{file} is in no folder named after a kind of config; give --kind: {', '.join(KINDS)}")
-    model, where = config_model(guessed), opener.locations()
+    if kind is None and guessed not in CONFIG_KINDS:
+        raise UsageError(f"{file} is in no folder named after a kind of config; give --kind: {', '.join(CONFIG_KINDS)}")
+    model, where = config_model(guessed), opener.find_locations()
     parts = model.paths_in_file(file)
     for part in parts:
         validate_file(model, part, where, check=check_task_config)

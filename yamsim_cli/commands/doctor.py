@@ -29,7 +29,7 @@ def doctor(
     """
     from yamsim_cli.doctor import failed_checks, run_health_checks
 
-    checks = run_health_checks(os.environ, opener.locations(), out, (lambda check: None) if json else _print)
+    checks = run_health_checks(os.environ, opener.find_locations(), out, (lambda check: None) if json else _print)
     found = failed_checks(checks)
     if json:
         print_json({"ok": not found, "checks": [asdict(check) for check in checks]})

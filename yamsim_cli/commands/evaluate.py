@@ -141,9 +141,10 @@ def evaluate(
     choice = PolicyChoice(
         policy, Path.cwd(), policy_timeout, time_limit, EndRule(end), arguments, policy_config, chunking
     )
-    found, report = _evaluate(session, choice, trial_timeout)
+    found, report = _evaluate_with_progress(session, choice, trial_timeout)
     compared_reports = [
-        known.get(name) or _evaluate(session, choice.compared_with(name), trial_timeout)[1] for name in others
+        known.get(name) or _evaluate_with_progress(session, choice.compared_with(name), trial_timeout)[1]
+        for name in others
     ]
     if others:
         from yamsim_cli.policies.evaluate.compare import compare_reports as compare_reports
@@ -178,7 +179,9 @@ def _read_reports(names: list[str], session: Session) -> dict[str, dict[str, Any
     return reports
 
 
-def _evaluate(session: Session, choice: PolicyChoice, trial_timeout: float) -> tuple[Evaluation, dict[str, Any]]:
+def _evaluate_with_progress(
+    session: Session, choice: PolicyChoice, trial_timeout: float
+) -> tuple[Evaluation, dict[str, Any]]:
     from yamsim_cli.core.statistics import THRESHOLDS
     from yamsim_cli.policies.evaluate import evaluation
 

@@ -83,13 +83,13 @@ def raiden(
 
     Example: yamsim export raiden dataset/ real_layout/
     """
-    from yamsim_cli.core.dataset.imported_records import is_real
+    from yamsim_cli.core.dataset.imported_records import is_imported_dataset
     from yamsim_cli.export.raiden_schema import RaidenOptions
 
     if fps == "source" and pictures:
         raise UsageError(f"--pictures {pictures} needs other times than the recorded ones: leave out --fps source")
-    options = RaidenOptions(_rate(fps), pictures or "draw", images, single, hand_frame)
-    if is_real(dataset):
+    options = RaidenOptions(_parse_fps(fps), pictures or "draw", images, single, hand_frame)
+    if is_imported_dataset(dataset):
         if pictures == "draw":
             raise UsageError(f"--pictures draw: {dataset} is real, and only recorded pictures can be exported")
         done = _real_raiden(dataset, out, options, actions, episodes, overwrite)
@@ -102,8 +102,8 @@ def raiden(
 def _simulated_raiden(
     dataset: Path, out: Path, options: RaidenOptions, workers: int, episodes: str | None, overwrite: bool
 ) -> ExportResult:
-    where = opener.locations()
-    if options.renders:
+    where = opener.find_locations()
+    if options.renders_images:
         where = _with_renderer(where)
     else:
         opener.skip_gl()
@@ -113,7 +113,7 @@ def _simulated_raiden(
     from yamsim_cli.export.raiden import export_raiden
 
     source = open_source(dataset, episodes, where)
-    if options.renders:
+    if options.renders_images:
         where = opener.with_meshes(Session(source.config, where)).locations
     with progress_bar("exporting", "episodes") as advance:
         return export_raiden(source, out, where, advance, options, workers=workers, overwrite=overwrite)
@@ -132,7 +132,7 @@ def _real_raiden(
     from yamsim_cli.export.export_source import open_real_source
     from yamsim_cli.export.raiden import export_real_raiden
 
-    where = opener.locations()
+    where = opener.find_locations()
     source = open_real_source(dataset, episodes, where, options.fps)
     with progress_bar("exporting", "episodes") as advance:
         return export_real_raiden(source, out, where, advance, options, actions or "recorded", overwrite=overwrite)
@@ -161,7 +161,7 @@ def lerobot(
 
     Example: yamsim export lerobot dataset/ lerobot_dataset/
     """
-    source = _source(dataset, episodes, fps)
+    source = _open_dataset(dataset, episodes, fps)
 
     from yamsim_cli.export.export_source import RealSource
     from yamsim_cli.export.lerobot import export_lerobot, export_real_lerobot
@@ -205,7 +205,7 @@ def mp4(
 
     Example: yamsim export mp4 dataset/ videos/
     """
-    source = _source(dataset, episodes, fps)
+    source = _open_dataset(dataset, episodes, fps)
 
     from yamsim_cli.export.videos import export_mp4, export_sheet
 
@@ -223,7 +223,7 @@ def rerun(dataset: Dataset, out: Out, episodes: Episodes = None, overwrite: Rena
 
     Example: yamsim export rerun dataset/ rrd/ --episodes 0-9
     """
-    source = _source(dataset, episodes)
+    source = _open_dataset(dataset, episodes)
 
     from yamsim_cli.export.rrd import export_rerun
 
@@ -232,7 +232,7 @@ def rerun(dataset: Dataset, out: Out, episodes: Episodes = None, overwrite: Rena
     _print(done, json)
 
 
-def _rate(text: str) -> float | None:
+def _parse_fps(text: str) -> float | None:
     if text == "source":
         return None
     try:
@@ -252,14 +252,14 @@ def _with_renderer(locations: Locations) -> Locations:
         raise ResourceError(f"{error}; or render nothing: give --pictures nearest or --fps source") from None
 
 
-def _source(dataset: Path, episodes: str | None, fps: float | None = None) -> SimulatedSource | RealSource:
+def _open_dataset(dataset: Path, episodes: str | None, fps: float | None = None) -> SimulatedSource | RealSource:
     opener.skip_gl()
 
-    from yamsim_cli.core.dataset.imported_records import is_real
+    from yamsim_cli.core.dataset.imported_records import is_imported_dataset
     from yamsim_cli.export.export_source import open_real_source, open_source
 
-    where = opener.locations()
-    if is_real(dataset):
+    where = opener.find_locations()
+    if is_imported_dataset(dataset):
         return open_real_source(dataset, episodes, where, fps)
     _require_real("--fps", fps, dataset)
     return open_source(dataset, episodes, where)

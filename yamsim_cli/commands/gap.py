@@ -79,15 +79,15 @@ def gap(
     if (camera or episode_camera) and not pictures:
         raise UsageError("--camera and --episode-camera are for photos; give --pictures N with them")
     require_unused_reports(out, html, overwrite=overwrite)
-    where = opener.locations()
-    settings = _rig(rig, revision, robot, margin, recordings[0], where)
+    where = opener.find_locations()
+    settings = _choose_rig(rig, revision, robot, margin, recordings[0], where)
 
     from yamsim_cli.core.config.cameras.camera import CameraConfig
     from yamsim_cli.core.config.loader import load_config
     from yamsim_cli.core.config.scene import SceneConfig
 
     surroundings = load_config(SceneConfig, "scenes", "studio", where)
-    model = load_config(CameraConfig, "cameras", camera, where).model if camera else None
+    model = load_config(CameraConfig, "cameras", camera, where).camera_model if camera else None
     if pictures:
         where = opener.use_gl(where)
     else:
@@ -95,8 +95,8 @@ def gap(
 
     from yamsim_cli.real.gap.report import build_report, require_gap_below
 
-    motions, problems = _read(recordings, settings, where, mapping)
-    gaps = _gaps(motions, settings, surroundings, where, (begin or 0.0, math.inf if end is None else end))
+    motions, problems = _read_motions(recordings, settings, where, mapping)
+    gaps = _measure_gaps(motions, settings, surroundings, where, (begin or 0.0, math.inf if end is None else end))
     report = build_report(gaps, settings.name)
     report["problems"] = problems
     shown: list[CaptionedJpeg] = []
@@ -104,7 +104,7 @@ def gap(
         from yamsim_cli.gap_photos.photo_comparison import PhotoRequest
 
         request = PhotoRequest(pictures, model, episode_camera)
-        report["pictures"], shown = _photos(gaps, settings, request, surroundings, where)
+        report["pictures"], shown = _compare_with_photos(gaps, settings, request, surroundings, where)
     if html:
         from yamsim_cli.real.gap.report import write_gap_page
 
@@ -118,7 +118,7 @@ def gap(
     require_gap_below(report, fail_above)
 
 
-def _read(
+def _read_motions(
     recordings: Sequence[Path], rig: RigConfig, locations: Locations, mapping: str | None
 ) -> tuple[list[RecordedMotion], list[dict[str, Any]]]:
     """Return motions, and faults as JSON data, which also go to stderr."""
@@ -137,7 +137,7 @@ def _read(
     ]
 
 
-def _rig(
+def _choose_rig(
     name: str | None,
     revision: str | None,
     robot: list[str] | None,
@@ -146,19 +146,21 @@ def _rig(
     locations: Locations,
 ) -> RigConfig:
     """Return the named rig, or else that of the recording's dataset, or else `single`."""
-    from yamsim_cli.core.dataset.dataset_paths import CONFIG
-    from yamsim_cli.core.dataset.imported_records import is_real, real_config
-    from yamsim_cli.core.dataset.reader import dataset_config
+    from yamsim_cli.core.dataset.dataset_paths import CONFIG_FILE
+    from yamsim_cli.core.dataset.imported_records import is_imported_dataset, read_imported_config
+    from yamsim_cli.core.dataset.reader import read_recording_config
 
-    datasets = [path for path in (recording, recording.absolute().parent) if (path / CONFIG).is_file()]
+    datasets = [path for path in (recording, recording.absolute().parent) if (path / CONFIG_FILE).is_file()]
     if name is None and recording.is_dir() and datasets:
         if margin is not None or revision is not None or robot:
             raise UsageError("--margin, --revision and --robot need --rig; give --rig with them")
-        return (real_config if is_real(datasets[0]) else dataset_config)(datasets[0], locations).rig
-    return opener.rig(name or "single", locations, margin, revision, robot)
+        return (read_imported_config if is_imported_dataset(datasets[0]) else read_recording_config)(
+            datasets[0], locations
+        ).rig
+    return opener.load_rig(name or "single", locations, margin, revision, robot)
 
 
-def _gaps(
+def _measure_gaps(
     motions: Sequence[RecordedMotion],
     rig: RigConfig,
     surroundings: SceneConfig,
@@ -178,7 +180,7 @@ def _gaps(
     return gaps
 
 
-def _photos(
+def _compare_with_photos(
     gaps: Sequence[MotionGap], rig: RigConfig, request: PhotoRequest, surroundings: SceneConfig, locations: Locations
 ) -> tuple[dict[str, Any], list[CaptionedJpeg]]:
     from yamsim_cli.core.config.loader import load_config

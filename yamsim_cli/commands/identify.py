@@ -40,8 +40,8 @@ def excite(
 
     Example: yamsim excite --rig single --out motion.csv
     """
-    where = opener.locations()
-    settings = opener.rig(rig, where, margin, revision, robot)
+    where = opener.find_locations()
+    settings = opener.load_rig(rig, where, margin, revision, robot)
     _require_arm(arm, settings)
     for flag, file in (("--out", out), ("--log", log)):
         if file is not None and file.suffix != ".csv":
@@ -54,7 +54,7 @@ def excite(
     from yamsim_cli.core.config.scene import SceneConfig
     from yamsim_cli.core.files.writing import write_output
     from yamsim_cli.real.identify.excitation import commands_csv, log_csv
-    from yamsim_cli.real.identify.excitation import excite as run
+    from yamsim_cli.real.identify.excitation import generate_excitation as run
 
     number = next((k for k, each in enumerate(settings.arms) if each.side == (arm or "right")), 0)
     scene = load_config(SceneConfig, "scenes", "tabletop", where)
@@ -63,32 +63,32 @@ def excite(
     if log is not None:
         write_output(log, log_csv(settings, number, found, scene, where), "--log")
     if json:
-        print_json(_excitation(found, out, log))
+        print_json(_excitation_report(found, out, log))
         return
     print_line(
         f"{out}: {len(found.times)} commands over {found.times[-1]:g} s, up to {found.speed:.0%} of the motors' speed "
         f"and {found.torque:.0%} of their torque"
     )
-    start = ", ".join(f"{angle:g}" for angle in _start(found))
+    start = ", ".join(f"{angle:g}" for angle in _start_joints(found))
     print_line(f"Bring the arm slowly to {start} rad first: the motion begins and ends there")
     if log is not None:
         print_line(f"{log}: log of the simulated arm")
 
 
-def _excitation(found: Excitation, out: Path, log: Path | None) -> dict[str, Any]:
+def _excitation_report(found: Excitation, out: Path, log: Path | None) -> dict[str, Any]:
     return {
         "path": str(out),
         "log": None if log is None else str(log),
         "seconds": float(found.times[-1]),
         "commands": len(found.times),
-        "start_rad": _start(found),
-        "half_width_rad": found.box.half_range.tolist(),
+        "start_rad": _start_joints(found),
+        "half_width_rad": found.joint_range.half_range.tolist(),
         "share_of_speed": found.speed,
         "share_of_torque": found.torque,
     }
 
 
-def _start(found: Excitation) -> list[float]:
+def _start_joints(found: Excitation) -> list[float]:
     return [round(float(angle), 4) for angle in found.commands[0]]
 
 
@@ -124,36 +124,36 @@ def identify(
 
     Example: yamsim identify log.csv --rig single --out my_arm.yaml
     """
-    where = opener.locations()
-    settings = opener.rig(rig, where, margin, revision, robot)
+    where = opener.find_locations()
+    settings = opener.load_rig(rig, where, margin, revision, robot)
     _require_arm(arm, settings)
     if out.suffix not in (".yaml", ".yml"):
         raise UsageError(f"--out {out}: the file of a revision must end in .yaml")
     sides = [each.side for each in settings.arms if arm in (None, each.side)]
-    for file in {out, *(_file(out, side, len(sides)) for side in sides)}:
+    for file in {out, *(_dynamics_file(out, side, len(sides)) for side in sides)}:
         require_unused("--out", file, overwrite=overwrite)
     name = _revision_name(out)
     opener.skip_gl()
 
-    from yamsim_cli.real.identify.identification import identify as run
+    from yamsim_cli.real.identify.identification import identify_arms as run
     from yamsim_cli.real.recordings.motion_reading import read_motions
 
     motions = read_motions(recordings, settings, where)
     others = read_motions(held_out, settings, where) if held_out else []
     with progress_bar("identifying", "simulations") as advance:
         found = run(settings, motions, others, name, arm, lambda one, done, total: advance(done, total, one))
-    files = _write(found, out)
+    files = _write_dynamics(found, out)
     if json:
-        print_json(_plain(found, settings.name, files))
+        print_json(_identification_report(found, settings.name, files))
     else:
         for one, file in zip(found, files, strict=True):
             _print_arm(one, file)
     for one in found:
-        if one.gap.reduction <= 0:
+        if one.held_out_error.relative_reduction <= 0:
             raise SimulationError(
-                f"{one.side or one.arm}: on {one.gap.source}, which was held out, the gap did not fall: "
-                f"{1000 * one.gap.rms_before:.2f} mrad before, {1000 * one.gap.rms_after:.2f} after; record a log of a "
-                "motion of `yamsim excite`"
+                f"{one.side or one.arm}: on {one.held_out_error.source}, which was held out, the gap did not fall: "
+                f"{1000 * one.held_out_error.rms_before:.2f} mrad before, "
+                f"{1000 * one.held_out_error.rms_after:.2f} after; record a log of a motion of `yamsim excite`"
             )
 
 
@@ -162,28 +162,28 @@ def _revision_name(out: Path) -> str:
     return name if name[:1].isalpha() else f"arm_{name}"
 
 
-def _write(found: Sequence[IdentificationResult], out: Path) -> list[Path]:
+def _write_dynamics(found: Sequence[IdentificationResult], out: Path) -> list[Path]:
     from yamsim_cli.core.files.documents.yaml_document import dump_yaml
     from yamsim_cli.core.files.writing import write_outputs
 
-    files = [_file(out, one.side, len(found)) for one in found]
+    files = [_dynamics_file(out, one.side, len(found)) for one in found]
     revisions = {
         file: dump_yaml(one.dynamics.model_dump(mode="json", exclude_defaults=True)).encode()
         for one, file in zip(found, files, strict=True)
-        if one.gap.reduction > 0
+        if one.held_out_error.relative_reduction > 0
     }
     if revisions:
         write_outputs(revisions)
     return files
 
 
-def _file(out: Path, side: str, arms: int) -> Path:
+def _dynamics_file(out: Path, side: str, arms: int) -> Path:
     return out if arms == 1 else out.with_stem(f"{out.stem}_{side}")
 
 
-def _plain(found: Sequence[IdentificationResult], rig: str, files: Sequence[Path]) -> dict[str, Any]:
+def _identification_report(found: Sequence[IdentificationResult], rig: str, files: Sequence[Path]) -> dict[str, Any]:
     """Two arms are listed by side, and their joints also in one list."""
-    arms = [{**_plain_arm(one), "out": str(file)} for one, file in zip(found, files, strict=True)]
+    arms = [{**_arm_report(one), "out": str(file)} for one, file in zip(found, files, strict=True)]
     data: dict[str, Any] = {"rig": rig, "out": [str(file) for file in files]}
     if len(arms) == 1:
         return data | {key: value for key, value in arms[0].items() if key != "out"}
@@ -199,7 +199,7 @@ def _plain(found: Sequence[IdentificationResult], rig: str, files: Sequence[Path
     return data | {"arms": dict(zip(sides, arms, strict=True))}
 
 
-def _plain_arm(one: IdentificationResult) -> dict[str, Any]:
+def _arm_report(one: IdentificationResult) -> dict[str, Any]:
     common = {each.name: each.to_json_data() for each in one.estimates if not each.joint}
     joints: dict[str, dict[str, Any]] = {}
     for each in one.estimates:
@@ -214,7 +214,7 @@ def _plain_arm(one: IdentificationResult) -> dict[str, Any]:
         "params": [{"joint": each.joint, "name": each.name, **each.to_json_data()} for each in one.estimates],
         "cannot_tell": one.undetermined,
         "fitted_rms_rad": one.fitted_rms,
-        "held_out": one.gap.to_json_data(),
+        "held_out": one.held_out_error.to_json_data(),
     }
 
 
@@ -224,12 +224,12 @@ def _print_arm(one: IdentificationResult, file: Path) -> None:
         figures = [f"{number:.4g}" for number in (each.value, each.low, each.high, each.model_value)]
         table.add_row(each.joint or "all", each.name, *figures)
     print_table(table)
-    gap = one.gap
+    gap = one.held_out_error
     print_line(
         f"Held out ({gap.source}, {gap.seconds:.0f} s): {1000 * gap.rms_before:.2f} mrad with the model, "
-        f"{1000 * gap.rms_after:.2f} with {one.dynamics.revision}: {gap.reduction:.0%} less"
+        f"{1000 * gap.rms_after:.2f} with {one.dynamics.revision}: {gap.relative_reduction:.0%} less"
     )
     for sentence in one.undetermined:
         print_note(sentence)
-    if gap.reduction > 0:
+    if gap.relative_reduction > 0:
         print_line(f"{file}: give it to other commands as --robot {file}")

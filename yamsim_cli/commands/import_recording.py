@@ -56,9 +56,9 @@ def import_recording(
     Example: yamsim import log.csv --rig single --out real
     """
     mode = open_mode(resume=resume, overwrite=overwrite)
-    where = opener.locations()
+    where = opener.find_locations()
     opener.skip_gl()
-    settings = opener.rig(rig, where)
+    settings = opener.load_rig(rig, where)
 
     from yamsim_cli.real.import_recording.importing import Corrections, ImportRequest, import_recordings
 

@@ -83,15 +83,15 @@ def overlay(
         raise UsageError("--min-iou needs --mask-image")
     if video is not None:
         require_unused("--video", video, overwrite=overwrite)
-    where = opener.locations()
-    settings = _rig(rig, revision, episode or [], margin, where)
+    where = opener.find_locations()
+    settings = _choose_rig(rig, revision, episode or [], margin, where)
 
     from yamsim_cli.core.config.cameras.camera import CameraConfig
     from yamsim_cli.core.config.loader import load_config
     from yamsim_cli.core.config.rendering import RenderConfig
     from yamsim_cli.core.config.scene import SceneConfig
 
-    model = load_config(CameraConfig, "cameras", camera, where).model if camera else None
+    model = load_config(CameraConfig, "cameras", camera, where).camera_model if camera else None
     scene = load_config(SceneConfig, "scenes", "studio", where)
     quality = load_config(RenderConfig, "quality", "fast", where)
     opener.use_gl(where)
@@ -123,7 +123,7 @@ def overlay(
         min_iou=min_iou,
         fail_if_moved=fail_if_moved,
     )
-    require_unused("--out", request.files, overwrite=overwrite)
+    require_unused("--out", request.output_files, overwrite=overwrite)
     where = opener.with_mesh_folders(where, visual_mesh_sets(Blueprint(settings, scene)))
     with progress_bar("overlays", "photos") as advance:
         report = run_overlays(settings, request, scene, quality, where, advance)
@@ -131,40 +131,40 @@ def overlay(
         print_json(report.to_json_data())
     else:
         _print(report)
-    report.check()
+    report.raise_for_failures()
 
 
-def _rig(
+def _choose_rig(
     name: str | None, revision: str | None, recordings: Sequence[Path], margin: float | None, locations: Locations
 ) -> RigConfig:
     """Return the named rig, or else that of the recordings' dataset, or else `single`."""
-    from yamsim_cli.core.dataset.dataset_paths import CONFIG
-    from yamsim_cli.core.dataset.reader import recorded_rig
+    from yamsim_cli.core.dataset.dataset_paths import CONFIG_FILE
+    from yamsim_cli.core.dataset.reader import read_recorded_rig
 
-    datasets = {path.resolve() if (path / CONFIG).is_file() else path.resolve().parent for path in recordings}
+    datasets = {path.resolve() if (path / CONFIG_FILE).is_file() else path.resolve().parent for path in recordings}
     if name is None and len(datasets) > 1:
         raise UsageError("--episode: the episodes are of several datasets; give --rig")
-    if name is None and any((dataset / CONFIG).is_file() for dataset in datasets):
+    if name is None and any((dataset / CONFIG_FILE).is_file() for dataset in datasets):
         if margin is not None:
             raise UsageError(f"--margin {margin:g}: an episode has the rig of its recording; give --rig with --margin")
         if revision is not None:
             raise UsageError(
                 f"--revision {revision}: an episode has the rig of its recording; give --rig with --revision"
             )
-        return recorded_rig(datasets.pop(), locations)
-    return opener.rig(name or "single", locations, margin, revision)
+        return read_recorded_rig(datasets.pop(), locations)
+    return opener.load_rig(name or "single", locations, margin, revision)
 
 
 def _print(report: OverlayReport) -> None:
     from yamsim_cli.photos.overlay.move_detection import describe_move
-    from yamsim_cli.photos.overlay.overlay_report import captions
+    from yamsim_cli.photos.overlay.overlay_report import photo_captions
 
     for result in report.results:
-        for caption in captions(result):
+        for caption in photo_captions(result):
             print_line(f"{result.path}: {caption}")
         for arm in result.arms:
             # If no arm of a photo has a pose, the error at the end gives the reason.
-            if result.bases and not arm.located and arm.detection:
+            if result.base_poses and not arm.is_located and arm.detection:
                 print_note(f"{result.path}: {arm.name}: {arm.detection.explanation}")
         for text in result.notes:
             print_note(f"{result.path}: {text}")

@@ -19,7 +19,9 @@ if TYPE_CHECKING:
     from yamsim_cli.recording.executor_factories import ExecutorFactory
     from yamsim_cli.recording.recorder import RecordReport
 
-_STOPPING = "Stopping once the attempts in progress are done. Another signal stops at once; nothing is lost either way."
+_STOPPING_NOTE = (
+    "Stopping once the attempts in progress are done. Another signal stops at once; nothing is lost either way."
+)
 
 
 def record(
@@ -87,8 +89,8 @@ def record(
     from yamsim_cli.recording.recorder import record as run
     from yamsim_cli.recording.recording_output import RecordingOutput
 
-    executors = _executors(executor, address, attempt_timeout)
-    with progress_bar("recording", "episodes") as advance, stop_on_signal(_STOPPING) as stop:
+    executors = _make_executor_factory(executor, address, attempt_timeout)
+    with progress_bar("recording", "episodes") as advance, stop_on_signal(_STOPPING_NOTE) as stop:
         callbacks = RecordCallbacks(
             lambda done, wanted, attempts: advance(done, wanted, f"{attempts} attempts"), print_note
         )
@@ -96,7 +98,7 @@ def record(
     _print(report, json)
 
 
-def _executors(kind: str, address: str | None, attempt_timeout: float) -> ExecutorFactory:
+def _make_executor_factory(kind: str, address: str | None, attempt_timeout: float) -> ExecutorFactory:
     from yamsim_cli.recording.executor_factories import ProcessExecutorFactory, RayExecutorFactory
 
     if kind == "process":

@@ -29,8 +29,8 @@ def render_views(
 
     Example: yamsim render-views --rig russet
     """
-    where = opener.locations()
-    settings = opener.rig(rig, where, margin, revision, robot)
+    where = opener.find_locations()
+    settings = opener.load_rig(rig, where, margin, revision, robot)
     pixels = parse_size(size)
 
     from yamsim_cli.core.config.loader import load_config

@@ -60,15 +60,15 @@ def replay(
 
     from yamsim_cli.core.dataset.reader import StoredEpisode, find_episode
 
-    stored, where = find_episode(episode, number), opener.locations()
+    stored, where = find_episode(episode, number), opener.find_locations()
     if render and not isinstance(stored, StoredEpisode):
         raise UsageError("--render: a real recording was not simulated; leave --render out to show its pictures")
     if video is None:
         play_episode(stored, where, speed, choose_viewer(web, port, host), json)
         return
     pixels = parse_size(size) if size else None
-    report = _film(stored, where, video, camera or [], render, pixels, speed, overwrite)
-    report |= _physics(stored, where) if isinstance(stored, StoredEpisode) else _NO_PHYSICS
+    report = _film_episode(stored, where, video, camera or [], render, pixels, speed, overwrite)
+    report |= _repeat_in_physics(stored, where) if isinstance(stored, StoredEpisode) else _NO_PHYSICS
     if json:
         print_json(report)
         return
@@ -77,7 +77,7 @@ def replay(
     _print_physics(report)
 
 
-def _film(
+def _film_episode(
     stored: RecordedEpisode,
     locations: Locations,
     video: Path,
@@ -97,7 +97,7 @@ def _film(
     from yamsim_cli.viewers.show.replay import film_recorded, film_rendered, session_with_wrist_camera
 
     if render and isinstance(stored, StoredEpisode):
-        session = opener.with_meshes(session_with_wrist_camera(_session(stored, locations), size))
+        session = opener.with_meshes(session_with_wrist_camera(_dataset_session(stored, locations), size))
         film = film_rendered(stored, session, cameras, video, period, overwrite=overwrite)
     else:
         film = film_recorded(stored, cameras, video, period, overwrite=overwrite)
@@ -124,7 +124,7 @@ def play_episode(
 
     physics = _NO_PHYSICS
 
-    def ready(url: str | None) -> None:
+    def announce_ready(url: str | None) -> None:
         line = f"{url}  (Ctrl-C ends)" if url else "MuJoCo's window: space pauses"
         print_result_now({"episode": str(stored.directory), "url": url} | physics, line, json)
         if not json:
@@ -132,41 +132,42 @@ def play_episode(
             sys.stdout.flush()
 
     if isinstance(stored, StoredEpisode):
-        session = opener.with_meshes(_session(stored, locations))
+        session = opener.with_meshes(_dataset_session(stored, locations))
         # A server or window that Ctrl-C interrupts during its start cannot be closed.
         with defer_signals() as stopped:
-            physics = _physics(stored, locations)
-            play_simulated(stored, session, speed, page, ready, stopped)
+            physics = _repeat_in_physics(stored, locations)
+            play_simulated(stored, session, speed, page, announce_ready, stopped)
         return
     from yamsim_cli.core.config.loader import load_config
     from yamsim_cli.core.config.scene import SceneConfig
-    from yamsim_cli.core.dataset.imported_records import real_config
+    from yamsim_cli.core.dataset.imported_records import read_imported_config
     from yamsim_cli.core.scene.blueprint import Blueprint
     from yamsim_cli.core.scene.compose import visual_mesh_sets
     from yamsim_cli.real.recordings.motion_reading import read_episode
 
     blueprint = Blueprint(
-        real_config(stored.dataset, locations).rig, load_config(SceneConfig, "scenes", "studio", locations)
+        read_imported_config(stored.dataset_directory, locations).rig,
+        load_config(SceneConfig, "scenes", "studio", locations),
     )
     motion = read_episode(stored, blueprint.rig)
     locations = opener.with_mesh_folders(locations, visual_mesh_sets(blueprint))
     with defer_signals() as stopped:
-        play_real(stored, motion, blueprint, locations, speed, page, ready, stopped)
+        play_real(stored, motion, blueprint, locations, speed, page, announce_ready, stopped)
 
 
-def _session(stored: StoredEpisode, locations: Locations) -> Session:
+def _dataset_session(stored: StoredEpisode, locations: Locations) -> Session:
     from yamsim_cli.core.config.session import Session
-    from yamsim_cli.core.dataset.reader import dataset_config
+    from yamsim_cli.core.dataset.reader import read_recording_config
 
-    return Session(dataset_config(stored.dataset, locations), locations)
+    return Session(read_recording_config(stored.dataset_directory, locations), locations)
 
 
-def _physics(stored: StoredEpisode, locations: Locations) -> dict[str, Any]:
+def _repeat_in_physics(stored: StoredEpisode, locations: Locations) -> dict[str, Any]:
     """Return largest error and first difference, or None for both if the actions cannot be simulated."""
     from yamsim_cli.datasets.verify import reproduce_episode
 
     try:
-        found = reproduce_episode(stored, _session(stored, locations))
+        found = reproduce_episode(stored, _dataset_session(stored, locations))
     except DatasetError as error:
         print_note(f"Its actions were not repeated: {error}.")
         found = None

@@ -35,8 +35,8 @@ def list_robots(json: Json = False) -> None:
     """
     from yamsim_cli.robot_catalog import robot_entries
 
-    items = robot_entries(opener.locations())
-    print_items(items, ["", "name", "of", "goes with", "source", "meshes"], _row, json)
+    items = robot_entries(opener.find_locations())
+    print_items(items, ["", "name", "of", "goes with", "source", "meshes"], _robot_row, json)
     for item in items:
         if "fault" in item and not json:
             print_note(f"{item['name']} is not valid: {item['fault']}")
@@ -53,7 +53,7 @@ def show(
     """
     from yamsim_cli.robot_catalog import robot_entry
 
-    print_item(robot_entry(name, opener.locations()), json, {"meshes": _mesh_states})
+    print_item(robot_entry(name, opener.find_locations()), json, {"meshes": _mesh_states})
 
 
 @app.command()
@@ -68,7 +68,7 @@ def new(
     """
     from yamsim_cli.robot_catalog import write_robot_template
 
-    where = _locations(data)
+    where = _locations_with_data(data)
     if len(where.data) < 2:
         raise UsageError("no folder for the arm: give --data DIR, or set YAMSIM_DATA_DIR to a folder of yours")
     paths = write_robot_template(name, where.data[0], where)
@@ -96,7 +96,7 @@ def check(
 
     from yamsim_cli.robot_catalog import check_robot, require_checked
 
-    found = check_robot(name, _locations(data))
+    found = check_robot(name, _locations_with_data(data))
     report = {"ok": all(one["ok"] is not False for one in found), "grippers": found}
     print_report(report, lambda: _check_table(found), json)
     require_checked(name, found)
@@ -109,15 +109,15 @@ def _check_table(found: Sequence[Mapping[str, Any]]) -> ItemTable:
     return table
 
 
-def _locations(data: Path | None) -> Locations:
-    where = opener.locations()
+def _locations_with_data(data: Path | None) -> Locations:
+    where = opener.find_locations()
     return where if data is None else replace(where, data=(data, *where.data))
 
 
-def _row(item: Mapping[str, Any]) -> list[str]:
+def _robot_row(item: Mapping[str, Any]) -> list[str]:
     goes_with = ", ".join(item["goes_with"])
     source = "NOT VALID, see below" if "fault" in item else item["source"] or ""
-    return [item["kind"], item["name"], _family_and_revision(item), goes_with, source, _meshes(item)]
+    return [item["kind"], item["name"], _family_and_revision(item), goes_with, source, _mesh_status(item)]
 
 
 def _family_and_revision(item: Mapping[str, Any]) -> str:
@@ -126,7 +126,7 @@ def _family_and_revision(item: Mapping[str, Any]) -> str:
     return f"{item['family']} {item['revision']}" + (" (newest)" if item["newest"] else "")
 
 
-def _meshes(item: Mapping[str, Any]) -> str:
+def _mesh_status(item: Mapping[str, Any]) -> str:
     missing = [name for name, here in item["meshes"].items() if not here]
     if not item["meshes"]:
         return "none"

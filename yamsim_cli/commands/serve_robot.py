@@ -13,7 +13,7 @@ import typer
 from yamsim_cli.core.errors import ResourceError, UsageError
 from yamsim_cli.flags import session_options as flags
 from yamsim_cli.flags.session_options import opener, session_settings
-from yamsim_cli.real.serve.socket_servers import default_folder
+from yamsim_cli.real.serve.socket_servers import default_socket_folder
 from yamsim_cli.terminal.console import print_json, print_line, print_note
 from yamsim_cli.terminal.signals import stop_on_signal
 
@@ -104,36 +104,36 @@ def serve_robot(
     session = opener.open(config, renders=cameras or chiral is not None, parallel=False, **settings)
 
     from yamsim_cli.real.serve.realtime_loop import RealtimeLoop
-    from yamsim_cli.real.serve.served_arms import STARTS, make_policy_robot, serve_arms
+    from yamsim_cli.real.serve.served_arms import START_POSTURES, make_policy_robot, serve_arms
 
-    if start not in STARTS:
-        raise UsageError(f"--start {start!r} is not valid; valid: {', '.join(STARTS)}")
+    if start not in START_POSTURES:
+        raise UsageError(f"--start {start!r} is not valid; valid: {', '.join(START_POSTURES)}")
     served = serve_arms(session, channel or (), faults, start)
     with ExitStack() as stack, stop_on_signal("Ending.") as stop:
         where = _bus_folder(folder)
-        sockets = _sockets(stack, served, None if kernel else where)
-        ports = _portals(stack, served, host, portal)
+        sockets = _open_bus_sockets(stack, served, None if kernel else where)
+        ports = _open_portals(stack, served, host, portal)
         policy_robot = None
         if cameras or chiral is not None:
-            source = _pictures(stack, session, served, camera_fps)
+            source = _start_render_process(stack, session, served, camera_fps)
             ports.append(source)
             if cameras:
                 ports.append(_camera_server(stack, where, source))
             if chiral is not None:
                 policy_robot = make_policy_robot(session, served, source)
-                ports.append(_chiral(stack, policy_robot, host, chiral))
+                ports.append(_open_chiral_server(stack, policy_robot, host, chiral))
         print_note("Ctrl-C ends" if kernel else "start programs with `yamsim can-run -- PROGRAM`; Ctrl-C ends")
         sys.stderr.flush()
 
         def drive() -> None:
             if policy_robot is not None:
-                policy_robot.tick()
+                policy_robot.command_next_step()
             for follower in served.followers:
-                follower.tick()
+                follower.command_motors()
 
         loop = RealtimeLoop(served.motor_simulation, sockets, gap * 1e-6, ports, drive)
         loop.run(lambda: stop.is_requested, float("inf") if seconds is None else seconds)
-        pace = loop.pace
+        pace = loop.timing_stats
     if json:
         print_json({"channels": [bus.channel for bus in served.motor_simulation.buses], **asdict(pace)})
         return
@@ -143,7 +143,7 @@ def serve_robot(
     )
 
 
-def _sockets(stack: ExitStack, served: ServedArms, folder: Path | None) -> list[UnixBus | KernelBus]:
+def _open_bus_sockets(stack: ExitStack, served: ServedArms, folder: Path | None) -> list[UnixBus | KernelBus]:
     """Open each CAN bus: a Unix socket in `folder`, or without a folder one of the kernel's interfaces."""
     from yamsim_cli.real.serve.can_bus import KernelBus, UnixBus
 
@@ -156,7 +156,7 @@ def _sockets(stack: ExitStack, served: ServedArms, folder: Path | None) -> list[
     return sockets
 
 
-def _portals(stack: ExitStack, served: ServedArms, host: str, port: int | None) -> list[PolledServer]:
+def _open_portals(stack: ExitStack, served: ServedArms, host: str, port: int | None) -> list[PolledServer]:
     from yamsim_cli.real.serve.portal import PortalServer
 
     ports: list[PolledServer] = []
@@ -168,11 +168,11 @@ def _portals(stack: ExitStack, served: ServedArms, host: str, port: int | None) 
     return ports
 
 
-def _pictures(stack: ExitStack, session: Session, served: ServedArms, fps: float) -> RenderProcess:
+def _start_render_process(stack: ExitStack, session: Session, served: ServedArms, fps: float) -> RenderProcess:
     from yamsim_cli.real.serve.render_process import RenderProcess
     from yamsim_cli.real.serve.served_arms import served_cameras
 
-    source = RenderProcess(session, served_cameras(session.config), fps, served.state, time.time_ns)
+    source = RenderProcess(session, served_cameras(session.config), fps, served.scene_state, time.time_ns)
     stack.callback(source.close)
     return source
 
@@ -186,7 +186,7 @@ def _camera_server(stack: ExitStack, folder: Path, source: RenderProcess) -> Pol
     return server
 
 
-def _chiral(stack: ExitStack, robot: PolicyRobot, host: str, port: int) -> PolledServer:
+def _open_chiral_server(stack: ExitStack, robot: PolicyRobot, host: str, port: int) -> PolledServer:
     from yamsim_cli.real.serve.chiral import ChiralServer
 
     server = ChiralServer(robot, host, port)
@@ -221,4 +221,4 @@ def can_run(
 
 
 def _bus_folder(given: Path | None) -> Path:
-    return default_folder(os.environ) if given is None else given
+    return default_socket_folder(os.environ) if given is None else given

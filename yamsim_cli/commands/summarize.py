@@ -38,12 +38,12 @@ def summarize(
 
     from yamsim_cli.core.statistics import THRESHOLDS
     from yamsim_cli.cpu_limits import usable_cores
-    from yamsim_cli.datasets.check_summary import summarize as count
+    from yamsim_cli.datasets.check_summary import summarize_checks as count
     from yamsim_cli.datasets.summarize import check_dataset
 
     thresholds = sorted(set(threshold or THRESHOLDS))
     with progress_bar("checking", "episodes") as advance:
-        results = check_dataset(dataset, opener.locations(), workers or usable_cores(), advance)
+        results = check_dataset(dataset, opener.find_locations(), workers or usable_cores(), advance)
     report = count(results, thresholds)
     if html:
         from yamsim_cli.datasets.summarize import write_report
@@ -56,10 +56,10 @@ def summarize(
     if html and not json:
         print_note(f"The report is in {html}.")
     if report["errors"] or (strict and report["warnings"]):
-        raise DatasetError(_verdict(dataset, report, strict))
+        raise DatasetError(_verdict_line(dataset, report, strict))
 
 
-def _verdict(dataset: Path, report: dict[str, Any], strict: bool) -> str:
+def _verdict_line(dataset: Path, report: dict[str, Any], strict: bool) -> str:
     problems = [problem for problem in report["problems"] if strict or problem["severity"] == "error"]
     first = problems[0]
     place = "/".join(part for part in (first["episode"], first["file"]) if part)

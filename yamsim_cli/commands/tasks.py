@@ -26,7 +26,7 @@ def list_tasks(json: Json = False) -> None:
     """
     from yamsim_cli.task_validation.task_catalog import task_entries
 
-    print_items(task_entries(opener.locations()), ["name", "things", "skills", "instruction"], _row, json)
+    print_items(task_entries(opener.find_locations()), ["name", "things", "skills", "instruction"], _task_row, json)
 
 
 @app.command()
@@ -40,7 +40,7 @@ def show(
     """
     from yamsim_cli.task_validation.task_catalog import task_entry
 
-    print_item(task_entry(name, opener.locations()), json)
+    print_item(task_entry(name, opener.find_locations()), json)
 
 
 @app.command()
@@ -102,11 +102,11 @@ def check(
         report["videos"] = film_with_progress(
             films, lambda shown: film_trials(report["trials"], video_trials, films, session, shown)
         )
-    print_report(report, lambda: _table(report), json)
+    print_report(report, lambda: _check_table(report), json)
     require_passed(report)
 
 
-def _table(report: Mapping[str, Any]) -> ItemTable:
+def _check_table(report: Mapping[str, Any]) -> ItemTable:
     table = ItemTable(["check", "", "found"], numbers_from=3)
     for check in report["checks"]:
         table.add_row(check["name"].replace("_", " "), _VERDICTS[check["ok"]], check["detail"])
@@ -115,5 +115,5 @@ def _table(report: Mapping[str, Any]) -> ItemTable:
     return table
 
 
-def _row(item: Mapping[str, Any]) -> list[str]:
+def _task_row(item: Mapping[str, Any]) -> list[str]:
     return [item["name"], ", ".join(item["things"]), ", ".join(item["skills"]), item["prompt"]]

@@ -18,7 +18,9 @@ from yamsim_cli.terminal.signals import stop_on_signal
 if TYPE_CHECKING:
     from yamsim_cli.viewers.teleop.teleop_session import TeleopReport
 
-_ENDING = "Ending once recorded attempts are judged and rendered. Another signal ends at once; whole episodes are safe."
+_ENDING_NOTE = (
+    "Ending once recorded attempts are judged and rendered. Another signal ends at once; whole episodes are safe."
+)
 
 
 def teleop(
@@ -75,25 +77,25 @@ def teleop(
     if page is not None:
         check_page(page)
 
-    def ready(url: str) -> None:
+    def announce_ready(url: str) -> None:
         print_note(f"{url}  (Ctrl-C ends)")
         sys.stderr.flush()
 
     with (
-        stop_on_signal(_ENDING) as stop,
+        stop_on_signal(_ENDING_NOTE) as stop,
         open_teleop(session, out, mode, print_note, time_limit=time_limit) as teleop_session,
     ):
         if page is None:
             assert commands is not None
             report = run_stream(teleop_session, commands, stop, realtime=realtime)
         else:
-            report = run_page(teleop_session, session.config, page, ready, stop)
+            report = run_page(teleop_session, session.config, page, announce_ready, stop)
     _print(report, json)
 
 
 def _print(report: TeleopReport, json: bool) -> None:
     if json:
-        print_json(_summary(report))
+        print_json(_summary_json(report))
         return
     for trial in report.trials:
         end = f"episode {trial.episode}" if trial.episode is not None else f"failed: {trial.outcome.detail}"
@@ -108,7 +110,7 @@ def _print(report: TeleopReport, json: bool) -> None:
     )
 
 
-def _summary(report: TeleopReport) -> dict[str, Any]:
+def _summary_json(report: TeleopReport) -> dict[str, Any]:
     return {
         "episodes": report.episodes,
         "attempts": report.attempts,

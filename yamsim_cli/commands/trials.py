@@ -58,12 +58,12 @@ def trials(
     require_unused_reports(out, html, overwrite=overwrite)
     session = opener.open(config, renders=video is not None, **session_settings(locals()))
 
-    from yamsim_cli.core.episode.trials import film_trials, require_success, run_batch
+    from yamsim_cli.core.episode.trials import film_trials, require_success, run_expert_trials
     from yamsim_cli.core.statistics import THRESHOLDS
 
     films = open_films(video, session.config, overwrite=overwrite) if video else None
     with progress_bar("trials", "trials") as advance:
-        report = run_batch(session, THRESHOLDS, advance)
+        report = run_expert_trials(session, THRESHOLDS, advance)
     if films:
         report["videos"] = film_with_progress(
             films, lambda shown: film_trials(report["trials"], video_trials, films, session, shown)

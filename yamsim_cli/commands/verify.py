@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from rich.text import Text
 
 # Check -> label in the report.
-_METHODS = {"seed": "made again from its seed", "actions": "from its actions", "images": "rendered again"}
+_METHOD_LABELS = {"seed": "made again from its seed", "actions": "from its actions", "images": "rendered again"}
 
 # Largest difference that rounding alone explains: m, rad, or relative for numbers above 1. Another processor rounds the
 # last bit differently, and contacts amplify the difference. On an emulated processor, most of 40 episodes differed by
@@ -57,11 +57,11 @@ def verify(
         raise UsageError(f"--image-tolerance {image_tolerance:g} needs --images")
 
     from yamsim_cli.core.config.session import Session
-    from yamsim_cli.core.dataset.reader import dataset_config, select_episodes
+    from yamsim_cli.core.dataset.reader import read_recording_config, select_episodes
 
-    where = opener.locations()
+    where = opener.find_locations()
     chosen = select_episodes(dataset, episodes, sample)
-    session = Session(dataset_config(dataset, where), where)
+    session = Session(read_recording_config(dataset, where), where)
     if images:
         opener.use_gl(where, workers=True)
         session = opener.with_meshes(session)
@@ -75,17 +75,17 @@ def verify(
     with progress_bar("verifying", "episodes") as advance:
         report = run(chosen, session, limits, workers, advance)
     report = {"path": str(dataset)} | report
-    print_report(report, lambda: FactTable(_rows(report)), json)
+    print_report(report, lambda: FactTable(_result_rows(report)), json)
     if report["agree"] < report["episodes"]:
-        raise DatasetError(_verdict(report))
+        raise DatasetError(_verdict_line(report))
 
 
-def _rows(report: dict[str, Any]) -> Iterator[tuple[str | Text, str]]:
+def _result_rows(report: dict[str, Any]) -> Iterator[tuple[str | Text, str]]:
     from rich.text import Text
 
     yield "dataset", report["path"]
     yield "episodes that agree", f"{report['agree']} of {report['episodes']}"
-    for check, label in _METHODS.items():
+    for check, label in _METHOD_LABELS.items():
         if found := report["checks"][check]:
             apart = "pixels differ by up to" if check == "images" else "largest difference"
             exact = " (bit for bit)" if not found["max_error"] and found["agree"] else ""
@@ -96,13 +96,13 @@ def _rows(report: dict[str, Any]) -> Iterator[tuple[str | Text, str]]:
     for change in report["versions_changed"]:
         yield f"{change['name']} changed", f"{change['recorded']} then, {change['now']} now"
     for divergence in report["divergences"][:_MAX_LINES]:
-        yield Text("differs", style="red"), _difference(divergence)
+        yield Text("differs", style="red"), _difference_text(divergence)
     for problem in report["problems"][:_MAX_LINES]:
-        yield Text("problem", style="red"), _problem(problem)
+        yield Text("problem", style="red"), _problem_text(problem)
     yield "time", f"{report['seconds']:.1f} s, {report['seconds'] / report['episodes']:.2f} s an episode"
 
 
-def _difference(divergence: dict[str, Any]) -> str:
+def _difference_text(divergence: dict[str, Any]) -> str:
     frame, time_s = divergence["frame"], divergence["time_s"]
     place = f"ep_{divergence['episode']:06d}"
     if frame is not None:
@@ -110,25 +110,28 @@ def _difference(divergence: dict[str, Any]) -> str:
     stored, got = (f"{v:.9g}" if isinstance(v, float) else v for v in (divergence["stored"], divergence["got"]))
     apart = divergence["difference"]
     by = "" if apart is None else f", {apart:.3g} apart"
-    return f"{place}: {divergence['quantity']} is stored as {stored} and is {got} {_METHODS[divergence['check']]}{by}"
+    return (
+        f"{place}: {divergence['quantity']} is stored as {stored} "
+        f"and is {got} {_METHOD_LABELS[divergence['check']]}{by}"
+    )
 
 
-def _problem(problem: dict[str, Any]) -> str:
+def _problem_text(problem: dict[str, Any]) -> str:
     place = f"ep_{problem['episode']:06d}/{problem['file']}: " if problem["file"] else ""
     return f"{place}{problem['problem']}"
 
 
-def _verdict(report: dict[str, Any]) -> str:
+def _verdict_line(report: dict[str, Any]) -> str:
     first = report["first_divergence"]
-    text = _difference(first) if first else _problem(report["problems"][0])
+    text = _difference_text(first) if first else _problem_text(report["problems"][0])
     differing = report["episodes"] - report["agree"]
     more = f" (and {differing - 1} more episodes)" if differing > 1 else ""
     changes = ", ".join(f"{c['name']} {c['recorded']} (now {c['now']})" for c in report["versions_changed"])
     since = f"; recorded with {changes}" if changes else ""
-    return f"{report['path']}: {text}{more}{since}{_hint(report)}"
+    return f"{report['path']}: {text}{more}{since}{_tolerance_hint(report)}"
 
 
-def _hint(report: dict[str, Any]) -> str:
+def _tolerance_hint(report: dict[str, Any]) -> str:
     """Advise a tolerance if rounding alone can explain the differences."""
     unequal = any(divergence["difference"] is None for divergence in report["divergences"])
     if unequal or report["problems"] or not report["tolerance"] < report["max_error"] <= _MAX_ROUNDING:

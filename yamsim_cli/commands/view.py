@@ -50,7 +50,7 @@ def view(
     if seed is not None and task is None:
         raise UsageError(f"--seed {seed} determines the layout of a task; give --task with it")
     page = choose_viewer(web, port, host)
-    where = opener.locations()
+    where = opener.find_locations()
     if episode is not None:
         from yamsim_cli.core.dataset.reader import find_episode
 
@@ -61,9 +61,9 @@ def view(
 
     settings: RigConfig | RecordConfig
     if task is None:
-        settings = opener.rig(rig or "single", where, margin, revision, robot)
+        settings = opener.load_rig(rig or "single", where, margin, revision, robot)
     else:
-        settings = opener.config(
+        settings = opener.load_record_config(
             "default", where, rig=rig, revision=revision, robot=robot, margin=margin, task=task, seed=seed
         )
     pictures = page is not None and _can_render(where)
@@ -71,14 +71,14 @@ def view(
 
     from yamsim_cli.viewers.show.viewer import view_rig
 
-    def ready(url: str | None) -> None:
+    def announce_ready(url: str | None) -> None:
         line = f"{url}  (Ctrl-C ends)" if url else "MuJoCo's window: space pauses, backspace goes home"
         print_result_now({"url": url}, line, json)
 
     # A server or window that Ctrl-C interrupts during its start cannot be closed.
     with defer_signals() as stopped:
-        live, viewpoint = _live(settings, where, boards=boards or page is not None, pictures=pictures)
-        view_rig(live, page, ready, stopped, viewpoint, boards=boards, pictures=pictures)
+        live, viewpoint = _make_live_scene(settings, where, boards=boards or page is not None, pictures=pictures)
+        view_rig(live, page, announce_ready, stopped, viewpoint, boards=boards, pictures=pictures)
 
 
 def _can_render(locations: Locations) -> bool:
@@ -89,7 +89,7 @@ def _can_render(locations: Locations) -> bool:
     return True
 
 
-def _live(
+def _make_live_scene(
     settings: RigConfig | RecordConfig, locations: Locations, *, boards: bool, pictures: bool
 ) -> tuple[LiveRig, Viewpoint | None]:
     from yamsim_cli.core.config.loader import load_config

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from .config.goals.measure import GoalMeasure
 from .config.goals.role_assignment import RoleAssignment
-from .config.variation import Variation
+from .config.variation import RandomizationSample
 from .geometry.se3 import Array, pose_from_quat, quat_from_rotation
 
 # Recorded pose of an object in `world`: x, y, z in m, and a unit quaternion w, x, y, z.
@@ -22,7 +22,7 @@ WeldStates = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
-class Layout:
+class ObjectLayout:
     """The initial poses of all objects in an episode.
 
     Attributes:
@@ -32,17 +32,17 @@ class Layout:
     T_in_world: Mapping[str, Array]
 
     @classmethod
-    def from_places(cls, places: Mapping[str, FullPose]) -> Layout:
+    def from_places(cls, places: Mapping[str, FullPose]) -> ObjectLayout:
         """Return the layout for recorded poses."""
         return cls({name: pose_from_quat(place[:3], place[3:]) for name, place in places.items()})
 
     @property
     def places(self) -> dict[str, FullPose]:
         """Object name -> its recorded pose."""
-        return {name: _place(T) for name, T in self.T_in_world.items()}
+        return {name: _full_pose_from_matrix(T) for name, T in self.T_in_world.items()}
 
 
-def _place(T: Array) -> FullPose:
+def _full_pose_from_matrix(T: Array) -> FullPose:
     x, y, z, qw, qx, qy, qz = (float(part) for part in (*T[:3, 3], *quat_from_rotation(T[:3, :3])))
     return x, y, z, qw, qx, qy, qz
 
@@ -206,14 +206,14 @@ class Attempt:
     """
 
     job: AttemptJob
-    layout: Layout | None = None
-    variation: Variation = field(default_factory=Variation)
+    layout: ObjectLayout | None = None
+    variation: RandomizationSample = field(default_factory=RandomizationSample)
     start: Array | None = None
     roles: RoleAssignment | None = None
     phrasing: str = ""
 
     @property
-    def places(self) -> dict[str, FullPose]:
+    def object_places(self) -> dict[str, FullPose]:
         """Object name -> its initial pose in `world`; empty without a layout."""
         return {} if self.layout is None else self.layout.places
 

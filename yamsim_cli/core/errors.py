@@ -87,7 +87,7 @@ def file_size(size: float) -> str:
     return f"{size / 1e3:.1f} kB"
 
 
-def suggest(value: str, valid: Iterable[str]) -> str:
+def suggest_similar(value: str, valid: Iterable[str]) -> str:
     """Return a hint such as ``"did you mean 'single'? valid: bimanual, single"``; no question if nothing is similar."""
     choices = sorted(valid)
     close = difflib.get_close_matches(value, choices, n=1)

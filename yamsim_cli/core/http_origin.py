@@ -22,19 +22,19 @@ def refusal_reason(hosts: Sequence[str], origins: Sequence[str], bound: str) -> 
     """
     if len(hosts) > 1 or len(origins) > 1:
         return "more than one Host or Origin header"
-    host = _split(f"//{hosts[0]}") if hosts else None
+    host = _split_url(f"//{hosts[0]}") if hosts else None
     if hosts and (host is None or not _is_own(host.hostname or "", bound)):
         return f"Host {hosts[0][:100]!r} is not this server"
     if not origins:
         return None
-    origin = _split(origins[0])
+    origin = _split_url(origins[0])
     same = origin is not None and origin.scheme in ("http", "https") and hosts
     if not same or origin is None or origin.netloc.lower() != hosts[0].lower():
         return f"Origin {origins[0][:100]!r} is another site"
     return None
 
 
-def _split(url: str) -> SplitResult | None:
+def _split_url(url: str) -> SplitResult | None:
     """Return the parts of a URL; None if it is invalid, or has more parts than scheme, host and port."""
     try:
         parts = urlsplit(url)

@@ -39,7 +39,7 @@ def html_tag(name: str, /, *children: Child, **attributes: object) -> Markup:
         attributes: `_` becomes `-`, and is removed at the end (`class_`). The value None leaves the attribute out.
     """
     written = "".join(
-        f' {key.rstrip("_").replace("_", "-")}="{html.escape(_text(value))}"'
+        f' {key.rstrip("_").replace("_", "-")}="{html.escape(_sanitize_text(value))}"'
         for key, value in attributes.items()
         if value is not None
     )
@@ -50,7 +50,7 @@ def html_tag(name: str, /, *children: Child, **attributes: object) -> Markup:
 
 def join_markup(children: Iterable[Child]) -> Markup:
     """Return the concatenated markup of children."""
-    return Markup("".join(map(_child, children)))
+    return Markup("".join(map(_escape_child, children)))
 
 
 def html_page(title: str, kicker: str, heading: str, body: Iterable[Child], made: str) -> str:
@@ -79,14 +79,14 @@ def write_page(text: str, path: Path) -> None:
     write_output(path, text.encode(), "--html")
 
 
-def section(title: str, *children: Child) -> Markup:
+def html_section(title: str, *children: Child) -> Markup:
     """Return a section with its heading."""
     return html_tag("section", html_tag("h2", title), children)
 
 
 def grid_section(title: str, figures: Sequence[Markup], kind: str, legend: Markup | None = None) -> Markup | None:
     """Return a section of figures in a grid of class `columns`, `plans` or `strips`; None without figures."""
-    return section(title, legend, html_tag("div", figures, class_=kind)) if figures else None
+    return html_section(title, legend, html_tag("div", figures, class_=kind)) if figures else None
 
 
 def key_figures(figures: Iterable[tuple[str, str]]) -> Markup:
@@ -98,12 +98,12 @@ def key_figures(figures: Iterable[tuple[str, str]]) -> Markup:
     )
 
 
-def verdict(text: str, kind: str) -> Markup:
+def verdict_sentence(text: str, kind: str) -> Markup:
     """Return the sentence that summarizes a page; `kind` is `fine`, `warning` or `error`."""
     return html_tag("p", html_tag("span", text), class_=f"verdict {kind}")
 
 
-def captioned(title: str, picture: Markup, caption: str) -> Markup:
+def captioned_plot(title: str, picture: Markup, caption: str) -> Markup:
     """Return a plot with its title and caption."""
     return html_tag("figure", html_tag("h3", title), picture, html_tag("figcaption", caption))
 
@@ -118,7 +118,7 @@ def captioned_jpeg(caption: str, data: bytes, width: int) -> Markup:
     return html_tag("figure", jpeg_image(data, caption, width), html_tag("figcaption", caption))
 
 
-def legend(entries: Iterable[tuple[str | None, str]]) -> Markup:
+def plot_legend(entries: Iterable[tuple[str | None, str]]) -> Markup:
     """Return a legend of pairs: a mark's class in the style sheet (None for the default dot) and its meaning."""
     return html_tag(
         "div", [html_tag("span", html_tag("i", class_=kind), text) for kind, text in entries], class_="legend"
@@ -147,17 +147,17 @@ def percent(rate: float, digits: int = 1) -> str:
     return f"{rate * 100:.{digits}f}\N{NO-BREAK SPACE}%"
 
 
-def _child(child: Child) -> str:
+def _escape_child(child: Child) -> str:
     if child is None:
         return ""
     if isinstance(child, Markup):
         return child
     if isinstance(child, str | int | float):
-        return html.escape(_text(child))
+        return html.escape(_sanitize_text(child))
     return join_markup(child)
 
 
-def _text(value: object) -> str:
+def _sanitize_text(value: object) -> str:
     """Return floats with two decimals, and strings without characters that control or reverse other text."""
     if isinstance(value, float):
         return f"{value:.2f}".rstrip("0").rstrip(".")

@@ -39,7 +39,7 @@ class PixelScale:
         span = self.high - self.low
         return self.start + (value - self.low) / span * (self.end - self.start) if span else (self.start + self.end) / 2
 
-    def ticks(self, maximum: int) -> list[float]:
+    def round_tick_values(self, maximum: int) -> list[float]:
         """Return at most `maximum` round values between `low` and `high`."""
         low, high = sorted((self.low, self.high))
         span = high - low
@@ -65,14 +65,14 @@ class Axes:
         left, right = sorted((self.x.start, self.x.end))
         top, bottom = sorted((self.y.start, self.y.end))
         parts = []
-        for value in self.x.ticks(x_ticks):
+        for value in self.x.round_tick_values(x_ticks):
             px = self.x(value)
             if x_grid:
                 parts.append(html_tag("line", x1=px, x2=px, y1=top, y2=bottom, class_="grid"))
             parts.append(
                 html_tag("text", format_number(value), x=px, y=bottom + 16, class_="tick", text_anchor="middle")
             )
-        for value in self.y.ticks(y_ticks):
+        for value in self.y.round_tick_values(y_ticks):
             py = self.y(value)
             parts.append(html_tag("line", x1=left, x2=right, y1=py, y2=py, class_="grid"))
             parts.append(
@@ -90,7 +90,7 @@ def format_number(value: float) -> str:
     return f"{round(value, 9) + 0.0:.6g}".replace("-", "\N{MINUS SIGN}")
 
 
-def plot_distances(
+def plot_distance_histogram(
     edges: Sequence[float], counts: Sequence[float], limits: Sequence[float], title: str, counted: str = "episodes"
 ) -> Markup:
     """Return a histogram of distances (m), with a line at every limit; limits far beyond the data are written as text.
@@ -126,7 +126,7 @@ def plot_distances(
     if far := [f"{limit * 1000:g} mm" for limit in limits if limit not in near]:
         text = f"{', '.join(far)} \N{RIGHTWARDS ARROW}"
         parts.append(html_tag("text", text, x=right, y=17, class_="tick", text_anchor="end"))
-    return _svg(title, _WIDTH, height, axes.draw("mm", counted, x_grid=False), parts)
+    return _svg_figure(title, _WIDTH, height, axes.draw("mm", counted, x_grid=False), parts)
 
 
 def plot_failures(counts: Mapping[str, int]) -> Markup:
@@ -142,7 +142,7 @@ def plot_failures(counts: Mapping[str, int]) -> Markup:
             html_tag("rect", x=left, y=y + 3, width=max(1.0, scale(count)), height=row - 9, class_="bad"),
             html_tag("text", f"{count:,}", x=left + scale(count) + 6, y=y + 15, class_="tick"),
         ]
-    return _svg("Attempts by cause of failure", _WIDTH, row * len(counts) + 8, parts)
+    return _svg_figure("Attempts by cause of failure", _WIDTH, row * len(counts) + 8, parts)
 
 
 def plot_rates(rows: Sequence[tuple[str, float, tuple[float, float]]]) -> Markup:
@@ -152,7 +152,7 @@ def plot_rates(rows: Sequence[tuple[str, float, tuple[float, float]]]) -> Markup
     low = max(0.0, math.floor(min(interval[0] for _, _, interval in rows) * 10 - 0.5) / 10)
     x = PixelScale(low, 1.0, left, _WIDTH - 20)
     parts = []
-    for value in x.ticks(6):
+    for value in x.round_tick_values(6):
         px = x(value)
         parts += [
             html_tag("line", x1=px, x2=px, y1=top, y2=height - 22, class_="grid"),
@@ -172,7 +172,7 @@ def plot_rates(rows: Sequence[tuple[str, float, tuple[float, float]]]) -> Markup
                 class_="good",
             ),
         ]
-    return _svg("Success rates with 95 % intervals", _WIDTH, height, parts)
+    return _svg_figure("Success rates with 95 % intervals", _WIDTH, height, parts)
 
 
 def plot_curves(
@@ -202,16 +202,16 @@ def plot_curves(
         PixelScale(low - room, high + room, height - 46, 26),
     )
     parts = [
-        html_tag("polyline", points=_points(axes, times, values), class_=f"curve {kind}")
+        html_tag("polyline", points=_polyline_points(axes, times, values), class_=f"curve {kind}")
         for kind, values in lines.items()
     ]
     if mark is not None:
         x = axes.x(mark)
         parts.append(html_tag("line", x1=x, x2=x, y1=20, y2=height - 46, class_="limit"))
-    return _svg(title, _WIDTH, height, axes.draw("s", y_label, x_grid=False, y_ticks=4), parts)
+    return _svg_figure(title, _WIDTH, height, axes.draw("s", y_label, x_grid=False, y_ticks=4), parts)
 
 
-def _points(axes: Axes, times: Values, values: Values) -> str:
+def _polyline_points(axes: Axes, times: Values, values: Values) -> str:
     known = np.isfinite(values)
     x, y = times[known], values[known]
     if len(x) > _MAX_CURVE_POINTS:
@@ -245,43 +245,43 @@ def plot_workspace(places: ObjectPlaces, box: tuple[Point, Point] | None, frame:
     """
     points = [*places.good, *places.bad, *places.failed]
     corners = [*points, *zip(*box, strict=True)] if box else points
-    (x_low, x_high), (y_low, y_high) = (_padded([corner[k] for corner in corners]) for k in (0, 1))
+    (x_low, x_high), (y_low, y_high) = (_padded_range([corner[k] for corner in corners]) for k in (0, 1))
     left, right, top = 46.0, _PLAN_WIDTH - 10, 26.0
     # Both axes have the same scale. A plot that would be too tall becomes narrower.
     scale = min((right - left) / (y_high - y_low), _PLAN_MAX_HEIGHT / (x_high - x_low))
     right, bottom = left + scale * (y_high - y_low), top + scale * (x_high - x_low)
     axes = Axes(PixelScale(y_high, y_low, left, right), PixelScale(x_low, x_high, bottom, top))
-    return _svg(
+    return _svg_figure(
         title,
         _PLAN_WIDTH,
         bottom + 42,
-        _cells(axes, box, places.grid) if box and places.grid else None,
+        _coverage_cells(axes, box, places.grid) if box and places.grid else None,
         axes.draw(f"y, m, in {frame}", "x, m", x_ticks=5),
-        _rectangle(axes, *box, "box") if box else None,
+        _svg_rectangle(axes, *box, "box") if box else None,
         # Strokes without length are dots. They take a tenth of the bytes of circles.
-        _marks(axes, places.good, 0.0, "h0", "dots good-dots"),
-        _marks(axes, places.bad, 0.0, "h0", "dots bad-dots"),
-        _marks(axes, places.failed, 2.5, "l5 5m0 -5l-5 5", "crosses"),
+        _marker_path(axes, places.good, 0.0, "h0", "dots good-dots"),
+        _marker_path(axes, places.bad, 0.0, "h0", "dots bad-dots"),
+        _marker_path(axes, places.failed, 2.5, "l5 5m0 -5l-5 5", "crosses"),
     )
 
 
-def _cells(axes: Axes, box: tuple[Point, Point], grid: Coverage) -> list[Markup]:
+def _coverage_cells(axes: Axes, box: tuple[Point, Point], grid: Coverage) -> list[Markup]:
     (x0, x1), (y0, y1) = box
     dx, dy = (x1 - x0) / grid.shape[0], (y1 - y0) / grid.shape[1]
     return [
-        _rectangle(axes, (x0 + ix * dx, x0 + (ix + 1) * dx), (y0 + iy * dy, y0 + (iy + 1) * dy), "cell")
+        _svg_rectangle(axes, (x0 + ix * dx, x0 + (ix + 1) * dx), (y0 + iy * dy, y0 + (iy + 1) * dy), "cell")
         for ix, column in enumerate(grid.hits)
         for iy, count in enumerate(column)
         if count
     ]
 
 
-def _rectangle(axes: Axes, x: Point, y: Point, kind: str) -> Markup:
+def _svg_rectangle(axes: Axes, x: Point, y: Point, kind: str) -> Markup:
     left, top = axes.x(y[1]), axes.y(x[1])
     return html_tag("rect", x=left, y=top, width=axes.x(y[0]) - left, height=axes.y(x[0]) - top, class_=kind)
 
 
-def _marks(axes: Axes, points: Sequence[Point], offset: float, stroke: str, kind: str) -> Markup | None:
+def _marker_path(axes: Axes, points: Sequence[Point], offset: float, stroke: str, kind: str) -> Markup | None:
     """Return one path with a stroke at every point, from `offset` px above and left of it."""
     if not points:
         return None
@@ -290,13 +290,13 @@ def _marks(axes: Axes, points: Sequence[Point], offset: float, stroke: str, kind
     return html_tag("path", d=path, class_=kind)
 
 
-def _padded(values: Sequence[float]) -> Point:
+def _padded_range(values: Sequence[float]) -> Point:
     low, high = min(values), max(values)
     pad = max(0.02, (high - low) * 0.06)
     return low - pad, high + pad
 
 
-def _svg(title: str, width: float, height: float, *parts: Markup | Sequence[Markup] | None) -> Markup:
+def _svg_figure(title: str, width: float, height: float, *parts: Markup | Sequence[Markup] | None) -> Markup:
     return html_tag(
         "svg",
         html_tag("title", title),

@@ -12,7 +12,7 @@ _MAX_BINS = 40
 _MIN_SPAN = 1e-4  # of values from which the width of bins is computed
 
 
-def wilson95(successes: int, n: int) -> tuple[float, float]:
+def wilson_interval_95(successes: int, n: int) -> tuple[float, float]:
     """Return Wilson's 95 % interval of a success rate, valid for small n and rates near 0 and 1; (0, 1) for n = 0."""
     if n == 0:
         return 0.0, 1.0
@@ -24,7 +24,7 @@ def wilson95(successes: int, n: int) -> tuple[float, float]:
     return (0.0 if successes == 0 else max(0.0, centre - half), 1.0 if successes == n else min(1.0, centre + half))
 
 
-def student95(freedom: int) -> float:
+def student_t_quantile_95(freedom: int) -> float:
     """Return the two-sided 95 % quantile of Student's t distribution with `freedom` degrees of freedom."""
     from scipy.special import stdtrit
 
@@ -38,7 +38,7 @@ def summarize_values(values: Sequence[float]) -> dict[str, float] | None:
     return {"median": float(np.median(values)), "p95": float(np.percentile(values, 95)), "max": float(np.max(values))}
 
 
-def histogram(values: Sequence[float]) -> dict[str, list[float] | list[int]] | None:
+def compute_histogram(values: Sequence[float]) -> dict[str, list[float] | list[int]] | None:
     """Return the bins' `edges`, which are round numbers, and `counts`; None without values."""
     if not values:
         return None
@@ -61,12 +61,12 @@ class Coverage:
     outside: int
 
     @property
-    def cells_hit(self) -> int:
+    def hit_cell_count(self) -> int:
         """Number of cells that contain at least one point."""
         return sum(count > 0 for column in self.hits for count in column)
 
     @property
-    def cells(self) -> int:
+    def cell_count(self) -> int:
         """Number of cells."""
         return self.shape[0] * self.shape[1]
 
@@ -75,22 +75,22 @@ def compute_coverage(
     points: Sequence[tuple[float, float]], x: tuple[float, float], y: tuple[float, float], cell: float
 ) -> Coverage:
     """Return the counts of points (x, y) in cells of at most `cell` that cover ranges `x` and `y`; all in m."""
-    shape = (_cells(x, cell), _cells(y, cell))
+    shape = (_cell_count(x, cell), _cell_count(y, cell))
     hits = [[0] * shape[1] for _ in range(shape[0])]
     outside = 0
     for px, py in points:
         if x[0] <= px <= x[1] and y[0] <= py <= y[1]:
-            hits[_cell(px, x, shape[0])][_cell(py, y, shape[1])] += 1
+            hits[_cell_index(px, x, shape[0])][_cell_index(py, y, shape[1])] += 1
         else:
             outside += 1
     return Coverage(shape, hits, outside)
 
 
-def _cells(span: tuple[float, float], cell: float) -> int:
+def _cell_count(span: tuple[float, float], cell: float) -> int:
     # The tolerance keeps rounding from dividing 0.25 m into six cells of 0.05 m.
     return max(1, math.ceil((span[1] - span[0]) / cell - 1e-9))
 
 
-def _cell(value: float, span: tuple[float, float], n: int) -> int:
+def _cell_index(value: float, span: tuple[float, float], n: int) -> int:
     width = span[1] - span[0]
     return min(n - 1, int((value - span[0]) / width * n)) if width else 0

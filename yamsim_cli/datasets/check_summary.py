@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 
 from ..core.dataset.checks.context import CheckContext
-from ..core.dataset.checks.problem import DatasetProblem, ProblemCollector, count_errors, printable
+from ..core.dataset.checks.problem import DatasetProblem, ProblemCollector, count_errors, printable_line
 from ..core.dataset.records import AttemptRecord
-from ..core.statistics import Coverage, compute_coverage, histogram, summarize_values, wilson95
+from ..core.statistics import Coverage, compute_coverage, compute_histogram, summarize_values, wilson_interval_95
 from .checks.dataset_checks import check_dataset, read_ledger
 from .checks.episode_facts import EpisodeFacts
 
@@ -43,10 +43,10 @@ def combine_checks(
     found = check_dataset(dataset, context, episodes, attempts, problems)
     found += [problem for episode in episodes for problem in episode.problems]
     found.sort(key=lambda problem: problem.episode)
-    return CheckResults(dataset, context, episodes, attempts, [*problems.list(), *found])
+    return CheckResults(dataset, context, episodes, attempts, [*problems.all_problems(), *found])
 
 
-def summarize(results: CheckResults, thresholds: Sequence[float]) -> dict[str, Any]:
+def summarize_checks(results: CheckResults, thresholds: Sequence[float]) -> dict[str, Any]:
     """Return counts, success rates and distributions of a dataset as JSON data; see docs/checking.md.
 
     `thresholds` are success distances from the target, m; real recordings and tasks with a goal ignore them.
@@ -61,26 +61,28 @@ def summarize(results: CheckResults, thresholds: Sequence[float]) -> dict[str, A
     records = [episode.record for episode in episodes if episode.record]
     n_errors = count_errors(problems)
     return {
-        "path": printable(results.path),
+        "path": printable_line(results.path),
         "recorded_by_yamsim": results.context.recorded,
         "real": results.context.real,
         "episodes": len(episodes),
         "frames": sum(episode.frames for episode in episodes),
         "bytes": sum(episode.bytes for episode in episodes),
         "seconds": sum(episode.seconds or 0.0 for episode in episodes),
-        "frames_per_episode": _range([episode.frames for episode in episodes]),
-        "bytes_per_episode": _range([episode.bytes for episode in episodes]),
+        "frames_per_episode": _value_range([episode.frames for episode in episodes]),
+        "bytes_per_episode": _value_range([episode.bytes for episode in episodes]),
         "success_rate": {t: hit / len(outcomes) if outcomes else None for t, hit in hits.items()},
-        "wilson95": {t: wilson95(hit, len(outcomes)) for t, hit in hits.items()},
-        "attempts": _attempts(results.attempts, thresholds, results.context.max_height),
-        "dxy_m": _distribution(dxy),
-        "dz_m": _distribution(dz),
-        "workspace": _workspace(results),
-        "cameras": {printable(name): list(size) for episode in episodes for name, size in episode.cameras.items()},
+        "wilson95": {t: wilson_interval_95(hit, len(outcomes)) for t, hit in hits.items()},
+        "attempts": _attempt_statistics(results.attempts, thresholds, results.context.max_height),
+        "dxy_m": _value_distribution(dxy),
+        "dz_m": _value_distribution(dz),
+        "workspace": _workspace_statistics(results),
+        "cameras": {printable_line(name): list(size) for episode in episodes for name, size in episode.cameras.items()},
         "tasks": sorted({record.task for record in records}),
         "grasps": sorted({record.grasp for record in records}),
         "versions": [dict(found) for found in sorted({tuple(sorted(record.versions.items())) for record in records})],
-        "noted_at_import": {episode.name: list(map(printable, episode.noted)) for episode in episodes if episode.noted},
+        "noted_at_import": {
+            episode.name: list(map(printable_line, episode.noted)) for episode in episodes if episode.noted
+        },
         "errors": n_errors,
         "warnings": len(problems) - n_errors,
         "problems": [problem.to_json_data() for problem in problems],
@@ -103,7 +105,9 @@ def workspace_coverage(results: CheckResults, points: Sequence[tuple[float, floa
     return compute_coverage(points, box.x, box.y, CELL_M) if box else None
 
 
-def _attempts(attempts: Sequence[AttemptRecord], thresholds: Sequence[float], max_height: float) -> dict[str, Any]:
+def _attempt_statistics(
+    attempts: Sequence[AttemptRecord], thresholds: Sequence[float], max_height: float
+) -> dict[str, Any]:
     n, succeeded = len(attempts), sum(attempt.outcome.success for attempt in attempts)
     hits = {f"{t:g}": sum(attempt.outcome.is_within(t, max_height) for attempt in attempts) for t in thresholds}
     causes = Counter(attempt.outcome.cause for attempt in attempts if attempt.outcome.cause)
@@ -111,40 +115,43 @@ def _attempts(attempts: Sequence[AttemptRecord], thresholds: Sequence[float], ma
         "n": n,
         "n_success": succeeded,
         "success_rate": succeeded / n if n else None,
-        "wilson95": wilson95(succeeded, n),
+        "wilson95": wilson_interval_95(succeeded, n),
         "rates": {t: hit / n if n else None for t, hit in hits.items()},
-        "rates_wilson95": {t: wilson95(hit, n) for t, hit in hits.items()},
+        "rates_wilson95": {t: wilson_interval_95(hit, n) for t, hit in hits.items()},
         "causes": dict(causes.most_common()),
         "recovered": sum(bool(attempt.outcome.recoveries) for attempt in attempts if attempt.outcome.success),
     }
 
 
-def _distribution(values: Sequence[float]) -> dict[str, Any] | None:
+def _value_distribution(values: Sequence[float]) -> dict[str, Any] | None:
     found = summarize_values(values)
-    return found and {**found, "histogram": histogram(values)}
+    return found and {**found, "histogram": compute_histogram(values)}
 
 
-def _range(values: Sequence[int]) -> dict[str, float] | None:
+def _value_range(values: Sequence[int]) -> dict[str, float] | None:
     return {"min": min(values), "median": float(np.median(values)), "max": max(values)} if values else None
 
 
-def _workspace(results: CheckResults) -> dict[str, Any]:
+def _workspace_statistics(results: CheckResults) -> dict[str, Any]:
     box = results.context.sampling
     names = dict.fromkeys(name for episode in results.episodes for name in (*episode.starts, *episode.ends))
     objects = {}
     for name in names:
         starts = [episode.starts[name] for episode in results.episodes if name in episode.starts]
         ends = [episode.ends[name] for episode in results.episodes if name in episode.ends]
-        objects[printable(name)] = {"start": _extent(results, starts), "end": _extent(results, ends)}
+        objects[printable_line(name)] = {
+            "start": _position_extent(results, starts),
+            "end": _position_extent(results, ends),
+        }
     return {"box": {"x": list(box.x), "y": list(box.y), "cell_m": CELL_M} if box else None, "objects": objects}
 
 
-def _extent(results: CheckResults, points: Sequence[tuple[float, float]]) -> dict[str, Any]:
+def _position_extent(results: CheckResults, points: Sequence[tuple[float, float]]) -> dict[str, Any]:
     if not points:
         return {}
     extent: dict[str, Any] = {
         axis: [min(point[k] for point in points), max(point[k] for point in points)] for k, axis in enumerate("xy")
     }
     if grid := workspace_coverage(results, points):
-        extent |= {"cells": grid.cells, "cells_hit": grid.cells_hit, "outside": grid.outside}
+        extent |= {"cells": grid.cell_count, "cells_hit": grid.hit_cell_count, "outside": grid.outside}
     return extent

@@ -56,7 +56,7 @@ def compare_frames(
     result = EpisodeComparison()
     for k, (old, new) in enumerate(zip(stored, made, strict=False)):
         time = old.get("timestamp")
-        _compare(result, old, new, tolerance, k, time if isinstance(time, float) else None)
+        _compare_mappings(result, old, new, tolerance, k, time if isinstance(time, float) else None)
     if len(stored) != len(made) and result.first_difference is None:
         result.first_difference = Difference(None, None, "frames", float(len(stored)), float(len(made)), None)
     return result
@@ -65,11 +65,11 @@ def compare_frames(
 def compare_values(stored: Mapping[str, Any], made: Mapping[str, Any], tolerance: float) -> EpisodeComparison:
     """Compare values of whole episodes, such as outcomes; `tolerance` is for numbers."""
     result = EpisodeComparison()
-    _compare(result, stored, made, tolerance, None, None)
+    _compare_mappings(result, stored, made, tolerance, None, None)
     return result
 
 
-def _compare(
+def _compare_mappings(
     result: EpisodeComparison,
     stored: Mapping[str, Any],
     made: Mapping[str, Any],
@@ -78,7 +78,7 @@ def _compare(
     time: float | None,
 ) -> None:
     worst: Difference | None = None
-    for quantity, old, new in _leaves(stored, made):
+    for quantity, old, new in _paired_leaves(stored, made):
         index, apart = _largest_difference(old, new)
         if apart is not None and _is_number(old):
             result.largest[quantity] = max(result.largest.get(quantity, 0.0), apart)
@@ -87,17 +87,21 @@ def _compare(
         size = math.inf if apart is None else apart
         if worst is None or size > (math.inf if worst.difference is None else worst.difference):
             place = f"[{', '.join(map(str, index))}]" if index else ""
-            worst = Difference(frame, time, quantity + place, _shown(old, index), _shown(new, index), apart)
+            worst = Difference(
+                frame, time, quantity + place, _displayed_value(old, index), _displayed_value(new, index), apart
+            )
     result.first_difference = result.first_difference or worst
 
 
-def _leaves(stored: Mapping[str, Any], made: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any, Any]]:
+def _paired_leaves(
+    stored: Mapping[str, Any], made: Mapping[str, Any], prefix: str = ""
+) -> Iterator[tuple[str, Any, Any]]:
     """Yield name, stored and reproduced value of every entry; `_MISSING` replaces an absent value."""
     for key in dict.fromkeys([*stored, *made]):
         name = f"{prefix}.{key}" if prefix else str(key)
         old, new = stored.get(key, _MISSING), made.get(key, _MISSING)
         if isinstance(old, Mapping) and isinstance(new, Mapping):
-            yield from _leaves(old, new, name)
+            yield from _paired_leaves(old, new, name)
         else:
             yield name, old, new
 
@@ -126,7 +130,7 @@ def _largest_difference(old: Any, new: Any) -> tuple[tuple[int, ...], float | No
     return index, None if bad.any() else float(gap[index])
 
 
-def _shown(value: Any, index: tuple[int, ...]) -> float | str:
+def _displayed_value(value: Any, index: tuple[int, ...]) -> float | str:
     if isinstance(value, np.ndarray):
         if not index and value.ndim:
             return f"{value.dtype} {value.shape}"

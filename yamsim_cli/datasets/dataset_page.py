@@ -10,17 +10,17 @@ from ..core.errors import file_size
 from ..core.markup import (
     Child,
     Markup,
-    captioned,
+    captioned_plot,
     grid_section,
     html_page,
+    html_section,
     html_tag,
     jpeg_image,
     key_figures,
-    legend,
     percent,
-    section,
+    plot_legend,
     table_rows,
-    verdict,
+    verdict_sentence,
 )
 from ..core.plots import ObjectPlaces, Point, plot_workspace
 from .check_summary import CheckResults, is_within_threshold, workspace_coverage
@@ -53,13 +53,13 @@ def dataset_page(results: CheckResults, summary: Mapping[str, Any], strips: Sequ
     name = path.name or str(results.path)
     body = [
         html_tag("p", str(path), class_="where"),
-        _verdict(summary),
-        _figures(summary),
-        _problems(summary["problems"]),
-        _success(summary),
-        _workspace(results, summary),
+        _verdict_banner(summary),
+        _headline_figures(summary),
+        _problem_table(summary["problems"]),
+        _success_section(summary),
+        _workspace_section(results, summary),
         _contact_sheet(strips),
-        _details(summary),
+        _details_section(summary),
     ]
     return html_page(f"{name}: dataset report", "Dataset report", name, body, made)
 
@@ -78,18 +78,18 @@ def group_by_code(problems: Sequence[Mapping[str, Any]]) -> list[tuple[str, list
     return sorted(groups.items(), key=lambda group: group[1][0]["severity"])
 
 
-def _verdict(summary: Mapping[str, Any]) -> Markup:
+def _verdict_banner(summary: Mapping[str, Any]) -> Markup:
     errors, warnings = problem_counts(summary)
     if summary["errors"]:
-        return verdict(f"{errors} and {warnings}: do not train on the dataset as it is.", "error")
+        return verdict_sentence(f"{errors} and {warnings}: do not train on the dataset as it is.", "error")
     if not summary["episodes"]:
-        return verdict("The dataset has no episodes yet.", "warning")
+        return verdict_sentence("The dataset has no episodes yet.", "warning")
     if summary["warnings"]:
-        return verdict(f"Complete, with {warnings} to look at.", "warning")
-    return verdict("Complete: every file was opened and is valid.", "fine")
+        return verdict_sentence(f"Complete, with {warnings} to look at.", "warning")
+    return verdict_sentence("Complete: every file was opened and is valid.", "fine")
 
 
-def _figures(summary: Mapping[str, Any]) -> Markup:
+def _headline_figures(summary: Mapping[str, Any]) -> Markup:
     figures = [
         (f"{summary['episodes']:,}", "episodes"),
         (f"{summary['frames']:,}", "frames"),
@@ -107,20 +107,20 @@ def _figures(summary: Mapping[str, Any]) -> Markup:
     return key_figures(figures)
 
 
-def _problems(problems: Sequence[Mapping[str, Any]]) -> Markup | None:
+def _problem_table(problems: Sequence[Mapping[str, Any]]) -> Markup | None:
     if not problems:
         return None
     headings = (("problem", None), ("found", "number"), ("what and where", None), ("what to do", None))
     head = html_tag("tr", [html_tag("th", text, scope="col", class_=kind) for text, kind in headings])
     body = [_code_row(code, group) for code, group in group_by_code(problems)]
-    return section(
+    return html_section(
         "Problems",
         html_tag("div", html_tag("table", html_tag("thead", head), html_tag("tbody", body)), class_="scroll"),
     )
 
 
 def _code_row(code: str, problems: Sequence[Mapping[str, Any]]) -> Markup:
-    examples = [html_tag("li", _example(problem)) for problem in problems[:_MAX_EXAMPLES]]
+    examples = [html_tag("li", _problem_example(problem)) for problem in problems[:_MAX_EXAMPLES]]
     if len(problems) > _MAX_EXAMPLES:
         examples.append(html_tag("li", f"and {len(problems) - _MAX_EXAMPLES:,} more"))
     first = problems[0]
@@ -135,7 +135,7 @@ def _code_row(code: str, problems: Sequence[Mapping[str, Any]]) -> Markup:
     )
 
 
-def _example(problem: Mapping[str, Any]) -> list[Child]:
+def _problem_example(problem: Mapping[str, Any]) -> list[Child]:
     place = "/".join(part for part in (problem["episode"], problem["file"]) if part)
     valid = f"; valid: {problem['valid']}" if problem["valid"] else ""
     more = f" (in {problem['count']} frames)" if problem["count"] > 1 else ""
@@ -143,7 +143,7 @@ def _example(problem: Mapping[str, Any]) -> list[Child]:
     return [html_tag("code", place) if place else None, ": " if place and value else None, value]
 
 
-def _success(summary: Mapping[str, Any]) -> Markup | None:
+def _success_section(summary: Mapping[str, Any]) -> Markup | None:
     attempts = summary["attempts"]
     figures = []
     rate_rows = [
@@ -157,7 +157,9 @@ def _success(summary: Mapping[str, Any]) -> Markup | None:
     ]
     if rate_rows:
         whose = "Of the episodes, and of all attempts made for them" if attempts["n"] else "Of the episodes"
-        figures.append(captioned("Success by threshold", plots.plot_rates(rate_rows), f"{whose}; lines are {_WILSON}."))
+        figures.append(
+            captioned_plot("Success by threshold", plots.plot_rates(rate_rows), f"{whose}; lines are {_WILSON}.")
+        )
     limits = [float(limit) for limit in summary["success_rate"]]
     for key, title, marked in (
         ("dxy_m", "Distance from the target's centre", limits),
@@ -166,29 +168,29 @@ def _success(summary: Mapping[str, Any]) -> Markup | None:
         if spread := summary[key]:
             bins = spread["histogram"]
             caption = ", ".join(f"{word} {spread[k] * 1000:.1f} mm" for k, word in _SPREAD_LABELS.items())
-            picture = plots.plot_distances(bins["edges"], bins["counts"], marked, title)
-            figures.append(captioned(title, picture, caption.capitalize() + "."))
+            picture = plots.plot_distance_histogram(bins["edges"], bins["counts"], marked, title)
+            figures.append(captioned_plot(title, picture, caption.capitalize() + "."))
     if causes := attempts["causes"]:
         caption = f"{sum(causes.values()):,} of {attempts['n']:,} attempts failed."
         bars = plots.plot_failures(dict(list(causes.items())[:_MAX_CAUSES]))
-        figures.append(captioned("Failures by cause", bars, caption))
+        figures.append(captioned_plot("Failures by cause", bars, caption))
     return grid_section("Success", figures, "columns")
 
 
-def _workspace(results: CheckResults, summary: Mapping[str, Any]) -> Markup | None:
+def _workspace_section(results: CheckResults, summary: Mapping[str, Any]) -> Markup | None:
     names = list(dict.fromkeys(name for episode in results.episodes for name in episode.starts))[:_MAX_OBJECTS]
     threshold = min((float(limit) for limit in summary["success_rate"]), default=results.context.threshold)
     found = [
-        _panel(results, name, threshold, last=last)
+        _workspace_panel(results, name, threshold, last=last)
         for name in names
         for last in (False, True)
-        if not last or _moved(results.episodes, name)
+        if not last or _has_moved(results.episodes, name)
     ]
     panels = [panel for panel in found if panel]
     return grid_section("Workspace", panels, "plans", _workspace_legend(results, threshold) if panels else None)
 
 
-def _panel(results: CheckResults, name: str, threshold: float, *, last: bool) -> Markup | None:
+def _workspace_panel(results: CheckResults, name: str, threshold: float, *, last: bool) -> Markup | None:
     good: list[Point] = []
     bad: list[Point] = []
     for episode in results.episodes:
@@ -203,8 +205,8 @@ def _panel(results: CheckResults, name: str, threshold: float, *, last: bool) ->
     title = f"{name}, {'end' if last else 'start'}"
     frame = "world" if results.context.recorded else "the robot's base"
     picture = plot_workspace(ObjectPlaces(good, bad, failed, grid), (box.x, box.y) if box else None, frame, title)
-    known = f"{grid.cells_hit} of {grid.cells} cells hit, {grid.outside} outside the box" if grid else ""
-    return captioned(title, picture, known or "sampling box unknown")
+    known = f"{grid.hit_cell_count} of {grid.cell_count} cells hit, {grid.outside} outside the box" if grid else ""
+    return captioned_plot(title, picture, known or "sampling box unknown")
 
 
 def _failed_starts(results: CheckResults, name: str) -> list[Point]:
@@ -212,7 +214,7 @@ def _failed_starts(results: CheckResults, name: str) -> list[Point]:
     return [(layout[name][0], layout[name][1]) for layout in layouts if name in layout]
 
 
-def _moved(episodes: Sequence[EpisodeFacts], name: str) -> bool:
+def _has_moved(episodes: Sequence[EpisodeFacts], name: str) -> bool:
     pairs = [(e.starts[name], e.ends[name]) for e in episodes if name in e.starts and name in e.ends]
     return any(math.dist(start, end) > _MIN_MOTION for start, end in pairs)
 
@@ -225,7 +227,7 @@ def _workspace_legend(results: CheckResults, threshold: float) -> Markup:
         entries.append(("failed", "failed attempt"))
     if results.context.sampling:
         entries.append(("cell", "cell of 5 cm that was hit"))
-    return legend(entries)
+    return plot_legend(entries)
 
 
 def _contact_sheet(strips: Sequence[FrameStrip]) -> Markup | None:
@@ -238,23 +240,23 @@ def _contact_sheet(strips: Sequence[FrameStrip]) -> Markup | None:
     return grid_section("Pictures", shown, "strips", html_tag("p", order, class_="note"))
 
 
-def _details(summary: Mapping[str, Any]) -> Markup | None:
+def _details_section(summary: Mapping[str, Any]) -> Markup | None:
     known = [
         ("cameras", ", ".join(f"{name} {w}x{h}" for name, (w, h) in summary["cameras"].items())),
         ("tasks", ", ".join(summary["tasks"])),
         ("grasp", ", ".join(summary["grasps"])),
-        ("frames an episode", _range(summary["frames_per_episode"], str)),
-        ("size of an episode", _range(summary["bytes_per_episode"], file_size)),
+        ("frames an episode", _range_text(summary["frames_per_episode"], str)),
+        ("size of an episode", _range_text(summary["bytes_per_episode"], file_size)),
         *(
             ("versions", ", ".join(f"{name} {number}" for name, number in versions.items()))
             for versions in summary["versions"]
         ),
     ]
     cells = table_rows((name, value) for name, value in known if value)
-    return section("How it was made", html_tag("table", html_tag("tbody", cells))) if cells else None
+    return html_section("How it was made", html_tag("table", html_tag("tbody", cells))) if cells else None
 
 
-def _range(spread: Mapping[str, Any] | None, shown: Callable[[Any], str]) -> str:
+def _range_text(spread: Mapping[str, Any] | None, shown: Callable[[Any], str]) -> str:
     if not spread:
         return ""
     if spread["min"] == spread["max"]:

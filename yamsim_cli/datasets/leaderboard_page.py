@@ -3,7 +3,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from ..core.markup import Markup, html_page, html_table, html_tag, percent, section
+from ..core.markup import Markup, html_page, html_section, html_table, html_tag, percent
 
 # Which policies of a pair succeeded on a trial, in table order.
 _OUTCOMES = ("both", "only_first", "only_second", "neither")
@@ -23,14 +23,14 @@ def leaderboard_page(reports: Sequence[Mapping[str, Any]], pairs: Sequence[Mappi
     headings = ("policy", "success", "95 % interval", "answer, median", "answer, 95 %", "actions", "stale", "waited")
     body = [
         html_tag("p", f"{len(first['trials'])} trials of seed {first['seed']}, grasp {first['grasp']}"),
-        html_table(headings, map(_row, ranked)),
-        _pairs(first, pairs),
-        _instances(ranked),
+        html_table(headings, map(_policy_row, ranked)),
+        _pair_table(first, pairs),
+        _instance_table(ranked),
     ]
     return html_page(f"{title}: leaderboard", "Leaderboard", title, body, made)
 
 
-def _row(report: Mapping[str, Any]) -> list[str]:
+def _policy_row(report: Mapping[str, Any]) -> list[str]:
     stats = report["stats"]
     chunks = stats["chunks"]
     return [
@@ -45,15 +45,15 @@ def _row(report: Mapping[str, Any]) -> list[str]:
     ]
 
 
-def _pairs(first: Mapping[str, Any], pairs: Sequence[Mapping[str, Any]]) -> Markup | None:
+def _pair_table(first: Mapping[str, Any], pairs: Sequence[Mapping[str, Any]]) -> Markup | None:
     if not pairs:
         return None
     cells = [[pair["policy"], *(str(pair[key]) for key in _OUTCOMES), f"{pair['p_value']:.3g}"] for pair in pairs]
     headings = ("against", "both", f"only {first['policy']}", "only the other", "neither", "p (McNemar, exact)")
-    return section("Trial by trial", html_table(headings, cells))
+    return html_section("Trial by trial", html_table(headings, cells))
 
 
-def _instances(reports: Sequence[Mapping[str, Any]]) -> Markup:
+def _instance_table(reports: Sequence[Mapping[str, Any]]) -> Markup:
     cells = [
         [
             one["instance"],
@@ -66,7 +66,7 @@ def _instances(reports: Sequence[Mapping[str, Any]]) -> Markup:
         for one in report["stats"]["by_instance"]
     ]
     cells.sort(key=lambda row: row[0])
-    return section(
+    return html_section(
         "By instance", html_table(("instance", "policy", "success", "95 % interval", "answer, median"), cells)
     )
 

@@ -73,7 +73,7 @@ def _facts_of_crash(error: LostJobError) -> EpisodeFacts:
     assert isinstance(directory, EpisodeDirectory)
     problems = ProblemCollector(directory.path.name)
     problems.add("episode.unchecked", value=f"{error.tries} processes that read it ended, the last one {error.reason}")
-    return EpisodeFacts(directory.path.name, directory.number, problems=problems.list())
+    return EpisodeFacts(directory.path.name, directory.number, problems=problems.all_problems())
 
 
 def write_report(results: CheckResults, summary: Mapping[str, Any], path: Path) -> None:
@@ -96,7 +96,7 @@ def contact_sheet(results: CheckResults) -> list[FrameStrip]:
     shown = sorted(
         (episode for episode in results.episodes if any(episode.images.values())), key=_error_rank, reverse=True
     )
-    return [strip for episode in shown[:_MAX_STRIPS] if (strip := _strip(results.path, episode)).pictures]
+    return [strip for episode in shown[:_MAX_STRIPS] if (strip := _frame_strip(results.path, episode)).pictures]
 
 
 def _error_rank(episode: EpisodeFacts) -> tuple[int, float]:
@@ -104,17 +104,17 @@ def _error_rank(episode: EpisodeFacts) -> tuple[int, float]:
     return (0, 0.0) if distance is None else (1, distance)
 
 
-def _strip(dataset: Path, episode: EpisodeFacts) -> FrameStrip:
+def _frame_strip(dataset: Path, episode: EpisodeFacts) -> FrameStrip:
     # A fixed camera shows more than a wrist camera.
     _, names = min((("wrist" in camera, camera), names) for camera, names in episode.images.items() if names)
     chosen = [names[k] for k in dict.fromkeys((0, (len(names) - 1) // 2, len(names) - 1))]
-    pictures = [picture for name in chosen if (picture := _picture(dataset / episode.name / name))]
+    pictures = [picture for name in chosen if (picture := _make_thumbnail(dataset / episode.name / name))]
     distance = episode.outcome.dxy_m if episode.outcome else None
     caption = "" if distance is None else f"ended {distance * 1000:.1f} mm off"
     return FrameStrip(episode.name, caption, pictures)
 
 
-def _picture(path: Path) -> bytes | None:
+def _make_thumbnail(path: Path) -> bytes | None:
     try:
         return thumbnail(path.read_bytes(), _THUMBNAIL_PX) if stat.S_ISREG(path.stat().st_mode) else None
     except OSError:

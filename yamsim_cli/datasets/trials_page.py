@@ -8,19 +8,19 @@ from ..core.config.goals.world import TABLE
 from ..core.config.recording import RecordConfig
 from ..core.markup import (
     Markup,
-    captioned,
+    captioned_plot,
     grid_section,
     header_row,
     html_page,
+    html_section,
     html_tag,
     key_figures,
-    legend,
     percent,
-    section,
+    plot_legend,
     table_rows,
 )
 from ..core.plots import ObjectPlaces, Point, plot_workspace
-from ..core.statistics import compute_coverage, histogram
+from ..core.statistics import compute_coverage, compute_histogram
 from .check_summary import CELL_M
 
 Box = tuple[Point, Point]
@@ -30,7 +30,7 @@ def start_boxes(config: RecordConfig) -> dict[str, Box]:
     """Return object -> x and y range of its start region on the table in `world`, m."""
     return {
         name: (start.x, start.y)
-        for role, start in config.starts.items()
+        for role, start in config.start_regions_in_world.items()
         if start.on == TABLE
         for name in config.task.possible_names(role)
     }
@@ -46,17 +46,17 @@ def trials_page(report: Mapping[str, Any], boxes: Mapping[str, Box], made: str) 
     good = [trial for trial in report["trials"] if trial["outcome"]["success"]]
     failed = [trial for trial in report["trials"] if not trial["outcome"]["success"]]
     body = [
-        _figures(report),
-        _success(report),
-        _goal(report["trials"]),
-        _workspace(good, failed, boxes),
-        _failures(failed),
+        _headline_figures(report),
+        _success_section(report),
+        _goal_section(report["trials"]),
+        _workspace_section(good, failed, boxes),
+        _failure_table(failed),
     ]
     heading = f"{report['task']} on {report['rig']}, grasp {report['grasp']}"
     return html_page(f"{report['task']}: trials", "Trials", heading, body, made)
 
 
-def _figures(report: Mapping[str, Any]) -> Markup:
+def _headline_figures(report: Mapping[str, Any]) -> Markup:
     low, high = report["wilson95"]
     within = "success" if report["threshold_m"] is None else f"within {report['threshold_m'] * 100:g} cm"
     figures = [
@@ -76,22 +76,24 @@ def _figures(report: Mapping[str, Any]) -> Markup:
     return key_figures(figures)
 
 
-def _success(report: Mapping[str, Any]) -> Markup | None:
+def _success_section(report: Mapping[str, Any]) -> Markup | None:
     distances = [trial["outcome"]["dxy_m"] for trial in report["trials"] if trial["outcome"]["dxy_m"] is not None]
     figures = []
-    if found := histogram(distances):
+    if found := compute_histogram(distances):
         title = "Distance from the target's centre"
-        picture = plots.plot_distances(found["edges"], found["counts"], [report["threshold_m"]], title, "trials")
+        picture = plots.plot_distance_histogram(
+            found["edges"], found["counts"], [report["threshold_m"]], title, "trials"
+        )
         spread = report["dxy_m"]
         caption = f"Median {spread['median'] * 1000:.1f} mm, largest {spread['max'] * 1000:.1f} mm."
-        figures.append(captioned(title, picture, caption))
+        figures.append(captioned_plot(title, picture, caption))
     if causes := report["causes"]:
         caption = f"{sum(causes.values()):,} of {report['n']:,} trials failed."
-        figures.append(captioned("Failures by cause", plots.plot_failures(causes), caption))
+        figures.append(captioned_plot("Failures by cause", plots.plot_failures(causes), caption))
     return grid_section("Success", figures, "columns")
 
 
-def _goal(trials: Sequence[Mapping[str, Any]]) -> Markup | None:
+def _goal_section(trials: Sequence[Mapping[str, Any]]) -> Markup | None:
     measures: dict[str, list[Mapping[str, Any]]] = {}
     for trial in trials:
         for measure in trial["outcome"].get("measures") or ():
@@ -99,46 +101,52 @@ def _goal(trials: Sequence[Mapping[str, Any]]) -> Markup | None:
     if not measures:
         return None
     head = header_row(("", "held", "least margin where it held"))
-    cells = table_rows(_measured(what, found) for what, found in measures.items())
-    return section("Goal", html_tag("table", html_tag("tbody", head, cells)))
+    cells = table_rows(_measure_row(what, found) for what, found in measures.items())
+    return html_section("Goal", html_tag("table", html_tag("tbody", head, cells)))
 
 
-def _measured(what: str, found: Sequence[Mapping[str, Any]]) -> tuple[str, str, str]:
+def _measure_row(what: str, found: Sequence[Mapping[str, Any]]) -> tuple[str, str, str]:
     held = [one["margin"] for one in found if one["margin"] >= 0]
     scale, unit = (1000, "mm") if found[0]["unit"] == "m" else (1, found[0]["unit"])
     return what, f"{len(held):,} of {len(found):,}", f"{min(held) * scale:.3g} {unit}" if held else ""
 
 
-def _workspace(
+def _workspace_section(
     good: Sequence[Mapping[str, Any]], failed: Sequence[Mapping[str, Any]], boxes: Mapping[str, Box]
 ) -> Markup | None:
     panels = []
     for name in dict.fromkeys(name for trial in (*good, *failed) for name in trial["layout"]):
         succeeded, others = (
-            [_start(trial, name) for trial in trials if name in trial["layout"]] for trials in (good, failed)
+            [_start_position(trial, name) for trial in trials if name in trial["layout"]] for trials in (good, failed)
         )
         box, title = boxes.get(name), f"{name}, start"
         grid = compute_coverage(succeeded, *box, CELL_M) if box else None
-        caption = f"{grid.cells_hit} of {grid.cells} cells with a success" if grid else "it starts on another object"
+        caption = (
+            f"{grid.hit_cell_count} of {grid.cell_count} cells with a success"
+            if grid
+            else "it starts on another object"
+        )
         panels.append(
-            captioned(title, plot_workspace(ObjectPlaces(succeeded, (), others, grid), box, "world", title), caption)
+            captioned_plot(
+                title, plot_workspace(ObjectPlaces(succeeded, (), others, grid), box, "world", title), caption
+            )
         )
     entries = [
         (None, "success"),
         *([("failed", "failure")] if failed else []),
         ("cell", f"cell of {CELL_M * 100:g} cm with a success"),
     ]
-    return grid_section("Workspace", panels, "plans", legend(entries))
+    return grid_section("Workspace", panels, "plans", plot_legend(entries))
 
 
-def _start(trial: Mapping[str, Any], name: str) -> Point:
+def _start_position(trial: Mapping[str, Any], name: str) -> Point:
     x, y, *_ = trial["layout"][name]
     return x, y
 
 
-def _failures(failed: Sequence[Mapping[str, Any]]) -> Markup | None:
+def _failure_table(failed: Sequence[Mapping[str, Any]]) -> Markup | None:
     if not failed:
         return None
     outcomes = [(str(trial["trial"]), trial["outcome"]) for trial in failed]
     cells = table_rows((number, outcome["cause"], outcome["detail"]) for number, outcome in outcomes)
-    return section("Failures", html_tag("table", html_tag("tbody", cells)))
+    return html_section("Failures", html_tag("table", html_tag("tbody", cells)))

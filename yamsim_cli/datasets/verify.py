@@ -17,12 +17,12 @@ import numpy as np
 
 from ..core.attempt_data import AttemptJob
 from ..core.closable import Closable
-from ..core.config.mesh_provenance import describe, mesh_differences
+from ..core.config.mesh_provenance import describe_mesh_content, mesh_differences
 from ..core.config.session import Session
-from ..core.dataset.dataset_paths import CONFIG, EPISODE, TRUTH_FOLDERS, image_path, lowdim_path
+from ..core.dataset.dataset_paths import CONFIG_FILE, EPISODE_FILE, TRUTH_FOLDERS, image_path, lowdim_path
 from ..core.dataset.lowdim import recorded_actions
 from ..core.dataset.reader import StoredEpisode, open_episode
-from ..core.dataset.records import EpisodeRecord, OutcomeRecord, recorded_attempt
+from ..core.dataset.records import EpisodeRecord, OutcomeRecord, attempt_from_record
 from ..core.episode.attempt_payload import (
     APPEARANCE_REVISION,
     ENGINE,
@@ -31,9 +31,9 @@ from ..core.episode.attempt_payload import (
 )
 from ..core.episode.attempt_payload import frame_records as made_frames
 from ..core.episode.episode_rules import EXPERT_RULES, REPLAY_RULES
-from ..core.episode.execution import demonstrate, run_actions
+from ..core.episode.execution import simulate_actions, simulate_expert
 from ..core.episode.sampling import sample_attempt
-from ..core.episode.simulator import Simulator, Simulators, simulator_for
+from ..core.episode.simulator import Simulator, SimulatorCache, make_simulator
 from ..core.errors import DatasetError, InterruptedJobError, join_ranges
 from ..core.images.jpeg import decode_jpeg
 from ..core.progress import Progress
@@ -92,7 +92,7 @@ class EpisodeVerifier(Closable):
     """
 
     def __init__(self, session: Session, tolerances: Tolerances) -> None:
-        self._simulators = Simulators(session)
+        self._simulators = SimulatorCache(session)
         self._session = session
         self._tolerances = tolerances
 
@@ -106,7 +106,7 @@ class EpisodeVerifier(Closable):
         try:
             episode = open_episode(directory)
             if others := self._other_meshes(episode):
-                problems[EPISODE] = f"it shows other meshes than {CONFIG} says: {'; '.join(others)}"
+                problems[EPISODE_FILE] = f"it shows other meshes than {CONFIG_FILE} says: {'; '.join(others)}"
             changed = self._changed_versions(episode)
             frames = _read_frames(episode, problems)
             if episode.record.source != "record":
@@ -120,8 +120,10 @@ class EpisodeVerifier(Closable):
                 if self._tolerances.images is not None:
                     skipped[IMAGES] = skipped[SEED]
             else:
-                checks |= self._from_seed(episode, frames, skipped)
-            if repeated := reproduce_frames(self._simulator(episode.record), episode, frames, self._tolerances.values):
+                checks |= self._verify_from_seed(episode, frames, skipped)
+            if repeated := reproduce_frames(
+                self._simulator_of(episode.record), episode, frames, self._tolerances.values
+            ):
                 checks[ACTIONS] = repeated
             else:
                 skipped[ACTIONS] = "its frames hold no sim_qpos, sim_ctrl and sim_magnet"
@@ -130,19 +132,19 @@ class EpisodeVerifier(Closable):
             problems = {"": str(error)} | problems
         return EpisodeVerdict(number, checks, skipped, problems, changed)
 
-    def _from_seed(
+    def _verify_from_seed(
         self, episode: StoredEpisode, frames: Frames, skipped: dict[str, str]
     ) -> dict[str, EpisodeComparison]:
         """Simulate the attempt from its seed. Add to `skipped` why images are not compared."""
-        record, simulator = episode.record, self._simulator(episode.record)
-        done = demonstrate(simulator, sample_attempt(simulator, AttemptJob(record.seed, record.attempt)))
-        made = made_frames(simulator, done.attempt, done.states)
+        record, simulator = episode.record, self._simulator_of(episode.record)
+        done = simulate_expert(simulator, sample_attempt(simulator, AttemptJob(record.seed, record.attempt)))
+        made = made_frames(simulator, done.attempt, done.recorded_states)
         once = compare_values(
-            {"outcome": _outcome_numbers(record.outcome), "start": _arrays(record.layout)}
+            {"outcome": _outcome_numbers(record.outcome), "start": _pose_arrays(record.layout)}
             | {"randomized": asdict(record.randomized)},
             {
                 "outcome": _outcome_numbers(OutcomeRecord.from_outcome(done.outcome)),
-                "start": _arrays(done.attempt.places),
+                "start": _pose_arrays(done.attempt.object_places),
             }
             | {"randomized": asdict(done.attempt.variation)},
             self._tolerances.values,
@@ -155,22 +157,22 @@ class EpisodeVerifier(Closable):
                 f"its images have appearance revision {looks}, but this version renders revision "
                 f"{APPEARANCE_REVISION}: they differ as intended and are not damaged"
             )
-        elif done.states:
-            images = encode_images(simulator, done.attempt, [state.qpos for state in done.states])
+        elif done.recorded_states:
+            images = encode_images(simulator, done.attempt, [state.qpos for state in done.recorded_states])
             checks[IMAGES] = _compare_images(episode, images, self._tolerances.images)
         return checks
 
-    def _simulator(self, record: EpisodeRecord) -> Simulator:
+    def _simulator_of(self, record: EpisodeRecord) -> Simulator:
         return self._simulators.get(AttemptJob(record.seed, record.attempt))
 
     def _changed_versions(self, episode: StoredEpisode) -> dict[str, tuple[str, str]]:
         then, now = dict(episode.record.versions), library_versions()
-        simulator = self._simulator(episode.record)
+        simulator = self._simulator_of(episode.record)
         if self._tolerances.images is not None:
             then["renderer"], now["renderer"] = episode.record.renderer, simulator.renderer.description
             for name, text in (episode.record.meshes or {}).items():
-                then[f"meshes {name}"] = describe(text)
-                now[f"meshes {name}"] = describe(self._shown_meshes.get(name))
+                then[f"meshes {name}"] = describe_mesh_content(text)
+                now[f"meshes {name}"] = describe_mesh_content(self._shown_meshes.get(name))
         return {name: (then[name], now[name]) for name in then if name in now and then[name] != now[name]}
 
     @functools.cached_property
@@ -199,9 +201,9 @@ def reproduce_frames(
         return None
     start, actions = recorded
     stored = episode.record.outcome
-    attempt = recorded_attempt(episode.record, start)
+    attempt = attempt_from_record(episode.record, start)
     rules = EXPERT_RULES if episode.record.source == "record" else REPLAY_RULES
-    done = run_actions(simulator, attempt, actions, rules)
+    done = simulate_actions(simulator, attempt, actions, rules)
     # Actions do not tell which skills the expert tried again.
     judged = OutcomeRecord.from_outcome(done.outcome).model_copy(update={"recoveries": stored.recoveries})
     # Earlier engines judged and measured differently. Final positions and speeds do not depend on that.
@@ -209,13 +211,15 @@ def reproduce_frames(
     once = compare_values(
         {"outcome": _outcome_numbers(stored, keys)}, {"outcome": _outcome_numbers(judged, keys)}, tolerance
     )
-    return _merge_comparisons(compare_frames(frames, made_frames(simulator, attempt, done.states), tolerance), once)
+    return _merge_comparisons(
+        compare_frames(frames, made_frames(simulator, attempt, done.recorded_states), tolerance), once
+    )
 
 
 def reproduce_episode(episode: StoredEpisode, session: Session) -> EpisodeComparison | None:
     """Replay an episode's actions in physics, and compare exactly; None without replayable actions."""
     job = AttemptJob(episode.record.seed, episode.record.attempt)
-    with simulator_for(session.without_meshes(), job) as simulator:
+    with make_simulator(session.without_meshes(), job) as simulator:
         return reproduce_frames(simulator, episode, episode.frames(), tolerance=0.0)
 
 
@@ -233,7 +237,7 @@ def _outcome_numbers(outcome: OutcomeRecord, keys: set[str] | None = None) -> di
     return outcome.model_dump(include=keys, exclude={"detail"})
 
 
-def _arrays(poses: Mapping[str, Sequence[float]]) -> dict[str, Any]:
+def _pose_arrays(poses: Mapping[str, Sequence[float]]) -> dict[str, Any]:
     return {name: np.array(values) for name, values in poses.items()}
 
 
@@ -297,10 +301,10 @@ def verify(
             f"{sum(verdict.agrees for verdict in verdicts)} of which agree"
         ) from None
     verdicts.sort(key=lambda verdict: verdict.episode)
-    return _report(verdicts, tolerances) | {"seconds": round(time.monotonic() - began, 3)}
+    return _verification_report(verdicts, tolerances) | {"seconds": round(time.monotonic() - began, 3)}
 
 
-def _report(verdicts: Sequence[EpisodeVerdict], tolerances: Tolerances) -> dict[str, Any]:
+def _verification_report(verdicts: Sequence[EpisodeVerdict], tolerances: Tolerances) -> dict[str, Any]:
     divergences = [
         {"episode": verdict.episode, "check": check, **asdict(comparison.first_difference)}
         for verdict in verdicts
@@ -322,7 +326,7 @@ def _report(verdicts: Sequence[EpisodeVerdict], tolerances: Tolerances) -> dict[
             for file, problem in verdict.problems.items()
         ],
         "checks": checks,
-        "versions_changed": _versions(verdicts),
+        "versions_changed": _changed_versions_report(verdicts),
         "tolerance": tolerances.values,
         "image_tolerance": tolerances.images,
     }
@@ -346,7 +350,7 @@ def _check_report(verdicts: Sequence[EpisodeVerdict], check: str) -> dict[str, A
     }
 
 
-def _versions(verdicts: Sequence[EpisodeVerdict]) -> list[dict[str, Any]]:
+def _changed_versions_report(verdicts: Sequence[EpisodeVerdict]) -> list[dict[str, Any]]:
     concerned: dict[tuple[str, str, str], list[int]] = {}
     for verdict in verdicts:
         for name, (then, now) in verdict.changed.items():

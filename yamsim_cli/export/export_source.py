@@ -15,14 +15,14 @@ from numpy.typing import ArrayLike
 from ..core.config.real_recordings import RealConfig
 from ..core.config.recording import RecordConfig
 from ..core.config.rig import RigConfig
-from ..core.dataset.dataset_paths import depth_name, image_path, lowdim_path
-from ..core.dataset.imported_records import RealEpisodeRecord, real_config
+from ..core.dataset.dataset_paths import depth_path, image_path, lowdim_path
+from ..core.dataset.imported_records import RealEpisodeRecord, read_imported_config
 from ..core.dataset.reader import (
     RecordedEpisode,
     StoredEpisode,
-    dataset_config,
     open_episode,
-    open_recorded,
+    open_recorded_episode,
+    read_recording_config,
     select_episodes,
 )
 from ..core.dataset.row_format import arm_prefixes, drive_names, weld_names
@@ -52,7 +52,7 @@ class ExportSource(ABC):
         return len(self.directories)
 
     @abstractmethod
-    def episodes(self) -> Iterator[RecordedEpisode]:
+    def open_episodes(self) -> Iterator[RecordedEpisode]:
         """Open and yield the episodes one by one."""
 
     @property
@@ -61,17 +61,17 @@ class ExportSource(ABC):
         return self.config.rig
 
     @property
-    def cameras(self) -> dict[str, tuple[int, int]]:
+    def camera_sizes(self) -> dict[str, tuple[int, int]]:
         """Camera -> (width, height) of its images, px."""
         return self.first.record.cameras
 
     @property
-    def prefixes(self) -> tuple[str, ...]:
+    def arm_prefixes(self) -> tuple[str, ...]:
         """Name prefix of each arm, in recording order; "" for a single arm."""
         return arm_prefixes(self.rig)
 
     @property
-    def drives(self) -> tuple[str, ...]:
+    def drive_names(self) -> tuple[str, ...]:
         """Names of the drives in `joints`, in recording order."""
         return drive_names(self.rig)
 
@@ -89,12 +89,12 @@ class SimulatedSource(ExportSource):
     config: RecordConfig
 
     @property
-    def welds(self) -> tuple[str, ...]:
+    def weld_names(self) -> tuple[str, ...]:
         """Names of the weld states in an action, one per arm; empty if actions are joints."""
         return weld_names(self.config)
 
-    def episodes(self) -> Iterator[StoredEpisode]:
-        """See `ExportSource.episodes`."""
+    def open_episodes(self) -> Iterator[StoredEpisode]:
+        """See `ExportSource.open_episodes`."""
         for directory in self.directories:
             episode = open_episode(directory)
             _require_alike(episode, self.first, ("cameras", "frame_period_s", "objects", "arms"))
@@ -137,16 +137,16 @@ class RealSource(ExportSource):
         return self.period
 
     @property
-    def drives(self) -> tuple[str, ...]:
+    def drive_names(self) -> tuple[str, ...]:
         """Names of the drives in `joints`, without grippers if these were not recorded."""
         rig, count = self.rig, self.first.record.drives
-        named = zip(self.prefixes, rig.recording_order, strict=True)
-        return tuple(prefix + name for prefix, k in named for name in rig.arms[k].robot.drives[:count])
+        named = zip(self.arm_prefixes, rig.recording_order, strict=True)
+        return tuple(prefix + name for prefix, k in named for name in rig.arms[k].robot.drive_names[:count])
 
-    def episodes(self) -> Iterator[RealEpisode]:
-        """See `ExportSource.episodes`."""
+    def open_episodes(self) -> Iterator[RealEpisode]:
+        """See `ExportSource.open_episodes`."""
         for directory in self.directories:
-            episode = open_recorded(directory)
+            episode = open_recorded_episode(directory)
             _require_alike(episode, self.first, ("cameras", "arms", "drives"))
             usual = episode.record.frame_period_s
             if not self.is_resampled and abs(usual / self.period - 1) > _MAX_UNEVENNESS:
@@ -154,9 +154,9 @@ class RealSource(ExportSource):
                     f"{directory} has a frame every {1000 * usual:.1f} ms, but the chosen episodes usually every "
                     f"{1000 * self.period:.1f} ms: export it separately with --episodes, or give --fps"
                 )
-            yield self._chosen(episode)
+            yield self._select_frames(episode)
 
-    def _chosen(self, episode: RecordedEpisode) -> RealEpisode:
+    def _select_frames(self, episode: RecordedEpisode) -> RealEpisode:
         record = episode.record
         assert isinstance(record, RealEpisodeRecord), "the dataset's config says so"
         if not self.is_resampled:
@@ -236,7 +236,9 @@ def open_source(dataset: Path, episodes: str | None, locations: Locations) -> Si
         episodes: numbers and ranges, such as `0,3,5-9`; None for all.
     """
     directories = tuple(directory for _, directory in select_episodes(dataset, episodes, None))
-    return SimulatedSource(dataset, directories, open_episode(directories[0]), dataset_config(dataset, locations))
+    return SimulatedSource(
+        dataset, directories, open_episode(directories[0]), read_recording_config(dataset, locations)
+    )
 
 
 def open_real_source(dataset: Path, episodes: str | None, locations: Locations, fps: float | None = None) -> RealSource:
@@ -247,8 +249,8 @@ def open_real_source(dataset: Path, episodes: str | None, locations: Locations, 
         fps: frames per second of the export, at even times; None for all recorded frames, at the median recorded rate.
     """
     directories = tuple(directory for _, directory in select_episodes(dataset, episodes, None))
-    config = real_config(dataset, locations)
-    opened = [open_recorded(directory) for directory in directories]
+    config = read_imported_config(dataset, locations)
+    opened = [open_recorded_episode(directory) for directory in directories]
     for episode in opened:
         if isinstance(episode, StoredEpisode):
             raise DatasetError(f"{episode.directory} was simulated, and its dataset holds real recordings: move it out")
@@ -264,4 +266,4 @@ def _common_fps(periods: Sequence[float]) -> float:
 
 def depth_cameras(episode: StoredEpisode) -> tuple[str, ...]:
     """Return the cameras with depth images."""
-    return tuple(camera for camera in episode.record.cameras if depth_name(camera, 0) in episode.record.files)
+    return tuple(camera for camera in episode.record.cameras if depth_path(camera, 0) in episode.record.files)

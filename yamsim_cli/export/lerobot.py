@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from yamsim_cli.core.extras import require_library
 
 from ..core.closable import Closable
-from ..core.dataset.environment_state import joints_key, object_pose_keys, state_names, state_row
-from ..core.dataset.lowdim import ACTION, BETWEEN_BASES, STATE
-from ..core.dataset.reader import RecordedEpisode, StoredEpisode, recorded_images
+from ..core.dataset.environment_state import joints_key, make_state_row, object_pose_keys, state_names
+from ..core.dataset.lowdim import ACTION, RIGHT_IN_LEFT_BASE_KEY, STATE
+from ..core.dataset.reader import RecordedEpisode, StoredEpisode, read_side_by_side_images
 from ..core.errors import DatasetError
 from ..core.images.video import BT601, VideoWriter, require_encoder
 from ..core.progress import Progress
@@ -28,7 +28,7 @@ from .lerobot_schema import LeRobotFeature, SeriesFile, TableSeries, episode_tab
 from .lerobot_stats import PixelCounts, RunningStats, Stats, column_stats
 from .output_directory import ExportResult, export_directory
 
-Values = dict[str, NDArray[Any]]  # feature -> values (frames, ...) of one episode
+FeatureValues = dict[str, NDArray[Any]]  # feature -> values (frames, ...) of one episode
 
 _UNLIKE_FIRST = "unlike the first episode: export them separately with --episodes"
 
@@ -67,12 +67,12 @@ def export_real_lerobot(
 
 def _export(source: ExportSource, out: Path, progress: Progress, content: _Content, overwrite: bool) -> ExportResult:
     require_library("a LeRobot dataset", "pyarrow", "lerobot")
-    if content.pictures and source.cameras:
+    if content.pictures and source.camera_sizes:
         require_encoder()
     with export_directory(out, overwrite=overwrite) as stage:
         with _LeRobotWriter(stage.path, source, content) as writer:
-            for number, episode in enumerate(source.episodes()):
-                writer.add(episode)
+            for number, episode in enumerate(source.open_episodes()):
+                writer.add_episode(episode)
                 progress(number + 1, len(source))
         writer.write_meta()
     return ExportResult(out, len(source), writer.frames, stage.moved_aside, tuple(content.notes))
@@ -90,15 +90,15 @@ class _Content(ABC):
         self.notes: list[str] = []
 
     @abstractmethod
-    def columns(self) -> dict[str, LeRobotFeature]:
+    def column_features(self) -> dict[str, LeRobotFeature]:
         """Return the features in the Parquet files."""
 
     @abstractmethod
-    def values(self, episode: Any, frames: Frames) -> Values:
+    def feature_values(self, episode: Any, frames: Frames) -> FeatureValues:
         """Return the values of an episode by feature."""
 
     @abstractmethod
-    def origin(self, episode: Any) -> dict[str, Any]:
+    def provenance_entry(self, episode: Any) -> dict[str, Any]:
         """Return the entry of an episode in the provenance file `meta/yamsim.json`."""
 
 
@@ -106,41 +106,43 @@ class _SimulatedContent(_Content):
     def __init__(self, source: SimulatedSource, pictures: bool, environment_state: bool) -> None:
         super().__init__(pictures, {})
         self._source = source
-        self._cameras = tuple(source.cameras) if pictures else ()
+        self._cameras = tuple(source.camera_sizes) if pictures else ()
         self._things = tuple(object_pose_keys(source.config)) if environment_state else ()
 
-    def columns(self) -> dict[str, LeRobotFeature]:
+    def column_features(self) -> dict[str, LeRobotFeature]:
         source = self._source
         features = {
-            schema.STATE: schema.row_feature(source.drives),
-            schema.ACTION: schema.row_feature((*source.drives, *source.welds)),
+            schema.STATE: schema.row_feature(source.drive_names),
+            schema.ACTION: schema.row_feature((*source.drive_names, *source.weld_names)),
         }
         if self._things:
             names = state_names(self._things, source.first.record.joints)
             features[schema.ENVIRONMENT_STATE] = schema.row_feature(names)
         return features | schema.matrix_features(self._cameras, self._cameras)
 
-    def values(self, episode: StoredEpisode, frames: Frames) -> Values:
+    def feature_values(self, episode: StoredEpisode, frames: Frames) -> FeatureValues:
         joints, first = episode.record.joints, self._source.first
         if self._things and joints != first.record.joints:
             raise DatasetError(
                 f"{episode.directory} has objects with other joints than {first.directory.name} ({joints}, not "
                 f"{first.record.joints}): export them separately with --episodes, or without --environment-state"
             )
-        if BETWEEN_BASES in frames[0]:
-            self.about[BETWEEN_BASES] = frames[0][BETWEEN_BASES].tolist()
+        if RIGHT_IN_LEFT_BASE_KEY in frames[0]:
+            self.about[RIGHT_IN_LEFT_BASE_KEY] = frames[0][RIGHT_IN_LEFT_BASE_KEY].tolist()
         states, actions = zip(*(_state_and_action(frame) for frame in frames), strict=True)
         values = {schema.STATE: np.array(states), schema.ACTION: np.array(actions)}
         if self._things:
             values[schema.ENVIRONMENT_STATE] = np.array(
                 [
-                    state_row([(frame[f"{thing}_pose"], frame.get(joints_key(thing), ())) for thing in self._things])
+                    make_state_row(
+                        [(frame[f"{thing}_pose"], frame.get(joints_key(thing), ())) for thing in self._things]
+                    )
                     for frame in frames
                 ]
             )
-        return values | _matrices(self._cameras, self._cameras, frames)
+        return values | _flatten_matrices(self._cameras, self._cameras, frames)
 
-    def origin(self, episode: StoredEpisode) -> dict[str, Any]:
+    def provenance_entry(self, episode: StoredEpisode) -> dict[str, Any]:
         return {"seed": episode.record.seed, "attempt": episode.record.attempt}
 
 
@@ -155,21 +157,21 @@ class _RealContent(_Content):
         self._intrinsics = tuple(frame.get("intrinsics", ())) if pictures else ()
         self._extrinsics = tuple(frame.get("extrinsics", ())) if pictures else ()
 
-    def columns(self) -> dict[str, LeRobotFeature]:
+    def column_features(self) -> dict[str, LeRobotFeature]:
         source = self._source
-        features = {schema.STATE: schema.row_feature(source.drives)}
+        features = {schema.STATE: schema.row_feature(source.drive_names)}
         if self._actions != "none":
-            features[schema.ACTION] = schema.row_feature(source.drives)
+            features[schema.ACTION] = schema.row_feature(source.drive_names)
         features[schema.RECORDED_TIME] = LeRobotFeature("float64", (1,))
         if self._velocities:
-            named = zip(source.prefixes, source.rig.recording_order, strict=True)
+            named = zip(source.arm_prefixes, source.rig.recording_order, strict=True)
             joints = [prefix + name for prefix, k in named for name in source.rig.arms[k].robot.joint_drives]
             features[schema.VELOCITIES] = schema.row_feature(joints)
         return features | schema.matrix_features(self._intrinsics, self._extrinsics)
 
-    def values(self, episode: RealEpisode, frames: Frames) -> Values:
+    def feature_values(self, episode: RealEpisode, frames: Frames) -> FeatureValues:
         source, n = self._source, len(frames)
-        values: Values = {
+        values: FeatureValues = {
             schema.STATE: source.with_gripper_shares([frame["joints"] for frame in frames]).reshape(n, -1)
         }
         if self._actions != "none":
@@ -181,12 +183,12 @@ class _RealContent(_Content):
             for camera in cameras:
                 if not all(camera in matrices for matrices in _column_values(episode, frames, key)):
                     raise DatasetError(f"{episode.directory} has no {key} of {camera}, {_UNLIKE_FIRST}")
-        values |= _matrices(self._intrinsics, self._extrinsics, frames)
+        values |= _flatten_matrices(self._intrinsics, self._extrinsics, frames)
         if (note := source.describe_uneven_times(episode, frames)) is not None:
             self.notes.append(f"{note}, and {schema.RECORDED_TIME} the recorded times")
         return values
 
-    def origin(self, episode: RealEpisode) -> dict[str, Any]:
+    def provenance_entry(self, episode: RealEpisode) -> dict[str, Any]:
         return {"imported": episode.record.imported.model_dump()}
 
 
@@ -196,7 +198,7 @@ def _state_and_action(frame: Mapping[str, Any]) -> tuple[Any, Any]:
     return frame["joints"], np.append(frame["ctrl"], np.asarray(frame["magnet"], np.float32))
 
 
-def _matrices(intrinsics: Iterable[str], extrinsics: Iterable[str], frames: Frames) -> Values:
+def _flatten_matrices(intrinsics: Iterable[str], extrinsics: Iterable[str], frames: Frames) -> FeatureValues:
     """Return feature -> camera matrices of all frames, flattened in row-major order."""
     found = {
         schema.intrinsics_key(camera): np.array([np.ravel(frame["intrinsics"][camera]) for frame in frames])
@@ -224,18 +226,18 @@ def _write_video(path: Path, episode: RecordedEpisode, camera: str, period: floa
     counts = PixelCounts()
     # lerobot's decoder uses a PyAV older than 17, which ignores the tag for the colour matrix and assumes BT.601.
     with VideoWriter(path, period, key_frame_interval=schema.KEY_FRAME_INTERVAL, matrix=BT601) as video:
-        for image in recorded_images(episode, (camera,)):
+        for image in read_side_by_side_images(episode, (camera,)):
             video.write(image)
             counts.add(image)
-    return video.frames * period, counts.stats()
+    return video.frame_count * period, counts.stats()
 
 
 class _LeRobotWriter(Closable):
     def __init__(self, root: Path, source: ExportSource, content: _Content) -> None:
         self.frames = 0
         self._root, self._source, self._content = root, source, content
-        self._cameras = source.cameras if content.pictures else {}
-        self._columns = content.columns() | dict(schema.INDEX_FEATURES)
+        self._cameras = source.camera_sizes if content.pictures else {}
+        self._columns = content.column_features() | dict(schema.INDEX_FEATURES)
         self._tasks: dict[str, int] = {}
         self._total = RunningStats()
         self._provenance: list[dict[str, Any]] = []
@@ -248,7 +250,7 @@ class _LeRobotWriter(Closable):
     def close(self) -> None:
         self._open.close()
 
-    def add(self, episode: RecordedEpisode) -> None:
+    def add_episode(self, episode: RecordedEpisode) -> None:
         number, period = len(self._provenance), self._source.frame_period
         video_place, encoding = SeriesFile(number), {}
         for camera in self._cameras:
@@ -256,8 +258,8 @@ class _LeRobotWriter(Closable):
             encoding[camera] = self._threads.submit(_write_video, path, episode, camera, period)
         frames = episode.frames()
         task = frames[0].get("language_prompt", "")
-        values = self._content.values(episode, frames)
-        values |= self._indices(len(frames), number, self._tasks.setdefault(task, len(self._tasks)))
+        values = self._content.feature_values(episode, frames)
+        values |= self._index_values(len(frames), number, self._tasks.setdefault(task, len(self._tasks)))
         videos = {schema.image_key(camera): video.result() for camera, video in encoding.items()}
         stats = {key: found for key, (_, found) in videos.items()}
         stats |= {key: column_stats(value) for key, value in values.items()}
@@ -266,15 +268,18 @@ class _LeRobotWriter(Closable):
             "episode_index": number,
             "tasks": [task],
             "length": len(frames),
-            "data/chunk_index": place.chunk,
-            "data/file_index": place.file,
+            "data/chunk_index": place.chunk_number,
+            "data/file_index": place.number_in_chunk,
             "dataset_from_index": self.frames,
             "dataset_to_index": self.frames + len(frames),
-            "meta/episodes/chunk_index": rows_place.chunk,
-            "meta/episodes/file_index": rows_place.file,
+            "meta/episodes/chunk_index": rows_place.chunk_number,
+            "meta/episodes/file_index": rows_place.number_in_chunk,
         }
         for key, (end, _) in videos.items():
-            row |= {f"videos/{key}/chunk_index": video_place.chunk, f"videos/{key}/file_index": video_place.file}
+            row |= {
+                f"videos/{key}/chunk_index": video_place.chunk_number,
+                f"videos/{key}/file_index": video_place.number_in_chunk,
+            }
             row |= {f"videos/{key}/from_timestamp": 0.0, f"videos/{key}/to_timestamp": end}
         row |= {
             f"stats/{key}/{name}": value for key, found in stats.items() for name, value in _plain_stats(found).items()
@@ -283,10 +288,10 @@ class _LeRobotWriter(Closable):
         self._episodes.write(episode_table(row))
         self._total.add(stats)
         self.frames += len(frames)
-        origin = {"episode": episode.directory.name, **self._content.origin(episode)}
+        origin = {"episode": episode.directory.name, **self._content.provenance_entry(episode)}
         self._provenance.append({"episode_index": number} | origin)
 
-    def _indices(self, frames: int, number: int, task: int) -> Values:
+    def _index_values(self, frames: int, number: int, task: int) -> FeatureValues:
         return {
             "timestamp": np.arange(frames) * self._source.frame_period,
             "frame_index": np.arange(frames),

@@ -53,18 +53,18 @@ class SeriesFile:
     number: int
 
     @property
-    def chunk(self) -> int:
+    def chunk_number(self) -> int:
         """Number of the chunk that contains the file."""
         return self.number // CHUNK_FILES
 
     @property
-    def file(self) -> int:
+    def number_in_chunk(self) -> int:
         """Number of the file within its chunk."""
         return self.number % CHUNK_FILES
 
     def path(self, pattern: str, **keys: str) -> str:
         """Return the path in the dataset, from a pattern such as `DATA`."""
-        return pattern.format(chunk_index=self.chunk, file_index=self.file, **keys)
+        return pattern.format(chunk_index=self.chunk_number, file_index=self.number_in_chunk, **keys)
 
 
 @dataclass(frozen=True)
@@ -90,7 +90,7 @@ INDEX_FEATURES: Mapping[str, LeRobotFeature] = {
 }
 
 
-def _matrix(letter: str, size: int) -> LeRobotFeature:
+def _matrix_feature(letter: str, size: int) -> LeRobotFeature:
     """Return the feature of a square matrix in row-major order, with element names such as `K02` (row 0, column 2).
 
     Flat, because lerobot's tools for editing datasets cannot write two-dimensional arrays.
@@ -124,9 +124,9 @@ def matrix_features(intrinsics: Collection[str], extrinsics: Collection[str]) ->
     features = {}
     for camera in dict.fromkeys((*intrinsics, *extrinsics)):
         if camera in intrinsics:
-            features[intrinsics_key(camera)] = _matrix("K", 3)
+            features[intrinsics_key(camera)] = _matrix_feature("K", 3)
         if camera in extrinsics:
-            features[extrinsics_key(camera)] = _matrix("T", 4)
+            features[extrinsics_key(camera)] = _matrix_feature("T", 4)
     return features
 
 
@@ -141,7 +141,7 @@ def info_json(
     tasks: int,
 ) -> dict[str, Any]:
     """Return the content of `meta/info.json`. `cameras` is camera -> (width, height) of its video, px."""
-    images = {image_key(camera): _video(size, fps) for camera, size in cameras.items()}
+    images = {image_key(camera): _video_feature(size, fps) for camera, size in cameras.items()}
     return {
         "codebase_version": VERSION,
         "robot_type": robots[0] if len(robots) == 1 else _BIMANUAL_PREFIX + "_".join(dict.fromkeys(robots)),
@@ -159,7 +159,7 @@ def info_json(
     }
 
 
-def _video(size: tuple[int, int], fps: float) -> dict[str, Any]:
+def _video_feature(size: tuple[int, int], fps: float) -> dict[str, Any]:
     width, height = size
     details = {
         "video.height": height,
@@ -227,12 +227,12 @@ def frames_table(columns: Mapping[str, LeRobotFeature], values: Mapping[str, NDA
     """Return an episode's table, from values (frames, ...) by feature."""
     import pyarrow
 
-    def array(key: str, feature: LeRobotFeature) -> Any:
+    def feature_column(key: str, feature: LeRobotFeature) -> Any:
         flat = pyarrow.array(np.asarray(values[key], feature.dtype).ravel())
         (width,) = feature.shape
         return flat if width == 1 else pyarrow.FixedSizeListArray.from_arrays(flat, width)
 
-    return pyarrow.table([array(key, feature) for key, feature in columns.items()], names=list(columns))
+    return pyarrow.table([feature_column(key, feature) for key, feature in columns.items()], names=list(columns))
 
 
 def episode_table(row: Mapping[str, Any]) -> Any:
@@ -248,13 +248,13 @@ def write_tasks(root: Path, tasks: Sequence[str]) -> None:
     import pyarrow
     import pyarrow.parquet
 
-    def column(name: str, kind: str, numpy_type: str) -> dict[str, Any]:
+    def column_metadata(name: str, kind: str, numpy_type: str) -> dict[str, Any]:
         return {"name": name, "field_name": name, "pandas_type": kind, "numpy_type": numpy_type, "metadata": None}
 
     pandas = {
         "index_columns": ["task"],
         "column_indexes": [],
-        "columns": [column("task_index", "int64", "int64"), column("task", "unicode", "object")],
+        "columns": [column_metadata("task_index", "int64", "int64"), column_metadata("task", "unicode", "object")],
         "pandas_version": "2.0.0",
     }
     table = pyarrow.table({"task_index": pyarrow.array(range(len(tasks)), pyarrow.int64()), "task": list(tasks)})

@@ -46,13 +46,13 @@ class PixelCounts:
         levels = np.arange(_LEVELS) / (_LEVELS - 1)
         mean = self._counts @ levels / total
         spread = np.sqrt(np.maximum(self._counts @ levels**2 / total - mean**2, 0.0))
-        stats = {"min": self._level(0.0), "max": self._level(1.0), "mean": mean, "std": spread}
-        stats |= {name: self._level(part) for name, part in _QUANTILES.items()}
+        stats = {"min": self._quantile_level(0.0), "max": self._quantile_level(1.0), "mean": mean, "std": spread}
+        stats |= {name: self._quantile_level(part) for name, part in _QUANTILES.items()}
         return {name: value.reshape(3, 1, 1) for name, value in stats.items()} | {
             "count": np.array([float(self._images)])
         }
 
-    def _level(self, part: float) -> Array:
+    def _quantile_level(self, part: float) -> Array:
         """Return the intensity (3,), 0..1, at or below which the share `part` of the pixels of each channel lies."""
         below = np.cumsum(self._counts, axis=1)
         enough = np.maximum(1, np.ceil(part * below[:, -1:]))

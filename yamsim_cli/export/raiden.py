@@ -18,7 +18,7 @@ from ..core.dataset.reader import RecordedEpisode
 from ..core.errors import DatasetError, UsageError
 from ..core.files.resources import Locations
 from ..core.progress import Progress
-from ..core.workers.executors import Executor, Factory, InlineExecutor
+from ..core.workers.executors import Executor, InlineExecutor, RunnerFactory
 from ..core.workers.process_pool import ProcessPool
 from . import raiden_schema as schema
 from .export_source import ActionSource, Frames, RealEpisode, RealSource, SimulatedSource, depth_cameras
@@ -50,16 +50,16 @@ def export_raiden(
     real arm reports them.
     """
     converter = FrameConverter(source.rig, camera_names(source), locations, options.hand_frame, single=options.single)
-    config = _with_recorded_size(source) if options.renders else source.config
+    config = _with_recorded_size(source) if options.renders_images else source.config
     factory = functools.partial(EpisodeConverter, Session(config, locations), converter.names, options)
     frames: dict[str, int] = {}
     with export_directory(out, overwrite=overwrite) as stage:
-        episodes = {schema.episode_name(k): episode for k, episode in enumerate(source.episodes())}
+        episodes = {schema.episode_name(k): episode for k, episode in enumerate(source.open_episodes())}
         jobs = [(episode.directory, stage.path / name) for name, episode in episodes.items()]
-        for folder, made in _convert_all(factory, jobs, workers if options.renders else 0):
+        for folder, made in _convert_all(factory, jobs, workers if options.renders_images else 0):
             episode = episodes[folder.name]
             record = episode.record
-            data = [converter.frame(frame) for frame in made.frames]
+            data = [converter.convert_simulated(frame) for frame in made.frames]
             metadata = _metadata(
                 episode,
                 converter.names,
@@ -81,7 +81,7 @@ def export_raiden(
 
 
 def _with_recorded_size(source: SimulatedSource) -> RecordConfig:
-    sizes = set(source.cameras.values())
+    sizes = set(source.camera_sizes.values())
     if len(sizes) > 1:
         raise DatasetError(
             f"{source.path} has pictures of several sizes, which cannot be rendered: use --pictures nearest"
@@ -91,7 +91,7 @@ def _with_recorded_size(source: SimulatedSource) -> RecordConfig:
 
 
 def _convert_all(
-    factory: Factory[Job, ConvertedEpisode], jobs: Sequence[Job], workers: int
+    factory: RunnerFactory[Job, ConvertedEpisode], jobs: Sequence[Job], workers: int
 ) -> Iterator[tuple[Path, ConvertedEpisode]]:
     """Yield output folder and content of each complete episode. 0 `workers` means this process."""
     executor: Executor[Job, ConvertedEpisode] = InlineExecutor(factory)
@@ -129,17 +129,17 @@ def export_real_raiden(
         raise UsageError(
             "--actions none: each frame of raiden's layout needs an action; give measured, or export as lerobot"
         )
-    if not source.cameras:
+    if not source.camera_sizes:
         raise DatasetError(
             f"{source.path} has no pictures, which raiden's layout needs for its times: export it as lerobot"
         )
-    names = {camera: camera for camera in source.cameras}
+    names = {camera: camera for camera in source.camera_sizes}
     single = options.single or len(source.rig.recording_order) == 1
     converter = FrameConverter(source.rig, names, locations, options.hand_frame, single=single)
     frames: dict[str, int] = {}
     notes: list[str] = []
     with export_directory(out, overwrite=overwrite) as stage:
-        for number, episode in enumerate(source.episodes()):
+        for number, episode in enumerate(source.open_episodes()):
             folder = stage.path / schema.episode_name(number)
             recorded = episode.frames()
             data = _convert_episode(source, converter, episode, recorded, actions)
@@ -167,7 +167,7 @@ def export_real_raiden(
 def _convert_episode(
     source: RealSource, converter: FrameConverter, episode: RealEpisode, recorded: Frames, actions: ActionSource
 ) -> list[dict[str, Any]]:
-    if source.first.record.drives != source.rig.drives:
+    if source.first.record.drives != source.rig.drive_count:
         raise DatasetError(
             f"{source.path} has no grippers, because they were not recorded, but raiden's layout needs one per arm: "
             "export it as lerobot"
@@ -177,7 +177,7 @@ def _convert_episode(
     prompt = recorded[0].get("language_prompt", "")
     common = {"intrinsics": {}, "extrinsics": {}, "language_task": prompt, "language_prompt": prompt}
     return [
-        converter.convert(common | dict(frame), list(measured), list(command))
+        converter.convert_frame(common | dict(frame), list(measured), list(command))
         for frame, measured, command in zip(recorded, joints, commands, strict=True)
     ]
 
@@ -200,7 +200,7 @@ def _metadata(
     return {
         "info": {
             "name": task,
-            "raw_id": f"{episode.dataset.name}/{episode.directory.name}",
+            "raw_id": f"{episode.dataset_directory.name}/{episode.directory.name}",
             "tags": ["robotics"],
         },
         "labels": [*(["rgb"] if sizes else []), *(["depth"] if depth else []), "action", "language"],

@@ -12,12 +12,12 @@ import numpy as np
 from ..core.attempt_data import AttemptJob
 from ..core.closable import Closable
 from ..core.config.session import Session
-from ..core.dataset.dataset_paths import depth_name
+from ..core.dataset.dataset_paths import depth_path
 from ..core.dataset.disk_errors import explain_disk_error
 from ..core.dataset.ground_truth_files import dump_depth
 from ..core.dataset.reader import RecordedEpisode, StoredEpisode, open_episode
-from ..core.episode.attempt_payload import recorded_pictures, render_depth
-from ..core.episode.simulator import Simulator, Simulators
+from ..core.episode.attempt_payload import render_depth, render_recorded_images
+from ..core.episode.simulator import Simulator, SimulatorCache
 from ..core.errors import DatasetError, PartialJobError
 from ..core.images.image import Image
 from ..core.images.jpeg import decode_jpeg, encode_jpeg
@@ -54,24 +54,24 @@ class EpisodeConverter(Closable):
         self._options = options
         self._quality = session.config.image.jpeg_quality
         self._truth = session.config.truth
-        self._simulators = None if options.fps is None else Simulators(session)
+        self._simulators = None if options.fps is None else SimulatorCache(session)
 
     def run(self, job: tuple[Path, Path]) -> ConvertedEpisode:
         """Convert an episode and write its images. `job` is the episode directory and the output folder."""
         directory, folder = job
         try:
-            return self._make(open_episode(directory), folder)
+            return self._convert_episode(open_episode(directory), folder)
         except OSError as error:
             raise PartialJobError(f"{explain_disk_error(error, folder)}: nothing was exported") from error
 
-    def _make(self, episode: StoredEpisode, folder: Path) -> ConvertedEpisode:
+    def _convert_episode(self, episode: StoredEpisode, folder: Path) -> ConvertedEpisode:
         frames = episode.frames()
         if self._simulators is None or self._options.fps is None:
             self._copy(episode, folder, range(len(frames)))
             return ConvertedEpisode([frame["timestamp"] for frame in frames], frames, {"source": "recorded"})
         simulator = self._simulators.get(AttemptJob(episode.record.seed, episode.record.attempt))
         made = resample_episode(simulator, episode, self._options.fps)
-        if self._options.renders:
+        if self._options.renders_images:
             self._render(simulator, episode, folder, made)
             return ConvertedEpisode(made.times.tolist(), made.frames, {"source": "drawn"})
         nearest = nearest_frames(made.times, len(frames), episode.record.frame_period_s)
@@ -84,7 +84,7 @@ class EpisodeConverter(Closable):
         for camera in depth_cameras(episode):
             for k, frame in enumerate(frames):
                 place = folder / "depth" / self._names[camera] / schema.frame_name(k, "npz")
-                _write(place, _depth(episode, camera, frame))
+                _write_with_parents(place, _read_raiden_depth(episode, camera, frame))
 
     def _render(self, simulator: Simulator, episode: StoredEpisode, folder: Path, made: ResampledEpisode) -> None:
         depths = depth_cameras(episode)
@@ -93,18 +93,18 @@ class EpisodeConverter(Closable):
                 f"{episode.directory} has depth, but its dataset was recorded without --truth, so depth cannot be "
                 "rendered again; use the recorded pictures with --pictures nearest"
             )
-        for k, camera, image in recorded_pictures(simulator, made.attempt, made.qpos):
+        for k, camera, image in render_recorded_images(simulator, made.attempt, made.qpos):
             name = self._names[camera]
             if k == 0:
                 self._require_same_appearance(episode, camera, image)
             data = encode_png(image) if self._options.images == "png" else encode_jpeg(image, self._quality)
-            _write(folder / "rgb" / name / schema.frame_name(k, self._options.images), data)
+            _write_with_parents(folder / "rgb" / name / schema.frame_name(k, self._options.images), data)
             if camera in depths:
                 data = dump_depth(render_depth(simulator, made.attempt, made.qpos[k], camera))
-                _write(folder / "depth" / name / schema.frame_name(k, "npz"), data)
+                _write_with_parents(folder / "depth" / name / schema.frame_name(k, "npz"), data)
 
     def _require_same_appearance(self, episode: StoredEpisode, camera: str, image: Image) -> None:
-        recorded = _decoded(episode, camera, 0, episode.image(camera, 0))
+        recorded = _decode_image(episode, camera, 0, episode.image(camera, 0))
         rendered = decode_jpeg(encode_jpeg(image, self._quality))
         assert rendered is not None
         difference = np.inf
@@ -134,17 +134,17 @@ def copy_images(
             if frame != before:
                 data = episode.image(camera, frame)
                 if options.images == "png":
-                    data = encode_png(_decoded(episode, camera, frame, data))
+                    data = encode_png(_decode_image(episode, camera, frame, data))
                 before = frame
-            _write(folder / "rgb" / name / schema.frame_name(k, options.images), data)
+            _write_with_parents(folder / "rgb" / name / schema.frame_name(k, options.images), data)
 
 
-def _write(path: Path, data: bytes) -> None:
+def _write_with_parents(path: Path, data: bytes) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_bytes(data)
 
 
-def _decoded(episode: RecordedEpisode, camera: str, frame: int, data: bytes) -> Image:
+def _decode_image(episode: RecordedEpisode, camera: str, frame: int, data: bytes) -> Image:
     image = decode_jpeg(data)
     if image is None:
         raise DatasetError(
@@ -153,8 +153,8 @@ def _decoded(episode: RecordedEpisode, camera: str, frame: int, data: bytes) -> 
     return image
 
 
-def _depth(episode: StoredEpisode, camera: str, number: int) -> bytes:
-    name = depth_name(camera, number)
+def _read_raiden_depth(episode: StoredEpisode, camera: str, number: int) -> bytes:
+    name = depth_path(camera, number)
     data = episode.read_verified(name)
     width, height = episode.record.cameras[camera]
     try:

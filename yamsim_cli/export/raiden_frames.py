@@ -17,11 +17,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..core.config.rig import ArmConfig, RigConfig
-from ..core.dataset.lowdim import BETWEEN_BASES
+from ..core.dataset.lowdim import RIGHT_IN_LEFT_BASE_KEY
 from ..core.errors import ResourceError, UsageError
 from ..core.expert.planning.arm_kinematics import ArmKinematics
 from ..core.files.resources import Locations
-from ..core.geometry.se3 import Array, inverse, pose, rotation_vector
+from ..core.geometry.se3 import Array, invert_pose, pose, rotation_vector
 from ..core.scene.arm_model import kinematic_model
 from . import raiden_schema as schema
 from .export_source import Frames, SimulatedSource
@@ -52,7 +52,7 @@ def hand_frame(name: HandFrameName) -> dict[str, str]:
 def camera_names(source: SimulatedSource) -> dict[str, str]:
     """Map each camera to its name in raiden's layout. Only wrist cameras get new names."""
     wrists = _wrist_arms(source)
-    return {name: _WRIST_CAMERAS[wrists[name]] if name in wrists else name for name in source.cameras}
+    return {name: _WRIST_CAMERAS[wrists[name]] if name in wrists else name for name in source.camera_sizes}
 
 
 def _wrist_arms(source: SimulatedSource) -> dict[str, int]:
@@ -75,7 +75,7 @@ class _ArmConverter:
             )
         if frame in _KINEMATICS_FILES:
             try:
-                file = locations.file(f"robot_models/{robot.model}/{_KINEMATICS_FILES[frame]}")
+                file = locations.find_data_file(f"robot_models/{robot.model}/{_KINEMATICS_FILES[frame]}")
             except ResourceError:
                 raise UsageError(
                     f"--hand-frame: {robot.model} has no {_KINEMATICS_FILES[frame]} in its folder of robot_models/, "
@@ -92,7 +92,7 @@ class _ArmConverter:
         values[schema.JOINTS] = np.clip(values[schema.JOINTS] / self._opening, 0.0, 1.0)
         return values
 
-    def hand(self, joints: Array) -> Array:
+    def hand_values(self, joints: Array) -> Array:
         """Return hand position, row-major rotation matrix and gripper share (13,), in this arm's base."""
         T = self.T_hand_in_base(joints)
         return np.concatenate([T[:3, 3], T[:3, :3].ravel(), joints[schema.JOINTS :]])
@@ -121,14 +121,16 @@ class FrameConverter:
         pair = (arms[0], arms[-1])[: 1 if single else 2]
         self._arms = [_ArmConverter(arm, locations, hand_frame) for arm in pair]
 
-    def frame(self, frame: Mapping[str, Any]) -> dict[str, Any]:
+    def convert_simulated(self, frame: Mapping[str, Any]) -> dict[str, Any]:
         """Convert a simulated frame to raiden's layout."""
-        data = self.convert(frame, self._with_shares(frame["joints"]), self._with_shares(frame["action_joints"]))
-        if BETWEEN_BASES in frame:
-            data[schema.BETWEEN_ARMS] = np.asarray(frame[BETWEEN_BASES], dtype=np.float32)
+        data = self.convert_frame(frame, self._with_shares(frame["joints"]), self._with_shares(frame["action_joints"]))
+        if RIGHT_IN_LEFT_BASE_KEY in frame:
+            data[schema.BETWEEN_ARMS] = np.asarray(frame[RIGHT_IN_LEFT_BASE_KEY], dtype=np.float32)
         return data
 
-    def convert(self, frame: Mapping[str, Any], joints: Sequence[Array], command: Sequence[Array]) -> dict[str, Any]:
+    def convert_frame(
+        self, frame: Mapping[str, Any], joints: Sequence[Array], command: Sequence[Array]
+    ) -> dict[str, Any]:
         """Convert a frame to raiden's layout, without the pose of the right base.
 
         `joints` and `command` have, for each arm, six joints in rad and the gripper share (7,).
@@ -138,10 +140,10 @@ class FrameConverter:
                 key: {name: frame[key][camera] for camera, name in self.names.items() if camera in frame[key]}
                 for key in ("intrinsics", "extrinsics")
             },
-            "joints": _f32(joints),
-            "action": _f32(self._hands(command)),
-            "actual_poses": _f32(self._hands(joints)),
-            "action_joints": _f32(command),
+            "joints": _concatenate_float32(joints),
+            "action": _concatenate_float32(self._hand_values(command)),
+            "actual_poses": _concatenate_float32(self._hand_values(joints)),
+            "action_joints": _concatenate_float32(command),
             # Zero-dimensional arrays, as raiden's `converter.py` writes them.
             "language_task": np.array(frame["language_task"], dtype=object),
             "language_prompt": np.array(frame["language_prompt"], dtype=object),
@@ -149,20 +151,20 @@ class FrameConverter:
 
     def T_hand_in_base(self, arm: int, joints: ArrayLike) -> Array:
         """Return the hand pose (4, 4) of an arm in its own base, from the joints of a converted frame."""
-        return self._arms[arm].T_hand_in_base(np.asarray(joints)[schema.ARM * arm :])
+        return self._arms[arm].T_hand_in_base(np.asarray(joints)[schema.ARM_VALUES * arm :])
 
     def _with_shares(self, joints: ArrayLike) -> list[Array]:
         """Convert recorded joints, (7,) or (14,), to (7,) of each arm. A missing arm is zero."""
-        rows = np.zeros((len(self._arms), schema.ARM))
-        recorded = np.reshape(joints, (-1, schema.ARM))
+        rows = np.zeros((len(self._arms), schema.ARM_VALUES))
+        recorded = np.reshape(joints, (-1, schema.ARM_VALUES))
         rows[: len(recorded)] = recorded
         return [arm.with_share(row) for arm, row in zip(self._arms, rows, strict=True)]
 
-    def _hands(self, joints: Sequence[Array]) -> list[Array]:
-        return [arm.hand(row) for arm, row in zip(self._arms, joints, strict=True)]
+    def _hand_values(self, joints: Sequence[Array]) -> list[Array]:
+        return [arm.hand_values(row) for arm, row in zip(self._arms, joints, strict=True)]
 
 
-def _f32(arms: Sequence[ArrayLike]) -> NDArray[np.float32]:
+def _concatenate_float32(arms: Sequence[ArrayLike]) -> NDArray[np.float32]:
     return np.concatenate(arms).astype(np.float32)
 
 
@@ -178,7 +180,7 @@ def calibration_json(
     T_right_base_in_left_base = None if T is None else np.asarray(T, np.float64)
     wrists = _wrist_arms(source)
     cameras: dict[str, Any] = {}
-    for camera, size in source.cameras.items():
+    for camera, size in source.camera_sizes.items():
         name = converter.names[camera]
         entry = {
             "serial_number": 0,
@@ -193,7 +195,7 @@ def calibration_json(
         if camera in wrists:
             cameras[name] = _wrist_camera(name, wrists[camera], entry, converter, frames, T_right_base_in_left_base)
         else:
-            extrinsics = _transform(np.asarray(frames[0]["extrinsics"][name], np.float64))
+            extrinsics = _transform_json(np.asarray(frames[0]["extrinsics"][name], np.float64))
             extrinsics["reference_frame"] = "left_arm_base"
             cameras[name] = {"type": "scene", **entry, "arm": _SIDES[0], "extrinsics": extrinsics}
     found = {
@@ -206,7 +208,7 @@ def calibration_json(
     if T_right_base_in_left_base is not None:
         # raiden's `converter.py` inverts the first entry.
         found["bimanual_transform"] = {
-            "right_base_to_left_base": inverse(T_right_base_in_left_base).tolist(),
+            "right_base_to_left_base": invert_pose(T_right_base_in_left_base).tolist(),
             "computed_from_calibration": False,
             "description": "Pose of the left arm's base in the right one's: the inverse of T_right_base_in_left_base",
             "T_right_base_in_left_base": T_right_base_in_left_base.tolist(),
@@ -224,26 +226,26 @@ def _wrist_camera(
 ) -> dict[str, Any]:
     to_base = np.eye(4)
     if arm == 1 and T_right_base_in_left_base is not None:
-        to_base = inverse(T_right_base_in_left_base)
+        to_base = invert_pose(T_right_base_in_left_base)
     in_hand = [
-        inverse(converter.T_hand_in_base(arm, frame["joints"]))
+        invert_pose(converter.T_hand_in_base(arm, frame["joints"]))
         @ to_base
         @ np.asarray(frame["extrinsics"][name], np.float64)
         for frame in frames
     ]
     T = pose(np.mean([T[:3, 3] for T in in_hand], axis=0), in_hand[0][:3, :3])
     upside_down = name == _UPSIDE_DOWN_CAMERA
-    hand_eye = _transform(T @ _HALF_TURN if upside_down else T)
+    hand_eye = _transform_json(T @ _HALF_TURN if upside_down else T)
     return {
         "type": "hand_eye",
         **entry,
         "arm": _SIDES[arm],
         "hand_eye_calibration": {**hand_eye, "method": "sim", "upside_down": upside_down},
-        "extrinsics": {**_transform(T), "reference_frame": f"{_SIDES[arm]}_grasp_site"},
+        "extrinsics": {**_transform_json(T), "reference_frame": f"{_SIDES[arm]}_grasp_site"},
     }
 
 
-def _transform(T: Array) -> dict[str, Any]:
+def _transform_json(T: Array) -> dict[str, Any]:
     return {
         "success": True,
         "rotation_matrix": T[:3, :3].tolist(),

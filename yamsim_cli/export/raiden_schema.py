@@ -18,7 +18,7 @@ HandFrameName = Literal["yamsim", "i2rt"]  # arm model whose hand frame and kine
 FPS = 30.0  # that raiden's commands `rd replay` and `rd shardify` assume
 
 JOINTS = 6  # joints per arm in the layout
-ARM = JOINTS + 1  # values per arm: joints and gripper
+ARM_VALUES = JOINTS + 1  # values per arm: joints and gripper
 
 BETWEEN_ARMS = "T_left_from_right"  # key of the pose of the right base in the left base
 
@@ -51,7 +51,7 @@ class RaidenOptions:
     hand_frame: HandFrameName = "yamsim"
 
     @property
-    def renders(self) -> bool:
+    def renders_images(self) -> bool:
         """Whether the export renders images."""
         return self.fps is not None and self.pictures == "draw"
 

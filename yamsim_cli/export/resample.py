@@ -12,10 +12,10 @@ import numpy as np
 from ..core.attempt_data import ActionSequence, Attempt, StepState
 from ..core.dataset.lowdim import planned_joints, recorded_actions
 from ..core.dataset.reader import StoredEpisode
-from ..core.dataset.records import recorded_attempt
+from ..core.dataset.records import attempt_from_record
 from ..core.episode.attempt_payload import frame_records, library_versions
 from ..core.episode.episode_rules import REPLAY_RULES
-from ..core.episode.execution import run_actions
+from ..core.episode.execution import simulate_actions
 from ..core.episode.simulator import Simulator
 from ..core.errors import DatasetError
 from ..core.geometry.se3 import Array
@@ -78,13 +78,13 @@ def resample_episode(simulator: Simulator, episode: StoredEpisode, fps: float) -
         np.round(np.concatenate([times, times + tick, stored, stored + tick]), 12), return_inverse=True
     )
     seen = StateSampler(scene.model, moments)
-    attempt = recorded_attempt(record, start)
-    run_actions(simulator, attempt, actions, REPLAY_RULES, on_step=seen)
+    attempt = attempt_from_record(record, start)
+    simulate_actions(simulator, attempt, actions, REPLAY_RULES, on_step=seen)
     here, ahead, then, commanded = np.split(seen.qpos[places], np.cumsum([len(times), len(times), len(stored)]))
     _require_same(episode, recorded, then)
     planned = np.array([planned_joints(frame, len(scene.arms)) for frame in recorded])
-    lead = planned - _arms(scene, commanded)
-    reference = _arms(scene, ahead) + _interpolate(times, stored, lead)
+    lead = planned - _joints_of_arms(scene, commanded)
+    reference = _joints_of_arms(scene, ahead) + _interpolate(times, stored, lead)
     if scene.arms[0].fingers is not None:
         # The last value of each arm is its finger opening.
         reference[..., -1] = _interpolate(times, stored, planned[..., -1])
@@ -99,7 +99,7 @@ def resample_episode(simulator: Simulator, episode: StoredEpisode, fps: float) -
     )
 
 
-def _arms(scene: CompiledScene, qpos: Array) -> Array:
+def _joints_of_arms(scene: CompiledScene, qpos: Array) -> Array:
     joints: Array = qpos[:, [arm.recorded_qpos for arm in scene.arms]]
     return joints
 

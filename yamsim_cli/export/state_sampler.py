@@ -29,11 +29,11 @@ class StateSampler:
     def __call__(self, data: mujoco.MjData) -> None:
         """Store all samples up to the current state."""
         while self._next < len(self._times) and self._times[self._next] <= data.time + ROUNDING_S:
-            self.qpos[self._next] = self._at(self._times[self._next], data)
+            self.qpos[self._next] = self._qpos_at(self._times[self._next], data)
             self._next += 1
         self._before = (data.time, data.qpos.copy())
 
-    def _at(self, time: float, data: mujoco.MjData) -> Array:
+    def _qpos_at(self, time: float, data: mujoco.MjData) -> Array:
         then, qpos = self._before
         if abs(time - data.time) <= ROUNDING_S:
             present: Array = data.qpos.copy()

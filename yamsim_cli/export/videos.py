@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ..core.dataset.reader import RecordedEpisode, recorded_images
-from ..core.errors import DatasetError, InterruptedJobError, PartialJobError, UsageError, suggest
+from ..core.dataset.reader import RecordedEpisode, read_side_by_side_images
+from ..core.errors import DatasetError, InterruptedJobError, PartialJobError, UsageError, suggest_similar
 from ..core.files.writing import move_to_backup, write_file
 from ..core.images.image import Image
 from ..core.images.jpeg import decode_jpeg, encode_jpeg
@@ -33,18 +33,18 @@ def export_mp4(
 
     Cameras are shown side by side, by default all. A `speed` of 1 is real time.
     """
-    chosen = _cameras(source, cameras)
+    chosen = _choose_cameras(source, cameras)
     require_encoder()
     frames = 0
     notes: list[str] = []
     with export_directory(out, overwrite=overwrite) as stage:
-        for number, episode in enumerate(source.episodes()):
+        for number, episode in enumerate(source.open_episodes()):
             if isinstance(source, RealSource) and (note := source.describe_uneven_times(episode, episode.frames())):
                 notes.append(note)
             with VideoWriter(stage.path / f"{episode.directory.name}.mp4", source.frame_period / speed) as video:
-                for image in recorded_images(episode, chosen):
+                for image in read_side_by_side_images(episode, chosen):
                     video.write(image)
-            frames += video.frames
+            frames += video.frame_count
             progress(number + 1, len(source))
     return ExportResult(out, len(source), frames, stage.moved_aside, tuple(notes))
 
@@ -63,13 +63,15 @@ def export_sheet(
 
     Each camera has a row per episode; the default is the first camera.
     """
-    chosen = _cameras(source, cameras or tuple(source.cameras)[:1])
+    chosen = _choose_cameras(source, cameras or tuple(source.camera_sizes)[:1])
     if out.suffix.lower() not in (".jpg", ".jpeg"):
         raise UsageError(f"{out} is not a valid name for a sheet; it must end in .jpg")
     require_parent(out)
     if out.exists() and not overwrite:
         raise UsageError(f"{out} exists; move it aside with --overwrite, or choose another OUT")
-    heights = {camera: round(width * source.cameras[camera][1] / source.cameras[camera][0]) for camera in chosen}
+    heights = {
+        camera: round(width * source.camera_sizes[camera][1] / source.camera_sizes[camera][0]) for camera in chosen
+    }
     size = (columns * width, len(source) * sum(heights.values()))
     if max(size) > _MAX_SIDE_PX:
         raise UsageError(
@@ -79,8 +81,8 @@ def export_sheet(
     moved = None
     try:
         rows: list[Image] = []
-        for number, episode in enumerate(source.episodes()):
-            rows += [_row(episode, camera, columns, (width, height)) for camera, height in heights.items()]
+        for number, episode in enumerate(source.open_episodes()):
+            rows += [_image_row(episode, camera, columns, (width, height)) for camera, height in heights.items()]
             progress(number + 1, len(source))
         data = encode_jpeg(np.concatenate(rows), _SHEET_QUALITY)
         if out.exists():
@@ -93,7 +95,7 @@ def export_sheet(
     return ExportResult(out, len(source), len(rows) * columns, moved)
 
 
-def _row(episode: RecordedEpisode, camera: str, columns: int, size: tuple[int, int]) -> Image:
+def _image_row(episode: RecordedEpisode, camera: str, columns: int, size: tuple[int, int]) -> Image:
     images = []
     for k in np.linspace(0, episode.record.frames - 1, columns).round().astype(int):
         image = decode_jpeg(episode.image(camera, int(k)))
@@ -103,13 +105,13 @@ def _row(episode: RecordedEpisode, camera: str, columns: int, size: tuple[int, i
     return draw_labels(np.concatenate(images, axis=1), {}, episode.directory.name)
 
 
-def _cameras(source: ExportSource, wanted: Sequence[str]) -> tuple[str, ...]:
-    if not source.cameras:
+def _choose_cameras(source: ExportSource, wanted: Sequence[str]) -> tuple[str, ...]:
+    if not source.camera_sizes:
         raise DatasetError(f"{source.path} has no pictures, so there is nothing to show")
     for name in wanted:
-        if name not in source.cameras:
-            raise UsageError(f"--camera {name!r} is not valid; {suggest(name, source.cameras)}")
-    chosen = tuple(wanted) or tuple(source.cameras)
-    if len({source.cameras[name][1] for name in chosen}) > 1:
+        if name not in source.camera_sizes:
+            raise UsageError(f"--camera {name!r} is not valid; {suggest_similar(name, source.camera_sizes)}")
+    chosen = tuple(wanted) or tuple(source.camera_sizes)
+    if len({source.camera_sizes[name][1] for name in chosen}) > 1:
         raise UsageError(f"the images of {' and '.join(chosen)} differ in height: give one --camera")
     return chosen

@@ -101,7 +101,7 @@ def _flag_name(setting: str) -> str:
 opener = SessionOpener(os.environ, print_note, _flag_name, import_if_file, resolve_scene_task, fetch_bar, note_at_end)
 
 
-# Session settings that a command may have as parameters; `SessionOpener.config` explains them.
+# Session settings that a command may have as parameters; `SessionOpener.load_record_config` explains them.
 _SETTINGS = (
     "rig", "revision", "robot", "task", "target", "n", "workers", "seed", "grasp", "arm", "wrist", "camera", "boards",
     "truth", "size", "jpeg_quality", "action", "fps", "quality", "threshold", "randomize", "randomization",

@@ -15,10 +15,10 @@ from ..core.config.rig import RigConfig
 from ..core.config.scene import SceneConfig
 from ..core.dataset.dataset_paths import image_path, lowdim_path
 from ..core.dataset.lowdim import load_frame
-from ..core.errors import DatasetError, ResourceError, UsageError, suggest
+from ..core.errors import DatasetError, ResourceError, UsageError, suggest_similar
 from ..core.files.resources import Locations
 from ..core.geometry.camera import CameraModel
-from ..core.geometry.se3 import inverse
+from ..core.geometry.se3 import invert_pose
 from ..core.images.image import Image
 from ..core.images.image_files import read_image, to_grey
 from ..core.images.jpeg import encode_jpeg
@@ -28,7 +28,7 @@ from ..photos.overlay.joint_files import ArmPostures
 from ..photos.overlay.outline_fit import mask_iou, score_outlines
 from ..photos.overlay.photo_arm_poses import find_arms
 from ..photos.overlay.photo_cameras import PhotoCameras
-from ..photos.overlay.photos import Photo, camera_matrix, chosen_camera, pinhole_camera
+from ..photos.overlay.photos import Photo, camera_matrix, choose_camera, pinhole_camera
 from ..photos.overlay.rendered_arms import ArmRenderers
 from ..photos.picture_overlay import blend_arms, write_lines
 from ..real.gap.gap_figures import MotionGap
@@ -56,9 +56,9 @@ def photos_in_parts(gaps: Sequence[MotionGap], camera: str | None) -> tuple[str,
     cameras = sorted({path.name for folder in folders.values() for path in (folder / "rgb").iterdir() if path.is_dir()})
     if not cameras:
         raise UsageError("--pictures: no recording has photos; leave it out, or give episodes with rgb/")
-    camera = chosen_camera(cameras, camera)
+    camera = choose_camera(cameras, camera)
     if camera not in cameras:
-        raise UsageError(f"--episode-camera {camera!r}: no recording has it; {suggest(camera, cameras)}")
+        raise UsageError(f"--episode-camera {camera!r}: no recording has it; {suggest_similar(camera, cameras)}")
     taken = []
     for gap in gaps:
         known = np.logical_and.reduce([np.isfinite(arm.joints).all(axis=1) for arm in gap.motion.arms])
@@ -78,12 +78,12 @@ def select_photos(taken: Sequence[RecordedPhoto], maximum: int) -> list[Recorded
     """Return at most `maximum` evenly spaced photos, and that with the largest simulated joint error."""
     if len(taken) <= maximum:
         return list(taken)
-    worst = max(range(len(taken)), key=lambda k: _error(taken[k]))
+    worst = max(range(len(taken)), key=lambda k: _largest_joint_error(taken[k]))
     even = np.linspace(0, len(taken) - 1, maximum - 1).round().astype(int).tolist() if maximum > 1 else []
     return [taken[k] for k in sorted({worst, *even})]
 
 
-def _error(photo: RecordedPhoto) -> float:
+def _largest_joint_error(photo: RecordedPhoto) -> float:
     both = zip(photo.gap.motion.arms, photo.gap.simulated.arms, strict=True)
     return max(float(np.abs(real.joints[photo.sample] - made.joints[photo.sample]).max()) for real, made in both)
 
@@ -118,7 +118,7 @@ def make_photo(recorded: RecordedPhoto, camera: str, rig: RigConfig, image: Imag
     if T_cam_in_base is not None:
         # Recorded extrinsics are relative to the base of the only or left arm.
         T_cam_in_world = rig.T_base_in_world(rig.recording_order[0]) @ T_cam_in_base
-        T_base_in_cam = inverse(T_cam_in_world) @ rig.T_base_in_world(0)
+        T_base_in_cam = invert_pose(T_cam_in_world) @ rig.T_base_in_world(0)
     model = None if K is None else pinhole_camera(K, width, height)
     return Photo(
         recorded.path, model, postures_at(recorded.gap.simulated, recorded.sample, rig), "episode", T_base_in_cam
@@ -188,7 +188,7 @@ def compare_photos(
             f"no photo of camera {camera!r} gives its pose, first {chosen[0].path}: its frames have no extrinsics, "
             "and no board is in sight; give recordings with extrinsics, or leave --pictures out"
         )
-    return _plain(camera, figures, len(chosen) - len(figures)), [_shown(one) for one in found]
+    return _camera_report(camera, figures, len(chosen) - len(figures)), [_captioned_photo(one) for one in found]
 
 
 def _compare_photo(
@@ -199,12 +199,12 @@ def _compare_photo(
     photo = make_photo(recorded, camera, rig, image)
     lens, grey = lenses.camera_of(photo, image), to_grey(image)
     result = find_arms(rig, photo, grey, lens, trust_margin=False)
-    if not result.bases:
+    if not result.base_poses:
         return None
     renderer = renderers.renderer_for(lens.camera)
-    renderer.pose(result.bases, postures_at(recorded.gap.motion, recorded.sample, rig))
+    renderer.set_poses(result.base_poses, postures_at(recorded.gap.motion, recorded.sample, rig))
     measured, measured_mask = score_outlines(result, renderer, grey), renderer.flat_labels() > 0
-    renderer.pose(result.bases, postures_at(recorded.gap.simulated, recorded.sample, rig))
+    renderer.set_poses(result.base_poses, postures_at(recorded.gap.simulated, recorded.sample, rig))
     simulated, iou = score_outlines(result, renderer, grey), mask_iou(renderer.flat_labels() > 0, measured_mask)
     arms = renderer.render()
     picture = blend_arms(image, arms.colour, arms.labels, _OPACITY)
@@ -219,15 +219,15 @@ def _error_rank(found: PhotoGap) -> tuple[float, float]:
     return -1.0 if found.outline is None else found.outline, 1 - found.iou
 
 
-def _plain(camera: str, figures: Sequence[PhotoGap], without: int) -> dict[str, Any]:
+def _camera_report(camera: str, figures: Sequence[PhotoGap], without: int) -> dict[str, Any]:
     worst = max(figures, key=_error_rank)
     return {
         "camera": camera,
         "photos": len(figures),
         "without_pose": without,
-        "outline_px": _spread([one.outline for one in figures], max),
-        "measured_outline_px": _spread([one.measured_outline for one in figures], max),
-        "iou": _spread([one.iou for one in figures], min),
+        "outline_px": _mean_and_worst([one.outline for one in figures], max),
+        "measured_outline_px": _mean_and_worst([one.measured_outline for one in figures], max),
+        "iou": _mean_and_worst([one.iou for one in figures], min),
         "worst": _photo_reference(worst),
         "frames": [
             {
@@ -248,12 +248,12 @@ def _photo_reference(found: PhotoGap) -> dict[str, Any]:
     return {"recording": recorded.gap.name, "frame": recorded.frame, "time_s": time}
 
 
-def _spread(values: Sequence[float | None], worst: Any) -> dict[str, float] | None:
+def _mean_and_worst(values: Sequence[float | None], worst: Any) -> dict[str, float] | None:
     known = [value for value in values if value is not None]
     return {"mean": float(np.mean(known)), "worst": float(worst(known))} if known else None
 
 
-def _shown(found: PhotoGap) -> CaptionedJpeg:
+def _captioned_photo(found: PhotoGap) -> CaptionedJpeg:
     place = _photo_reference(found)
     outline = "no arm in sight" if found.outline is None else f"outline {found.outline:.1f} px from the photo's edges"
     caption = (

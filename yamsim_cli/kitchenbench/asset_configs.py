@@ -11,16 +11,16 @@ import numpy as np
 from kitchenbench.sim.blueprint import ASSETS, SceneBlueprint, SceneObject
 
 from ..core.config.loader import load_config
-from ..core.config.objects.cloth import Cloth, cloth_object
+from ..core.config.objects.cloth import Cloth, object_keys_from_cloth
 from ..core.config.objects.generated import object_from_shape
 from ..core.config.objects.object_config import ObjectConfig
 from ..core.config.scene import Table
 from ..core.files.resources import Locations
 from ..core.geometry.se3 import Array
 from ..core.scene.compiled import CompiledScene
-from ..core.sim.cloth import crumple
+from ..core.sim.cloth import crumple_cloth
 
-# Asset -> object config. Compartments are parts of the tray, and cloth is in `SHEETS`.
+# Asset -> object config. Compartments are parts of the tray, and cloth is in `CLOTH_CONFIGS`.
 _OBJECT_CONFIGS = {
     name: f"kitchen_{name}"
     for name in (
@@ -42,10 +42,13 @@ _SCALED_KEYS = ("diameter_mm", "height_mm", "foot_mm", "fillet_mm", "stalk_mm", 
 #: The kind of KitchenBench's goals in which cloth is folded.
 FOLD = "fold"
 #: Asset -> sheet config of the asset's nominal size.
-SHEETS = {"napkin": "soft_napkin", "cloth": "soft_cloth", "dish_towel": "soft_dish_towel"}
+CLOTH_CONFIGS = {"napkin": "soft_napkin", "cloth": "soft_cloth", "dish_towel": "soft_dish_towel"}
 #: The condition of a scene that says how much its cloth is crumpled.
-CRUMPLED = "crumple_level"
-_CRUMPLES = {"light": 0.2, "moderate": 0.4}  # level -> height and distance of the pull, as shares of half the length
+CRUMPLE_CONDITION = "crumple_level"
+_CRUMPLE_SHARES = {
+    "light": 0.2,
+    "moderate": 0.4,
+}  # level -> height and distance of the pull, as shares of half the length
 
 _CLOTH_MARGIN = 0.05  # m, border of the table around flat cloth
 _REFINEMENT = 2  # cells of crumpled cloth per cell of flat cloth, along a side: larger cells stand up in tents
@@ -119,33 +122,33 @@ def cloth_config_of(item: SceneObject, blueprint: SceneBlueprint, locations: Loc
 
     Raise LookupError if none exists for the asset.
     """
-    if item.asset not in SHEETS:
+    if item.asset not in CLOTH_CONFIGS:
         raise LookupError(
-            f"object {item.name!r}: asset {item.asset!r} is not a supported cloth; valid: {', '.join(SHEETS)}"
+            f"object {item.name!r}: asset {item.asset!r} is not a supported cloth; valid: {', '.join(CLOTH_CONFIGS)}"
         )
-    base = load_config(ObjectConfig, "objects", SHEETS[item.asset], locations).cloth
+    base = load_config(ObjectConfig, "objects", CLOTH_CONFIGS[item.asset], locations).cloth
     assert base is not None, "sheets are cloth"
     nominal = ASSETS[item.asset].footprint_w_cm
     factor = (item.size_cm or nominal) / nominal
     grown: dict[str, Any] = {"size_mm": [side * factor for side in base.size_mm], "mass_g": base.mass_g * factor**2}
-    if CRUMPLED in blueprint.conditions:
+    if CRUMPLE_CONDITION in blueprint.conditions:
         grown |= {"grid": [_REFINEMENT * (count - 1) + 1 for count in base.grid], "solver": "cg"}
     if is_folded_in_thirds(blueprint, item):
         grown["grid"] = [base.grid[0], _THIRDS_POINTS]
     cloth = Cloth.model_validate({**base.model_dump(mode="json"), **grown})
     data = {"name": item.name, "cloth": cloth.model_dump(mode="json")}
-    return ObjectConfig.model_validate({**data, **cloth_object(data)})
+    return ObjectConfig.model_validate({**data, **object_keys_from_cloth(data)})
 
 
 def crumpled_start(blueprint: SceneBlueprint, scene: CompiledScene, start: Array, timestep: float) -> Array:
     """Return MuJoCo's positions (nq,) with the flat cloths of `start` crumpled, always the same for a blueprint."""
-    level = blueprint.conditions.get(CRUMPLED)
+    level = blueprint.conditions.get(CRUMPLE_CONDITION)
     if level is None:
         return start
     key = repr(sorted((name, str(value)) for name, value in blueprint.values.items()))
     rng = np.random.default_rng(zlib.crc32(key.encode()))
     for name in scene.cloths:
-        start = crumple(scene, start, name, rng, _CRUMPLES[str(level)], timestep)
+        start = crumple_cloth(scene, start, name, rng, _CRUMPLE_SHARES[str(level)], timestep)
     return start
 
 

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from kitchenbench.sim.blueprint import ASSETS, SceneBlueprint
 
-from ..core.attempt_data import Layout
+from ..core.attempt_data import ObjectLayout
 from ..core.config.goals.role_assignment import RoleAssignment
 from ..core.config.objects.object_config import ObjectConfig
 from ..core.config.program_task import PROGRAM, ProgramTask
@@ -29,10 +29,10 @@ from ..core.sim.settling import settle_objects
 from ..core.sim.sim_world import ContainerRegion, SimWorld
 from ..session_opener import SessionOpener, parse_size
 from .asset_configs import (
+    CLOTH_CONFIGS,
     COMPARTMENT,
-    CRUMPLED,
+    CRUMPLE_CONDITION,
     FOLD,
-    SHEETS,
     cloth_config_of,
     crumpled_start,
     object_config_of,
@@ -40,11 +40,11 @@ from .asset_configs import (
 )
 from .object_poses import BESIDE, T_in_world, feasible_poses, origin_in_world
 
-STATION = "yam_station_linear_4310_d405"  # name of the rig's config
+STATION_RIG = "yam_station_linear_4310_d405"  # name of the rig's config
 TICK_HZ = 30  # Hz, control ticks
 
 #: Kinds of KitchenBench's goals whose scenes can be built.
-KINDS = frozenset({"place_on", "stack", "place_in", "handoff", "sort", FOLD})
+GOAL_KINDS = frozenset({"place_on", "stack", "place_in", "handoff", "sort", FOLD})
 _HANDED_OVER = "handoff"  # a cup is not put into another object
 
 _PLACEHOLDER_TASK = "tower"  # replaced by a scene of KitchenBench
@@ -61,22 +61,22 @@ _MAX_OFFSET_MM = 5.0  # mm; an object that rests farther from its required place
 _POLICY_CONDITIONS = frozenset(
     {"slot_index", "handoff_height_cm", "approach_angle_deg", "approach_tilt_deg", "release_x_cm"}
 )
-_REALIZED_CONDITIONS = frozenset({"slot_width_cm", CRUMPLED})
+_REALIZED_CONDITIONS = frozenset({"slot_width_cm", CRUMPLE_CONDITION})
 
 _LOG = logging.getLogger("yamsim")
-_OPENER = SessionOpener(os.environ, _LOG.warning, "{}=".format)
+_SESSION_OPENER = SessionOpener(os.environ, _LOG.warning, "{}=".format)
 
 
 def open_station_session(size: str, *, images: bool, quality: str = "fast", task: str = _PLACEHOLDER_TASK) -> Session:
     """Open a session of the station. A KitchenBench scene replaces `task`."""
-    given: dict[str, Any] = {"rig": STATION, "task": task, "size": parse_size(size), "quality": quality}
-    where = _OPENER.locations()
-    if "contact" in _OPENER.config("default", where, **given).task.valid_grasps:
+    given: dict[str, Any] = {"rig": STATION_RIG, "task": task, "size": parse_size(size), "quality": quality}
+    where = _SESSION_OPENER.find_locations()
+    if "contact" in _SESSION_OPENER.load_record_config("default", where, **given).task.valid_grasps:
         # Actions of Inspect Robots cannot command a weld.
         given["grasp"] = "contact"
     if images:
-        return _OPENER.open("default", parallel=False, **given)
-    return Session(_OPENER.config("default", where, **given), where).without_meshes()
+        return _SESSION_OPENER.open("default", parallel=False, **given)
+    return Session(_SESSION_OPENER.load_record_config("default", where, **given), where).without_meshes()
 
 
 @dataclass(frozen=True)
@@ -98,12 +98,12 @@ class BenchmarkScene:
     unrealized: tuple[str, ...]
 
     @property
-    def items(self) -> dict[str, ObjectConfig]:
+    def object_configs(self) -> dict[str, ObjectConfig]:
         """Name of a blueprint's object -> its config."""
         return {item.name: item for item in self.simulator.config.task.objects}
 
     @property
-    def bases(self) -> list[Array]:
+    def base_positions(self) -> list[Array]:
         """Positions (2,) of the arms' bases in `world`, m."""
         return [arm.T_base_in_world[:2, 3] for arm in self.simulator.scene.arms]
 
@@ -112,7 +112,7 @@ class BenchmarkScene:
         """The sides of the scene's arms."""
         return arm_sides(self.simulator.config)
 
-    def episode(self) -> Episode:
+    def new_episode(self) -> Episode:
         """Return a new episode without a goal: KitchenBench's checker decides."""
         scene, timing = self.simulator.scene, self.simulator.config.task.timing
         return Episode(
@@ -132,16 +132,16 @@ def build_benchmark_scene(blueprint: SceneBlueprint, base: Session) -> Benchmark
 
     Raise LookupError for a kind of goal or an object that yamsim does not have.
     """
-    if blueprint.target_kind not in KINDS:
+    if blueprint.target_kind not in GOAL_KINDS:
         raise LookupError(
             f"scene {blueprint.scene_id!r}: goals of kind {blueprint.target_kind!r} are not supported; "
-            f"valid: {', '.join(sorted(KINDS))}"
+            f"valid: {', '.join(sorted(GOAL_KINDS))}"
         )
     things = [item for item in blueprint.objects if item.asset != COMPARTMENT]
     nests = blueprint.target_kind != _HANDED_OVER
     objects = [
         cloth_config_of(item, blueprint, base.locations)
-        if item.asset in SHEETS or blueprint.target_kind == FOLD
+        if item.asset in CLOTH_CONFIGS or blueprint.target_kind == FOLD
         else object_config_of(item, blueprint.conditions, base.locations, nests)
         for item in things
     ]
@@ -159,7 +159,9 @@ def build_benchmark_scene(blueprint: SceneBlueprint, base: Session) -> Benchmark
         name: round(1000 * float(np.linalg.norm(_horizontal_position(simulator.scene, start, name) - T[:2, 3])), 2)
         for name, T in wanted.items()
     }
-    return BenchmarkScene(blueprint, simulator, start, _regions(blueprint), offsets, _unrealized(blueprint, offsets))
+    return BenchmarkScene(
+        blueprint, simulator, start, _container_regions(blueprint), offsets, _unrealized_conditions(blueprint, offsets)
+    )
 
 
 def _horizontal_position(scene: CompiledScene, qpos: Array, name: str) -> Array:
@@ -205,7 +207,7 @@ def table_for_scene(config: RecordConfig, blueprint: SceneBlueprint) -> Table:
         max(abs(item.x_cm - 100 * BESIDE) + (item.size_cm or ASSETS[item.asset].footprint_w_cm) / 2 for item in things)
         / 100
     )
-    half_width = table.half_size[1] + config.rig.span / 2
+    half_width = table.half_size[1] + config.rig.arm_span / 2
     return table.widen(max(0.0, 2 * (reach + _TABLE_MARGIN - half_width)))
 
 
@@ -214,7 +216,7 @@ def _role_assignment(blueprint: SceneBlueprint) -> RoleAssignment:
     return RoleAssignment({**{name: (name,) for name in kinds}, **blueprint.roles}, kinds)
 
 
-def _regions(blueprint: SceneBlueprint) -> dict[str, ContainerRegion]:
+def _container_regions(blueprint: SceneBlueprint) -> dict[str, ContainerRegion]:
     found = {}
     for item in blueprint.objects:
         if item.asset == COMPARTMENT:
@@ -228,14 +230,14 @@ def _regions(blueprint: SceneBlueprint) -> dict[str, ContainerRegion]:
 
 def _lower_objects(simulator: Simulator, wanted: Mapping[str, Array]) -> Array:
     """Return MuJoCo's positions (nq,) after all objects have been placed in turn on those below them."""
-    scene, top = simulator.scene, simulator.config.table.top
+    scene, top = simulator.scene, simulator.config.widened_table.top_height
     # Objects that are not placed yet are far from all others.
     away = {name: pose((0.0, 0.0, top + _SPARE_HEIGHT * (k + 1))) for k, name in enumerate(wanted)}
-    qpos = scene.start_qpos(Layout(away), start_postures(simulator.config))
+    qpos = scene.start_qpos(ObjectLayout(away), start_postures(simulator.config))
     for name, T_wanted in wanted.items():
         T = T_wanted.copy()
         if name in scene.cloths:
-            T[2, 3] = top + scene.cloths[name].radius + _SPAWN_GAP
+            T[2, 3] = top + scene.cloths[name].half_thickness + _SPAWN_GAP
             scene.set_object_pose(qpos, name, T)
             continue
         T[2, 3] = top + _DROP_HEIGHT
@@ -244,7 +246,7 @@ def _lower_objects(simulator: Simulator, wanted: Mapping[str, Array]) -> Array:
     return qpos
 
 
-def _unrealized(blueprint: SceneBlueprint, offsets: Mapping[str, float]) -> tuple[str, ...]:
+def _unrealized_conditions(blueprint: SceneBlueprint, offsets: Mapping[str, float]) -> tuple[str, ...]:
     lines = []
     for name, value in blueprint.conditions.items():
         if name in _POLICY_CONDITIONS:

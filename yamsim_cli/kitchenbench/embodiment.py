@@ -27,8 +27,8 @@ from ..core.config.recording import RecordConfig
 from ..core.episode.attempt_payload import render_cameras
 from ..core.episode.simulator import Simulator
 from ..core.errors import UsageError
-from .benchmark_scene import KINDS, TICK_HZ, build_benchmark_scene, open_station_session
-from .scene_stepper import ACTION_DIM, ARM_JOINTS, CLOSING, SceneStepper
+from .benchmark_scene import GOAL_KINDS, TICK_HZ, build_benchmark_scene, open_station_session
+from .scene_stepper import ACTION_DIM, ARM_JOINTS, MIN_CLOSING_S, SceneStepper
 from .success_judges import GoalJudge, Judge, KitchenJudge
 from .yamsim_scene import BENCHMARK, GOAL_KIND, build_task_scene
 
@@ -38,7 +38,7 @@ CAMERAS = ("top", "left", "right")  # names of the cameras in observations
 
 CONTROL_HZ = 3.0  # Hz, default rate of actions in simulated time
 
-LABELS = tuple(
+ACTION_LABELS = tuple(
     f"{side}_{part}" for side in ("left", "right") for part in (*(f"j{k}" for k in range(ARM_JOINTS)), "gripper")
 )
 
@@ -60,9 +60,9 @@ def action_space(config: RecordConfig, period: float) -> Box:
         robot = config.rig.arms[number].robot
         low += [*robot.joint_range[:, 0], 0.0]
         high += [*robot.joint_range[:, 1], 1.0]
-        limits += [*(joint.motor_rad_s * period for joint in robot.joints), min(1.0, period / CLOSING)]
+        limits += [*(joint.motor_rad_s * period for joint in robot.joints), min(1.0, period / MIN_CLOSING_S)]
     semantics = ActionSemantics(
-        control_mode="joint_pos", gripper="continuous", dim_labels=LABELS, max_step=tuple(map(float, limits))
+        control_mode="joint_pos", gripper="continuous", dim_labels=ACTION_LABELS, max_step=tuple(map(float, limits))
     )
     return Box((ACTION_DIM,), np.array(low, float), np.array(high, float), semantics)
 
@@ -99,21 +99,21 @@ class YamsimEmbodiment:
         self, *, control_hz: float = CONTROL_HZ, images: bool = True, size: str = "320x240", quality: str = "fast"
     ) -> None:
         self._ticks = ticks_per_action(control_hz)
-        self._open = partial(open_station_session, size, images=images, quality=quality)
-        self._base = self._open()
-        width, height = self._base.config.image.size_px
+        self._open_session = partial(open_station_session, size, images=images, quality=quality)
+        self._base_session = self._open_session()
+        width, height = self._base_session.config.image.size_px
         self._cameras = CAMERAS if images else ()
         fields = (StateField(JOINTS, (ACTION_DIM,), "rad"), StateField(SEED, (1,)))
         self.info = EmbodimentInfo(
             name="yamsim",
-            action_space=action_space(self._base.config, self._ticks / TICK_HZ),
+            action_space=action_space(self._base_session.config, self._ticks / TICK_HZ),
             observation_space=ObservationSpace(
                 cameras=tuple(CameraSpec(name, height, width) for name in self._cameras), state=StateSpec(fields)
             ),
             control_hz=TICK_HZ / self._ticks,
             is_simulated=True,
             capabilities=frozenset({SEEDABLE, RESETTABLE, PRIVILEGED_SUCCESS, *([RENDERABLE] if images else [])}),
-            supported_target_kinds=KINDS | {GOAL_KIND},
+            supported_target_kinds=GOAL_KINDS | {GOAL_KIND},
             docs=_NOTES,
             environment_id="yamsim",
             environment_revision=__version__,
@@ -129,14 +129,14 @@ class YamsimEmbodiment:
         self._seed = 0 if seed is None else seed
         match scene.metadata.get("benchmark"):
             case "kitchenbench":
-                kitchen = build_benchmark_scene(build_blueprint(scene, self._seed), self._base)
+                kitchen = build_benchmark_scene(build_blueprint(scene, self._seed), self._base_session)
                 self._motion = SceneStepper(kitchen, self._ticks)
                 judge = KitchenJudge(kitchen, self._motion)
                 self._judge: Judge = judge
                 self.world = judge.world
                 self.simulator = kitchen.simulator
             case str(name) if name == BENCHMARK:
-                own = build_task_scene(self._open(task=str(scene.metadata["task"])), self._seed)
+                own = build_task_scene(self._open_session(task=str(scene.metadata["task"])), self._seed)
                 self._motion = SceneStepper(own, self._ticks)
                 self._judge = GoalJudge(own, self._motion)
                 self.simulator = own.simulator
@@ -151,7 +151,7 @@ class YamsimEmbodiment:
     def step(self, action: Action) -> StepResult:
         """Execute an action (14,), and judge the new state."""
         assert self.simulator is not None, "call reset first"
-        self._motion.act(np.asarray(action.data, dtype=np.float64))
+        self._motion.execute_action(np.asarray(action.data, dtype=np.float64))
         reached, explanation = self._judge.evaluate()
         reason = "success" if reached else None
         if broken := self._motion.physics_failure():
@@ -182,7 +182,7 @@ class YamsimEmbodiment:
             images = render_cameras(simulator, Attempt(AttemptJob(0, 0)), qpos, self._cameras)
         return Observation(
             images=images,
-            state={JOINTS: self._motion.state(), SEED: np.array([self._seed], dtype=np.float64)},
+            state={JOINTS: self._motion.measured_state(), SEED: np.array([self._seed], dtype=np.float64)},
             instruction=self._judge.instruction,
             state_time=float(self._motion.data.time),
             extra={"unrealized": list(self._judge.unrealized)},

@@ -91,7 +91,9 @@ class FoldSmall(Skill):
             if self.thirds and folds == 1 and (pulled := _pull_nearer_grasps(context, thing)):
                 yield from carry_points(context, thing, pulled, arch=0.0, speed=_SPEED)
                 points = context.world.cloth_points(thing)
-            candidates = [fold for fold in self._sorted_folds(points, first=not folds) if fold.points not in missed]
+            candidates = [
+                fold for fold in self._sorted_folds(points, first=not folds) if fold.grasped_points not in missed
+            ]
             fold, grasps = _first_reachable_fold(context, thing, points, candidates)
             if self.crumpled and not folds and slides < _MAX_SLIDES and not self._is_sufficient(fold):
                 if unparked_hands(context):
@@ -109,7 +111,7 @@ class FoldSmall(Skill):
             try:
                 yield from carry_points(context, thing, grasps, speed=_SLOW_SPEED if folds and fold.layers else _SPEED)
             except SkillFailedError:
-                missed.append(fold.points)
+                missed.append(fold.grasped_points)
                 if len(missed) > _MAX_MISSES:
                     raise
                 yield from open_and_park_hands(context)
@@ -127,10 +129,10 @@ class FoldSmall(Skill):
         if self.thirds and first:
             folds = [fold for fold in folds if fold.share < _MAX_THIRD and len(fold.corners) > 1]
 
-        def order(fold: CreaseFold) -> tuple[bool, int, bool, int, float]:
+        def fold_rank(fold: CreaseFold) -> tuple[bool, int, bool, int, float]:
             return not self._is_sufficient(fold), fold.layers, len(fold.corners) < 2, fold.beneath, fold.area
 
-        return sorted(folds, key=order)
+        return sorted(folds, key=fold_rank)
 
     def _is_sufficient(self, fold: CreaseFold | None) -> bool:
         return fold is not None and fold.area <= _AREA_MARGIN * self.area
@@ -150,7 +152,7 @@ def _first_reachable_fold(
 
 def _slide_turns(points: Array) -> list[float]:
     """Return angles by which a turned cloth's bounding box shrinks, rad."""
-    heading = _heading(points)
+    heading = _sheet_heading(points)
     return [-heading, -1.2 * heading, 0.0]
 
 
@@ -189,7 +191,7 @@ class CreaseFold:
     share: float
 
     @property
-    def points(self) -> tuple[Point, ...]:
+    def grasped_points(self) -> tuple[Point, ...]:
         """The grasped points, by row and column."""
         return tuple(point for point, _ in self.corners)
 
@@ -207,9 +209,9 @@ def bounding_box_area(points: Array) -> float:
 def possible_folds(points: Array, single: bool) -> list[CreaseFold]:
     """Return the folds of each side and corner over creases at several distances.
 
-    `points` are (along y, along x, 3), in `world`, m. In a `single` layer, only wrinkles are higher.
+    `grasped_points` are (along y, along x, 3), in `world`, m. In a `single` layer, only wrinkles are higher.
     """
-    heading = _heading(points)
+    heading = _sheet_heading(points)
     axes = np.array([[math.cos(heading), math.sin(heading)], [-math.sin(heading), math.cos(heading)]])
     along = points.reshape(-1, 3)[:, :2] @ axes.T
     low, high = along.min(axis=0), along.max(axis=0)
@@ -264,7 +266,7 @@ def _corner_point(points: Array, corner: Array) -> tuple[Point, int]:
     return (int(row), int(column)), len(near) - 1
 
 
-def _heading(points: Array) -> float:
+def _sheet_heading(points: Array) -> float:
     """Return the angle of a sheet's sides, modulo quarter turns, rad, which folds along the sides keep."""
     sides = np.concatenate([np.diff(points, axis=k)[..., :2].reshape(-1, 2) for k in (0, 1)])
     whole = (sides[:, 0] + 1j * sides[:, 1]) ** 4
@@ -279,9 +281,9 @@ def required_area(blueprint: SceneBlueprint, item: SceneObject, cloth: Cloth) ->
         whole = asset.footprint_w_cm * asset.footprint_h_cm / 1e4
     else:
         R = np.abs(T_in_world(item, blueprint)[:2, :2])
-        whole = float(np.prod(R @ np.array(cloth.size) + 2 * cloth.radius))
+        whole = float(np.prod(R @ np.array(cloth.size) + 2 * cloth.half_thickness))
     folds, slack = int(float(given.get("fold_count", 1))), float(given.get("slack", 0.0))
     required = FOLD_RATIO_PER_FOLD**folds * (1 + slack) * whole
     # The checker includes the cloth's thickness on all sides.
-    side = math.sqrt(required) - 2 * cloth.radius
+    side = math.sqrt(required) - 2 * cloth.half_thickness
     return float(side**2) * 0.98

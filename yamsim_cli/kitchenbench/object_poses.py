@@ -10,7 +10,7 @@ import numpy as np
 from kitchenbench.sim.blueprint import SceneBlueprint, SceneObject
 
 from ..core.episode.simulator import Simulator
-from ..core.geometry.se3 import Array, inverse, pose, rotation_z
+from ..core.geometry.se3 import Array, invert_pose, pose, rotation_z
 from ..core.scene.start_sampling import footprint_corners, footprint_distance
 from ..core.sim.sim_world import make_sim_world
 from .asset_configs import COMPARTMENT, FOLD
@@ -73,7 +73,7 @@ def feasible_poses(simulator: Simulator, blueprint: SceneBlueprint) -> dict[str,
                 others = [
                     footprint_corners(room[other], places[other]) for other in places if other not in (name, tray)
                 ]
-                places[name] = min(free, key=partial(_cost, places[name], room[name], others))
+                places[name] = min(free, key=partial(_displacement_cost, places[name], room[name], others))
                 _push_away(name, places, wanted, room, tray)
     return places
 
@@ -104,7 +104,7 @@ def _push_away(
             _push_away(other, places, wanted, room, tray)
 
 
-def _cost(T_required: Array, block: Array, others: Sequence[Array], T: Array) -> float:
+def _displacement_cost(T_required: Array, block: Array, others: Sequence[Array], T: Array) -> float:
     """Return the distance of a pose (4, 4) from the required one, m, plus `_OVERLAP_COST` for each overlap."""
     overlaps = sum(footprint_distance(footprint_corners(block, T), other) < 0 for other in others)
     return float(np.linalg.norm(T[:2, 3] - T_required[:2, 3])) + _OVERLAP_COST * overlaps
@@ -118,7 +118,7 @@ def _beside_walls(T: Array, block: Array, T_tray: Array, tray: Array, middles: S
         block, tray: corners (2, 3) of both bounding boxes, in their own frames, m.
         middles: of the tray's compartments, x in its frame, m.
     """
-    T_in_tray = inverse(T_tray) @ T
+    T_in_tray = invert_pose(T_tray) @ T
     half = np.abs(T_in_tray[:2, :2]) @ ((block[1] - block[0])[:2] / 2)
     outer = (tray[1] - tray[0])[:2] / 2
     cell = np.array([outer[0] / len(middles), outer[1]]) - _WALL_THICKNESS

@@ -50,14 +50,14 @@ class YamsimExpert:
 
     def __init__(self) -> None:
         self.config = PolicyConfig()
-        self._base = open_station_session("64x48", images=False)
+        self._base_session = open_station_session("64x48", images=False)
         self._scene: Scene | None = None
-        self._planning: PlanningScene | None = None
-        self._bind(CONTROL_HZ)
+        self._planning_scene: PlanningScene | None = None
+        self._set_control_rate(CONTROL_HZ)
 
     def bind(self, embodiment_info: EmbodimentInfo) -> None:
         """Set the duration of actions to that of the embodiment."""
-        self._bind(embodiment_info.control_hz or CONTROL_HZ)
+        self._set_control_rate(embodiment_info.control_hz or CONTROL_HZ)
 
     def reset(self, scene: Scene) -> None:
         """Begin a scene; its first observation has the seed."""
@@ -70,11 +70,11 @@ class YamsimExpert:
         Raise RuntimeError if observed and simulated joints differ: something changed the actions.
         """
         assert self._scene is not None, "call reset first"
-        if self._planning is None:
+        if self._planning_scene is None:
             seed = int(observation.state[SEED][0])
-            self._planning = PlanningScene(self._realize(self._scene, seed), seed, self._ticks)
-        planning = self._planning
-        off = float(np.abs(np.asarray(observation.state[JOINTS]) - planning.motion.state()).max())
+            self._planning_scene = PlanningScene(self._realize_scene(self._scene, seed), seed, self._ticks)
+        planning = self._planning_scene
+        off = float(np.abs(np.asarray(observation.state[JOINTS]) - planning.motion.measured_state()).max())
         if off > _STATE_TOLERANCE:
             raise RuntimeError(
                 f"the arms are {off:.4f} away from where the expert's actions lead: something changes the actions"
@@ -83,20 +83,20 @@ class YamsimExpert:
 
     def close(self) -> None:
         """Free the expert's simulation."""
-        if self._planning is not None:
-            self._planning.close()
-            self._planning = None
+        if self._planning_scene is not None:
+            self._planning_scene.close()
+            self._planning_scene = None
 
-    def _realize(self, scene: Scene, seed: int) -> BenchmarkScene | YamsimTaskScene:
+    def _realize_scene(self, scene: Scene, seed: int) -> BenchmarkScene | YamsimTaskScene:
         if scene.metadata.get("benchmark") == BENCHMARK:
             return build_task_scene(open_station_session("64x48", images=False, task=str(scene.metadata["task"])), seed)
-        return build_benchmark_scene(build_blueprint(scene, seed), self._base)
+        return build_benchmark_scene(build_blueprint(scene, seed), self._base_session)
 
-    def _bind(self, control_hz: float) -> None:
+    def _set_control_rate(self, control_hz: float) -> None:
         self._ticks = ticks_per_action(control_hz)
         self.info = PolicyInfo(
             name="yamsim_expert",
-            action_space=action_space(self._base.config, self._ticks / TICK_HZ),
+            action_space=action_space(self._base_session.config, self._ticks / TICK_HZ),
             observation_space=ObservationSpace(state_keys=frozenset({JOINTS, SEED})),
             control_hz=control_hz,
         )
@@ -120,10 +120,10 @@ class PlanningScene:
         self.simulator = simulator = realized.simulator
         self.motion = SceneStepper(realized, ticks)
         if isinstance(realized, YamsimTaskScene):
-            self._scene_id, program = realized.scene_id, realized.program()
+            self._scene_id, program = realized.scene_id, realized.expert_skills()
         else:
             self._scene_id = realized.blueprint.scene_id
-            program = build_scene_program(realized.blueprint, realized.items, realized.bases)
+            program = build_scene_program(realized.blueprint, realized.object_configs, realized.base_positions)
         world = self.motion.episode.world
         rng = random_generator(AttemptJob(seed, 0), Stream.SEARCH)
         self.context: PlanningContext = simulator.expert_planner.planning_context(
@@ -141,15 +141,17 @@ class PlanningScene:
         while segment is not None and is_still(segment) and self.motion.is_at_rest():
             segment = self._next_segment()
         actions = (
-            [self.motion.reference] if segment is None else list(segment_actions(self.context, segment, self._ticks))
+            [self.motion.last_reference]
+            if segment is None
+            else list(segment_actions(self.context, segment, self._ticks))
         )
         for action in actions:
-            self.motion.act(action)
+            self.motion.execute_action(action)
         # Arms lag behind the references, and the next skill plans from a state at rest.
         limit = len(actions) + (_MAX_WAITS if segment is None or segment.wait_for_arrival else 0)
         while not self.motion.is_at_rest() and len(actions) < limit:
-            actions.append(self.motion.reference)
-            self.motion.act(actions[-1])
+            actions.append(self.motion.last_reference)
+            self.motion.execute_action(actions[-1])
         return actions
 
     def _next_segment(self) -> MotionSegment | None:
@@ -193,8 +195,8 @@ def segment_actions(context: PlanningContext, segment: MotionSegment, ticks: int
     fingers_of_both = scene_fingers([hand.arm for hand in context.hands])
     joints_of_both = np.concatenate([path.joints for path in segment.paths], axis=1)
     tick = 0
-    while tick < segment.ticks:
-        tick = _straight_until(joints_of_both, tick, min(tick + ticks, segment.ticks))
+    while tick < segment.tick_count:
+        tick = _straight_until(joints_of_both, tick, min(tick + ticks, segment.tick_count))
         parts = []
         for hand, fingers, path in zip(context.hands, fingers_of_both, segment.paths, strict=True):
             # A drive is a spring towards its command. The command includes the deflection by the weight of arm and

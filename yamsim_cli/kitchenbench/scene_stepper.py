@@ -18,7 +18,7 @@ ARM_JOINTS = 6
 _ARM_DIM = ARM_JOINTS + 1
 ACTION_DIM = 2 * _ARM_DIM
 
-CLOSING = 0.35  # s, shortest motion of fingers through their whole range
+MIN_CLOSING_S = 0.35  # s, shortest motion of fingers through their whole range
 _REST_SPEED = 0.15  # rad/s and m/s; slower joints and objects are at rest
 _FINGER_REST_SPEED = 0.01  # m/s; slower fingers are at rest
 _PRESS_SHARE = 0.05  # gripper share; at 0 the gripper presses with its drive's full force
@@ -31,7 +31,7 @@ class RealizedScene(Protocol):
     def simulator(self) -> Simulator:
         """The simulator of the compiled scene."""
 
-    def episode(self) -> Episode:
+    def new_episode(self) -> Episode:
         """Return a new episode at its start."""
 
 
@@ -47,18 +47,18 @@ class SceneStepper:
 
     def __init__(self, realization: RealizedScene, ticks: int) -> None:
         simulator = realization.simulator
-        self._scene, self._ticks, self._tick = simulator.scene, ticks, simulator.config.task.timing.tick
-        self.episode = realization.episode()
+        self._scene, self._ticks, self._tick = simulator.scene, ticks, simulator.config.task.timing.tick_seconds
+        self.episode = realization.new_episode()
         self.data = self.episode.data
         # Cloth sways long after all other objects are at rest.
         cloth = [one.dof.ravel() for one in self._scene.cloths.values()]
         self._rigid_dofs = np.setdiff1d(np.arange(self._scene.model.nv), np.concatenate([[], *cloth]).astype(int))
-        self._reference = self.state()
+        self._reference = self.measured_state()
         self._max_changes = np.concatenate(
-            [[*(arm.motor_speed * self._tick), self._tick / CLOSING] for arm in self._scene.arms]
+            [[*(arm.motor_speed * self._tick), self._tick / MIN_CLOSING_S] for arm in self._scene.arms]
         )
 
-    def state(self) -> Array:
+    def measured_state(self) -> Array:
         """Return joints in rad and gripper openings, 0 closed .. 1 open, (14,); the left arm's first."""
         parts = []
         for arm, fingers in zip(self._scene.arms, scene_fingers(self._scene.arms), strict=True):
@@ -67,8 +67,8 @@ class SceneStepper:
         return np.concatenate(parts)
 
     @property
-    def reference(self) -> Array:
-        """References at the end of the last action, as `state`."""
+    def last_reference(self) -> Array:
+        """References at the end of the last action, as `measured_state`."""
         return self._reference.copy()
 
     def is_at_rest(self) -> bool:
@@ -76,14 +76,14 @@ class SceneStepper:
         fingers = max(float(np.abs(self.data.qvel[fingers.dof]).max()) for fingers in scene_fingers(self._scene.arms))
         return float(np.abs(self.data.qvel[self._rigid_dofs]).max()) <= _REST_SPEED and fingers <= _FINGER_REST_SPEED
 
-    def act(self, action: Array) -> None:
-        """Execute an action (14,): target joints and gripper openings, as `state`."""
+    def execute_action(self, action: Array) -> None:
+        """Execute an action (14,): target joints and gripper openings, as `measured_state`."""
         scene, start = self._scene, self._reference
         limit = self._max_changes * self._ticks
         goal = start + np.clip(np.asarray(action, dtype=float) - start, -limit, limit)
         for tick in range(self._ticks):
             before, after = (start + (goal - start) * (tick + k) / self._ticks for k in (0, 1))
-            self.episode.step(self._ctrl(before, after), (False,) * len(scene.arms))
+            self.episode.step(self._tick_commands(before, after), (False,) * len(scene.arms))
         self._reference = goal
 
     def physics_failure(self) -> str | None:
@@ -91,7 +91,7 @@ class SceneStepper:
         end = self.episode.end
         return end.detail if end is not None and end.reason is EndReason.UNSTABLE else None
 
-    def _ctrl(self, before: Array, after: Array) -> Array:
+    def _tick_commands(self, before: Array, after: Array) -> Array:
         """Return the drives' commands (arms, 7) in a tick, from the references (14,) at its start and end."""
         rows = []
         for k, (arm, fingers) in enumerate(zip(self._scene.arms, scene_fingers(self._scene.arms), strict=True)):

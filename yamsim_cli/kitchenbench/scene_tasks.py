@@ -16,10 +16,10 @@ from kitchenbench.sim.success import CONTACT_TOL_M, CONTAIN_FRACTION
 
 from ..core.config.goals.world import TABLE
 from ..core.config.program_task import PROGRAM
-from ..core.errors import UsageError, suggest
+from ..core.errors import UsageError, suggest_similar
 from ..core.expert.skills.program import SKILLS
 from ..core.expert.skills.skill import Skill
-from .benchmark_scene import STATION, build_benchmark_scene, open_station_session, table_for_scene
+from .benchmark_scene import STATION_RIG, build_benchmark_scene, open_station_session, table_for_scene
 from .object_poses import feasible_poses
 from .skill_programs import build_scene_program
 
@@ -34,8 +34,8 @@ def scene_task_data(name: str) -> dict[str, Any]:
     The name is `TASK/INSTANCE`, such as `stack/cups`; with `@K`, of the scene's epoch K instead of 0. That epoch gives
     objects, instruction and expert. The arrangements are those of up to 100 epochs with the same objects.
     """
-    scene, epoch = _scene(name)
-    first = _blueprint(scene, epoch)
+    scene, epoch = _find_scene(name)
+    first = _scene_blueprint(scene, epoch)
     if first.target_kind not in _KINDS:
         raise UsageError(
             f"kitchenbench/{name}: goals of kind {first.target_kind!r} cannot be recorded; valid: {', '.join(_KINDS)}"
@@ -49,55 +49,57 @@ def scene_task_data(name: str) -> dict[str, Any]:
     realized = build_benchmark_scene(first, base)
     try:
         arrangements = []
-        for number in _epochs(epoch):
-            blueprint = _blueprint(scene, number)
+        for number in _epoch_order(epoch):
+            blueprint = _scene_blueprint(scene, number)
             if _scene_requirements(blueprint) == _scene_requirements(first):
                 places = feasible_poses(realized.simulator, blueprint)
-                arrangements.append({"seed": _seed(scene, number), "places": dict(map(_rounded, places.items()))})
+                arrangements.append(
+                    {"seed": _scene_seed(scene, number), "places": dict(map(_rounded_place, places.items()))}
+                )
             if len(arrangements) == _MAX_ARRANGEMENTS:
                 break
     finally:
         realized.simulator.close()
-    items, timing = realized.items, realized.simulator.config.task.timing
+    items, timing = realized.object_configs, realized.simulator.config.task.timing
     return {
         "name": f"kitchenbench_{first.scene_id.replace('-', '_')}",
         "kind": PROGRAM,
-        "rig": STATION,
+        "rig": STATION_RIG,
         "things": {name: {"of": [item.model_dump(mode="json", exclude_defaults=True)]} for name, item in items.items()},
-        "starts": {name: _region(name, arrangements) for name in items},
+        "starts": {name: _start_region(name, arrangements) for name in items},
         "arrangements": arrangements,
         "phrasings": {"training": [first.instruction]},
-        "goal": {"all": [_goal(first)], "for_s": _HOLD_SECONDS},
-        "expert": [_step(skill) for skill in build_scene_program(first, items, realized.bases)],
+        "goal": {"all": [_goal_data(first)], "for_s": _HOLD_SECONDS},
+        "expert": [_skill_data(skill) for skill in build_scene_program(first, items, realized.base_positions)],
         "timing": {"physics_steps_per_tick": timing.physics_steps_per_tick, "timestep": timing.timestep},
     }
 
 
-def _scene(name: str) -> tuple[Scene, int]:
+def _find_scene(name: str) -> tuple[Scene, int]:
     path, _, epoch = name.partition("@")
     task, _, instance = path.partition("/")
     if task not in tasks.TASK_FACTORIES:
-        raise UsageError(f"kitchenbench/{name}: unknown task {task!r}; {suggest(task, tasks.TASK_FACTORIES)}")
+        raise UsageError(f"kitchenbench/{name}: unknown task {task!r}; {suggest_similar(task, tasks.TASK_FACTORIES)}")
     before = f"{task.replace('_', '-')}-"
     scenes = {scene.id.removeprefix(before): scene for scene in tasks.TASK_FACTORIES[task]().scenes}
     if instance not in scenes:
-        raise UsageError(f"kitchenbench/{name}: {task} has no scene {instance!r}; {suggest(instance, scenes)}")
+        raise UsageError(f"kitchenbench/{name}: {task} has no scene {instance!r}; {suggest_similar(instance, scenes)}")
     if epoch and not epoch.isdecimal():
         raise UsageError(f"kitchenbench/{name}: {epoch!r} is not a realization; give a whole number, 0 or more")
     return scenes[instance], int(epoch or 0)
 
 
-def _epochs(first: int) -> Iterator[int]:
+def _epoch_order(first: int) -> Iterator[int]:
     yield first
     yield from (number for number in range(_EPOCHS) if number != first)
 
 
-def _seed(scene: Scene, epoch: int) -> int:
+def _scene_seed(scene: Scene, epoch: int) -> int:
     return int(derive_seed(0, scene.init_seed, epoch))
 
 
-def _blueprint(scene: Scene, epoch: int) -> SceneBlueprint:
-    return build_blueprint(scene, _seed(scene, epoch))
+def _scene_blueprint(scene: Scene, epoch: int) -> SceneBlueprint:
+    return build_blueprint(scene, _scene_seed(scene, epoch))
 
 
 def _scene_requirements(blueprint: SceneBlueprint) -> tuple[object, ...]:
@@ -105,14 +107,14 @@ def _scene_requirements(blueprint: SceneBlueprint) -> tuple[object, ...]:
     return (slot, blueprint.instruction, *((item.name, item.asset, item.size_cm) for item in blueprint.objects))
 
 
-def _rounded(place: tuple[str, np.ndarray]) -> tuple[str, list[float]]:
+def _rounded_place(place: tuple[str, np.ndarray]) -> tuple[str, list[float]]:
     """Round an object's place in `world`: x and y to 0.01 mm, the heading to 0.01 degrees."""
     name, T = place
     turn = math.degrees(math.atan2(T[1, 0], T[0, 0]))
     return name, [round(float(T[0, 3]), 5), round(float(T[1, 3]), 5), round(turn, 2)]
 
 
-def _region(name: str, arrangements: list[dict[str, Any]]) -> dict[str, Any]:
+def _start_region(name: str, arrangements: list[dict[str, Any]]) -> dict[str, Any]:
     x, y, turn = np.array([one["places"][name] for one in arrangements]).T
     return {
         "on": TABLE,
@@ -120,7 +122,7 @@ def _region(name: str, arrangements: list[dict[str, Any]]) -> dict[str, Any]:
     }
 
 
-def _goal(blueprint: SceneBlueprint) -> Mapping[str, Any]:
+def _goal_data(blueprint: SceneBlueprint) -> Mapping[str, Any]:
     """Return data of a task's YAML for a goal that is equivalent to KitchenBench's checker."""
     roles = blueprint.roles
     match blueprint.target_kind:
@@ -134,6 +136,6 @@ def _goal(blueprint: SceneBlueprint) -> Mapping[str, Any]:
     return {"handed_over": {"thing": roles["item"][0], "to": receiving}}
 
 
-def _step(skill: Skill) -> dict[str, Any]:
+def _skill_data(skill: Skill) -> dict[str, Any]:
     name = next(name for name, known in SKILLS.items() if type(skill) is known)
     return {name: skill.model_dump(mode="json", exclude_defaults=True)}

@@ -14,7 +14,7 @@ from ..core.expert.skills.pick import Pick
 from ..core.expert.skills.place import Place
 from ..core.expert.skills.skill import Skill
 from ..core.geometry.se3 import Array
-from .asset_configs import CRUMPLED, is_folded_in_thirds
+from .asset_configs import CRUMPLE_CONDITION, is_folded_in_thirds
 from .fold_small import FoldSmall, required_area
 from .object_poses import T_in_world
 from .sorting import Sort
@@ -59,7 +59,7 @@ def _fold_program(blueprint: SceneBlueprint, items: Mapping[str, ObjectConfig], 
     assert sheet is not None, "folds are of cloth"
     item = next(one for one in blueprint.objects if one.name == cloth)
     area, thirds = required_area(blueprint, item, sheet), is_folded_in_thirds(blueprint, item)
-    return [FoldSmall(thing=cloth, area=area, thirds=thirds, crumpled=CRUMPLED in blueprint.conditions)]
+    return [FoldSmall(thing=cloth, area=area, thirds=thirds, crumpled=CRUMPLE_CONDITION in blueprint.conditions)]
 
 
 def _pick_and_place(thing: str, placing: Skill) -> list[Skill]:
@@ -71,7 +71,7 @@ def _slot_placement(blueprint: SceneBlueprint, items: Mapping[str, ObjectConfig]
     shape, dish = items[rack].shape, next(thing for thing in blueprint.objects if thing.name == item)
     assert isinstance(shape, RackShape), "a rack is made from sizes"
     slots = (np.arange(shape.slots) - (shape.slots - 1) / 2) * shape.slot_mm / 1000
-    room = shape.size_mm[0] / 2000 - _BOW_CLEARANCE - _width(dish) / 200
+    room = shape.size_mm[0] / 2000 - _BOW_CLEARANCE - _width_cm(dish) / 200
     required = slots[min(int(blueprint.conditions.get("slot_index", 1)), len(slots)) - 1]
     fitting = slots[np.abs(slots) <= room]
     x = min(fitting, key=lambda slot: abs(slot - required), default=0.0)
@@ -94,13 +94,13 @@ def _stack_program(blueprint: SceneBlueprint, names: Sequence[str], bases: Seque
     items = {item.name: item for item in blueprint.objects if item.name in names}
     places = {name: T_in_world(item, blueprint)[:2, 3] for name, item in items.items()}
 
-    def farthest(below: str) -> float:
+    def longest_reach(below: str) -> float:
         """Return an arm's longest reach, m, if the nearer arm brings each object."""
         paths = ((places[name], places[below]) for name in names if name != below)
         return max(min(max(float(np.linalg.norm(end - base)) for end in path) for base in bases) for path in paths)
 
-    below, *others = sorted(names, key=lambda name: (-_width(items[name]), farthest(name)))
-    others.sort(key=lambda name: (-_width(items[name]), _distance_between(places, name, below)))
+    below, *others = sorted(names, key=lambda name: (-_width_cm(items[name]), longest_reach(name)))
+    others.sort(key=lambda name: (-_width_cm(items[name]), _distance_between(places, name, below)))
     skills: list[Skill] = []
     for name in others:
         skills += _pick_and_place(name, Place(thing=name, on=below, drop=_STACK_DROP))
@@ -108,7 +108,7 @@ def _stack_program(blueprint: SceneBlueprint, names: Sequence[str], bases: Seque
     return skills
 
 
-def _width(item: SceneObject) -> float:
+def _width_cm(item: SceneObject) -> float:
     return item.size_cm or ASSETS[item.asset].footprint_w_cm
 
 

@@ -22,8 +22,8 @@ from ..core.expert.skills.handover import Handover
 from ..core.expert.skills.pick import Pick, ReachableGrasp
 from ..core.expert.skills.place import HOVER_HEIGHT, PlaceSkill, pose_raised_by
 from ..core.expert.skills.planning_context import FingerTarget, MotionSegment, PlanningContext, SkillFailedError
-from ..core.expert.skills.skill import ArmSelector, Skill, holding_hand
-from ..core.geometry.se3 import Array, inverse, pose, rotation_from_vector, rotation_z, yaw
+from ..core.expert.skills.skill import ArmSelector, Skill, find_holding_hand
+from ..core.geometry.se3 import Array, invert_pose, pose, rotation_from_vector, rotation_z, yaw
 from ..core.scene.start_sampling import footprint_corners, footprint_distance
 from ..core.sim.sim_world import SimWorld
 
@@ -72,11 +72,11 @@ class PlaceInCompartment(PlaceSkill):
     into: str
     beside: str
 
-    def support(self, roles: RoleAssignment) -> str:
+    def support_name(self, roles: RoleAssignment) -> str:
         """Return the name of the compartment."""
         return roles.object_of(self.into)
 
-    def goals(self, context: PlanningContext, roles: RoleAssignment, thing: str) -> list[Array]:
+    def goal_poses(self, context: PlanningContext, roles: RoleAssignment, thing: str) -> list[Array]:
         """Return poses (4, 4) along the compartment: free places first, then the lowest on other objects."""
         world, into, local_box = context.world, roles.object_of(self.into), context.world.local_box(thing)
         others = [
@@ -87,7 +87,9 @@ class PlaceInCompartment(PlaceSkill):
         free, occupied = list[Array](), list[tuple[float, Array]]()
         for orientation in _orientations(world, thing):
             unoccupied = list[Array]()
-            for off, T_goal in sorted(self._places(context, thing, into, orientation), key=lambda each: each[0]):
+            for off, T_goal in sorted(
+                self._poses_along_compartment(context, thing, into, orientation), key=lambda each: each[0]
+            ):
                 there = footprint_corners(local_box, T_goal)
                 if any(footprint_distance(there, other) < _FREE_DISTANCE for other in others):
                     occupied.append((off, T_goal))
@@ -102,7 +104,9 @@ class PlaceInCompartment(PlaceSkill):
         return [*goals, *(pose_raised_by(T_goal, _DROP_HEIGHT) for T_goal in goals)]
 
     @staticmethod
-    def _places(context: PlanningContext, thing: str, into: str, orientation: Array) -> Iterator[tuple[float, Array]]:
+    def _poses_along_compartment(
+        context: PlanningContext, thing: str, into: str, orientation: Array
+    ) -> Iterator[tuple[float, Array]]:
         """Yield poses (4, 4) along a compartment, without height, and their distance to its middle, m."""
         world = context.world
         T, (low, high), local_box = world.pose(into), world.local_box(into), world.local_box(thing)
@@ -158,7 +162,7 @@ class PutBesideTray(PlaceSkill):
 
     then: PlaceSkill | None = None
 
-    def goals(self, context: PlanningContext, roles: RoleAssignment, thing: str) -> list[Array]:
+    def goal_poses(self, context: PlanningContext, roles: RoleAssignment, thing: str) -> list[Array]:
         """Return poses (4, 4) on free places of the table: by the best grasp for `then`, then by distance."""
         world, (low, high) = context.world, context.world.aabb(TABLE)
         others = [
@@ -196,7 +200,9 @@ def _grasps_for(
             (rank, hand, grip.T_pinch_in_thing)
             for rank, grip in enumerate(context.grasp_candidates(thing, hand.max_opening))
             if not hand.has_failed_with(thing, grip.T_pinch_in_thing)
-            and put.infeasibility(context, roles, hand, thing, inverse(grip.T_pinch_in_thing), hand.ready_joints)
+            and put.infeasibility_reason(
+                context, roles, hand, thing, invert_pose(grip.T_pinch_in_thing), hand.ready_joints
+            )
             is None
         )
         found += itertools.islice(suitable, _MAX_GRASPS)
@@ -362,7 +368,7 @@ class Sort(Skill):
         ]
         seen = {name: footprint_corners(world.local_box(name), world.pose(name)) for name in names}
 
-        def order(name: str) -> tuple[bool, float, float]:
+        def sorting_rank(name: str) -> tuple[bool, float, float]:
             covered = any(
                 footprint_distance(seen[name], seen[other]) < 0 and world.pose(other)[2, 3] > world.pose(name)[2, 3]
                 for other in names
@@ -371,7 +377,7 @@ class Sort(Skill):
             waits = tries.get(name, 0) + (0.0 if self._in_tray(world, name) else _OUTSIDE_PENALTY)
             return covered, waits, -float(world.pose(name)[1, 3])
 
-        return sorted(names, key=order)
+        return sorted(names, key=sorting_rank)
 
     def _move_to_compartment(
         self, context: PlanningContext, roles: RoleAssignment, name: str, number: int
@@ -412,13 +418,13 @@ class PickNarrow(Pick):
             yield from super().grasp_and_lift(context, hand, thing, found)
         except SkillFailedError as error:
             if error.cause in (FailureCause.SLIPPED, FailureCause.DROPPED):
-                hand.failed_grasps.append(HeldObject(thing, inverse(found.candidate.T_pinch_in_thing)))
+                hand.failed_grasps.append(HeldObject(thing, invert_pose(found.candidate.T_pinch_in_thing)))
             raise
 
 
 def _put_back(context: PlanningContext, roles: RoleAssignment, name: str) -> Iterator[MotionSegment]:
     """Put a held object onto a free place of the table, else release it a little lower."""
-    hand = holding_hand(context, name)
+    hand = find_holding_hand(context, name)
     if hand is None:
         return
     try:

@@ -56,7 +56,7 @@ class GoalJudge:
 
     def evaluate(self) -> tuple[bool, str]:
         """Return whether the goal has held for its hold time, and its state as text."""
-        return self._episode.succeeds, self._episode.status
+        return self._episode.has_succeeded, self._episode.goal_status
 
 
 class KitchenWorld:

@@ -8,7 +8,7 @@ from ..core.config.session import Session
 from ..core.episode.episode import Episode
 from ..core.episode.episode_rules import EndRule, EpisodeRules
 from ..core.episode.sampling import describe_missing_start, sample_attempt
-from ..core.episode.simulator import Simulator, open_episode, simulator_for
+from ..core.episode.simulator import Simulator, make_simulator, open_episode
 from ..core.errors import SimulationError
 from ..core.expert.skills.program import build_program
 from ..core.expert.skills.skill import Skill
@@ -41,11 +41,11 @@ class YamsimTaskScene:
         """The task."""
         return self.simulator.config.task
 
-    def episode(self) -> Episode:
+    def new_episode(self) -> Episode:
         """Return a new episode, which ends once the goal has held for its hold time."""
         return open_episode(self.simulator, self.attempt, EpisodeRules(EndRule.SUCCESS))
 
-    def program(self) -> list[Skill]:
+    def expert_skills(self) -> list[Skill]:
         """Return the expert's skills, in order."""
         return build_program(self.task, self.simulator.roles)
 
@@ -57,7 +57,7 @@ def build_task_scene(session: Session, seed: int) -> YamsimTaskScene:
     timing = task.timing.model_copy(update={"timestep": 1 / (TICK_HZ * steps)})
     session = session.with_values(task=task.model_copy(update={"timing": timing}))
     job = AttemptJob(seed, 0)
-    simulator = simulator_for(session, job)
+    simulator = make_simulator(session, job)
     attempt = sample_attempt(simulator, job)
     if attempt.start is None:
         simulator.close()

@@ -84,11 +84,11 @@ class YamsimCamera(Camera):
             DeviceNotConnectedError: the camera is not connected, or the server has ended.
             TimeoutError: no picture arrived in time.
         """
-        return self._new(_READ_S)
+        return self._wait_for_new(_READ_S)
 
     def async_read(self, timeout_ms: float = 200) -> NDArray[Any]:
         """Wait up to `timeout_ms` for a picture (height, width, 3) that was not read yet."""
-        return self._new(timeout_ms / 1000)
+        return self._wait_for_new(timeout_ms / 1000)
 
     def read_latest(self, max_age_ms: int = 500) -> NDArray[Any]:
         """Return the newest picture (height, width, 3), even if read before. Raise TimeoutError if it is too old."""
@@ -96,7 +96,7 @@ class YamsimCamera(Camera):
         age_ms = (time.time_ns() - picture.time_ns) / 1e6
         if age_ms > max_age_ms:
             raise TimeoutError(f"{self}: the newest picture is {age_ms:.0f} ms old, more than {max_age_ms} ms")
-        return self._coloured(picture)
+        return self._in_color_mode(picture)
 
     def disconnect(self) -> None:
         """Close the connection.
@@ -109,10 +109,10 @@ class YamsimCamera(Camera):
         self._reader.close()
         self._reader = None
 
-    def _new(self, timeout: float) -> NDArray[Any]:
+    def _wait_for_new(self, timeout: float) -> NDArray[Any]:
         picture = self._picture_after(self._last, timeout)
         self._last = picture.number
-        return self._coloured(picture)
+        return self._in_color_mode(picture)
 
     def _picture_after(self, after: int, timeout: float) -> Picture:
         if self._reader is None:
@@ -122,6 +122,6 @@ class YamsimCamera(Camera):
         except YamsimError as error:
             raise DeviceNotConnectedError(str(error)) from error
 
-    def _coloured(self, picture: Picture) -> NDArray[Any]:
+    def _in_color_mode(self, picture: Picture) -> NDArray[Any]:
         image = picture.image
         return image.copy() if self.config.color_mode == ColorMode.RGB else np.ascontiguousarray(image[..., ::-1])

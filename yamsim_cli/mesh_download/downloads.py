@@ -40,7 +40,7 @@ class GeneratedMeshes:
 
     def read(self, assets: AssetSet, scratch: Path, progress: FetchProgress) -> dict[str, bytes]:
         """Return file name -> content of a generated set."""
-        progress(f"{assets.name}: {self.name}", assets.size, assets.size)
+        progress(f"{assets.name}: {self.name}", assets.total_bytes, assets.total_bytes)
         return dict(self.files_by_set[assets.name])
 
 
@@ -73,14 +73,14 @@ class Menagerie:
         if host is not None and not _accepts_connection(host, self.probe_s):
             raise SourceError(f"{host[0]} does not answer within {self.probe_s:g} s")
         label = f"{assets.name}: {self.name}"
-        progress(label, 0, assets.size)
+        progress(label, 0, assets.total_bytes)
         # A child process can be killed at the time limit. -P prevents imports from the current folder.
         command = [sys.executable, "-P", "-m", "mujoco_menagerie", "path", assets.menagerie]
         result = run_child(command, scratch, limit_s=self.limit_s, idle_s=self.limit_s)
         if result.returncode != 0:
             raise SourceError((result.stderr.strip().splitlines() or ["failed without a message"])[-1][:300])
         found = _find_by_content(assets, Path(result.stdout.strip()))
-        progress(label, assets.size, assets.size)
+        progress(label, assets.total_bytes, assets.total_bytes)
         return found
 
 
@@ -104,7 +104,7 @@ def _accepts_connection(host: tuple[str, int], timeout_s: float) -> bool:
     """Whether a host accepts a direct TCP connection in time. Behind a proxy, pip is tried next instead."""
     connected = threading.Event()
 
-    def connect() -> None:
+    def try_connection() -> None:
         try:
             socket.create_connection(host, timeout_s).close()
         except OSError:
@@ -112,7 +112,7 @@ def _accepts_connection(host: tuple[str, int], timeout_s: float) -> bool:
         connected.set()
 
     # The timeout of a socket does not cover the name lookup.
-    thread = threading.Thread(target=connect, daemon=True)
+    thread = threading.Thread(target=try_connection, daemon=True)
     thread.start()
     thread.join(timeout_s)
     return connected.is_set()
@@ -162,11 +162,11 @@ class PinnedArchives:
         path = scratch.parent / archive.file
         label = f"{assets.name}: {archive.name} {archive.version}"
         if not path.is_file():
-            self._download(archive, scratch, label, progress).rename(path)
+            self._download_archive(archive, scratch, label, progress).rename(path)
         progress(label, archive.size, archive.size)
         return read_members(path, assets)
 
-    def _download(self, archive: Archive, scratch: Path, label: str, progress: FetchProgress) -> Path:
+    def _download_archive(self, archive: Archive, scratch: Path, label: str, progress: FetchProgress) -> Path:
         if importlib.util.find_spec("pip") is None:
             raise SourceError("this Python has no pip; add it with `python -m ensurepip` (or `uv pip install pip`)")
         if shutil.which("env") is None:
@@ -176,7 +176,7 @@ class PinnedArchives:
         requirements.write_text(f"{archive.name}=={archive.version} --hash=sha256:{archive.sha256}\n")
         temporary.mkdir()
 
-        def downloaded() -> int:
+        def downloaded_bytes() -> int:
             # pip downloads under TMPDIR and then copies the file to its destination.
             paths = (out / archive.file, *temporary.glob(f"*/{archive.file}"))
             size = min(archive.size, max(map(_size, paths)))
@@ -184,7 +184,7 @@ class PinnedArchives:
             return size
 
         command = _pip_command(archive, requirements, temporary, out)
-        result = run_child(command, scratch, limit_s=self.limit_s, idle_s=self.idle_s, watch=downloaded)
+        result = run_child(command, scratch, limit_s=self.limit_s, idle_s=self.idle_s, watch=downloaded_bytes)
         path = out / archive.file
         if result.returncode != 0 or not path.is_file():
             raise SourceError(_failure_reason(archive, result))

@@ -16,7 +16,7 @@ from ..core.scene.assets.asset_store import AssetStore, MismatchError
 from ..core.scene.assets.sources import AssetSource, FetchProgress, SourceError, no_progress
 from .downloads import GeneratedMeshes, Menagerie, PinnedArchives
 
-STORE = "store"  # `FetchedSet.source` of a set that was already present
+STORE_SOURCE = "store"  # `FetchedSet.source` of a set that was already present
 
 
 @dataclass(frozen=True)
@@ -57,16 +57,18 @@ def fetch(
         names: names of sets in `lock`; if empty, all sets that are not on demand.
         stop_at_failure: whether to skip the remaining sets after one that no source provides.
     """
-    wanted = lock.select(names)
-    found = {assets.name: store.resolve(assets) for assets in wanted}
-    sets = {name: FetchedSet(name, STORE, directory) for name, directory in found.items() if directory is not None}
+    wanted = lock.select_sets(names)
+    found = {assets.name: store.find_verified_folder(assets) for assets in wanted}
+    sets = {
+        name: FetchedSet(name, STORE_SOURCE, directory) for name, directory in found.items() if directory is not None
+    }
     missing = [assets for assets in wanted if assets.name not in sets]
     failures = []
     if missing:
         with store.write_lock() as staging:
             for assets in missing:
                 try:
-                    sets[assets.name] = _obtain(assets, lock, store, sources, staging, progress)
+                    sets[assets.name] = _publish_set(assets, lock, store, sources, staging, progress)
                 except SourceError as error:
                     failures.append(f"{assets.name} ({error})")
                     if stop_at_failure:
@@ -81,7 +83,7 @@ def fetch(
     return FetchReport(tuple(sets[assets.name] for assets in wanted))
 
 
-def _obtain(
+def _publish_set(
     assets: AssetSet,
     lock: AssetLock,
     store: AssetStore,
@@ -90,15 +92,15 @@ def _obtain(
     progress: FetchProgress,
 ) -> FetchedSet:
     """Publish a set from the first source that provides the locked files. Needs `store.write_lock`."""
-    if (present := store.resolve(assets)) is not None:
+    if (present := store.find_verified_folder(assets)) is not None:
         # Another process fetched the set while this one waited for the store.
-        return FetchedSet(assets.name, STORE, present)
+        return FetchedSet(assets.name, STORE_SOURCE, present)
     reasons = []
     for source in sources:
         if not source.has_set(assets):
             continue
         try:
-            files = _read(source, assets, staging / uuid.uuid4().hex, progress)
+            files = _read_source(source, assets, staging / uuid.uuid4().hex, progress)
             directory = store.publish(assets, files, lock.notices[assets.notice])
         except (SourceError, MismatchError) as error:
             reasons.append(f"{source.name}: {error}")
@@ -107,7 +109,7 @@ def _obtain(
     raise SourceError("; ".join(reasons) or "no source offers it")
 
 
-def _read(source: AssetSource, assets: AssetSet, scratch: Path, progress: FetchProgress) -> dict[str, bytes]:
+def _read_source(source: AssetSource, assets: AssetSet, scratch: Path, progress: FetchProgress) -> dict[str, bytes]:
     try:
         scratch.mkdir()
         return source.read(assets, scratch, progress)
@@ -136,13 +138,13 @@ def fetch_missing(lock: AssetLock, names: Collection[str], store: AssetStore, pr
             if made := [name for name in names if name in lock.made]:
                 fetch(lock, made, store, (GeneratedMeshes(lock.made),))
             if downloaded := [name for name in names if name not in lock.made]:
-                _download(lock, downloaded, store, progress)
+                _download_absent_sets(lock, downloaded, store, progress)
     except OSError as error:
         raise ResourceError(f"cannot write to the asset store {store.root}: {error.strerror or error}") from error
 
 
-def _download(lock: AssetLock, names: Collection[str], store: AssetStore, progress: FetchProgress) -> None:
-    absent = [name for name in names if store.resolve(lock.sets[name]) is None]
+def _download_absent_sets(lock: AssetLock, names: Collection[str], store: AssetStore, progress: FetchProgress) -> None:
+    absent = [name for name in names if store.find_verified_folder(lock.sets[name]) is None]
     if not absent:
         return
     if _failed_lately(store):

@@ -15,15 +15,15 @@ from ..core.errors import ResourceError
 from ..core.geometry.closed_surface import UniformMassProperties
 from ..core.geometry.height_map import crossings_along_z
 from ..core.geometry.se3 import Array, quat_from_rotation
-from ..core.geometry.stl import Faces, read_stl, stl_bytes
+from ..core.geometry.stl import Faces, decode_stl, encode_stl
 from .collision_geometry import CollisionGeometry, CollisionMode, collision_geometry, rolling_radius, shift_part
-from .convex_decomposition import Share
+from .convex_decomposition import ReportShare
 from .overhead_grasps import overhead_grasp
 from .part_surfaces import merged_surface, plain_inertia, scale_mass, solid_or_sheet
 from .primitives import PointBody
 from .readers.object_parts import MassProperties, ObjectDescription, RigidPart
 from .visual_meshes import VisualMeshes, make_visual_meshes
-from .ycb_config import IN_DEPTH, ROLLING_SHARE
+from .ycb_config import MIN_VESSEL_DEPTH, ROLLING_SHARE
 
 _DEFAULT_DENSITY = 1000.0  # kg/m3, if nothing states a mass; close to most plastics, ripe fruit and water
 _DEFAULT_FRICTION = 0.8  # sliding
@@ -60,7 +60,7 @@ class BuiltObject:
     """The config data and mesh files of an imported object.
 
     Attributes:
-        data: config whose meshes lack the name of their set, which `with_set` adds.
+        data: config whose meshes lack the name of their set, which `config_with_mesh_set` adds.
         files: file name -> content.
         collision: of each part, the base first.
         mass: of the whole object, kg.
@@ -77,23 +77,23 @@ class BuiltObject:
     is_closed: bool
     notes: tuple[str, ...]
 
-    def with_set(self, name: str) -> dict[str, Any]:
+    def config_with_mesh_set(self, name: str) -> dict[str, Any]:
         """Return the config data with `name` as mesh set."""
 
-        def named(meshes: list[Mapping[str, Any]]) -> list[dict[str, Any]]:
+        def mesh_with_set(meshes: list[Mapping[str, Any]]) -> list[dict[str, Any]]:
             return [{"set": name, **mesh} for mesh in meshes]
 
         data = dict(self.data)
-        (data["mesh"],) = named([data["mesh"]])
+        (data["mesh"],) = mesh_with_set([data["mesh"]])
         if "meshes" in data:
-            data["meshes"] = named(data["meshes"])
+            data["meshes"] = mesh_with_set(data["meshes"])
         if "links" in data:
-            data["links"] = [{**link, "meshes": named(link["meshes"])} for link in data["links"]]
+            data["links"] = [{**link, "meshes": mesh_with_set(link["meshes"])} for link in data["links"]]
         return data
 
 
 def build_object(
-    thing: ObjectDescription, options: ImportOptions, cache: Path, share: Share = lambda done: None
+    thing: ObjectDescription, options: ImportOptions, cache: Path, share: ReportShare = lambda done: None
 ) -> BuiltObject:
     """Build an object's config and files from a description in metres, z up.
 
@@ -104,44 +104,44 @@ def build_object(
         raise ResourceError(f"{options.name}: its base {thing.parts[0].name!r} has no visible surface")
     base = merged_surface(thing.parts[0].looks)
     _require_volume(base[0], options.name)
-    labels = _labels(thing)
+    labels = _part_labels(thing)
     solids = [solid_or_sheet(*merged_surface(part.looks)) if part.looks else None for part in thing.parts]
     weights = _mass_properties(thing, options, [None if solid is None else solid[0] for solid in solids])
     collision = []
     for number, (part, label) in enumerate(zip(thing.parts, labels, strict=True)):
-        part_share = functools.partial(_report_part, share, number, len(thing.parts))
+        part_share = functools.partial(_report_part_progress, share, number, len(thing.parts))
         geometry = collision_geometry(label, part.looks, part.shapes, options.collision, cache, part_share)
         collision.append(geometry)
     depth, level = _rim_depth(*base), _level_height(*base)
-    origin = _origin(base[0], weights[0], supports_others=level is not None)
+    origin = _object_origin(base[0], weights[0], supports_others=level is not None)
     looks = [make_visual_meshes(f"{label}_look", part.looks) for part, label in zip(thing.parts, labels, strict=True)]
     data: dict[str, Any] = {
         "name": options.name,
-        **_meshes(looks[0], origin),
+        **_mesh_entries(looks[0], origin),
         "inertia": plain_inertia(replace(weights[0], centre=weights[0].centre - origin), options.name),
-        "contact": _contact(collision[0], options.friction or thing.friction or _DEFAULT_FRICTION),
+        "contact": _contact_data(collision[0], options.friction or thing.friction or _DEFAULT_FRICTION),
         "collision": [shift_part(part, -origin) for part in collision[0].parts],
-        "rest_height": round(max(0.0, float(origin[2]) - _lowest(thing)), 5),
+        "rest_height": round(max(0.0, float(origin[2]) - _lowest_height(thing)), 5),
     }
     if level is not None:
         data["support"] = round(max(0.0, level - float(origin[2])), 5)
-    if depth >= IN_DEPTH:
+    if depth >= MIN_VESSEL_DEPTH:
         data["preposition"] = "in"
     if (options.base or ("fixed" if thing.fixed else "free")) == "fixed":
         data["base"] = "fixed"
     if len(thing.parts) > 1:
         data["links"] = [
-            _link(part, labels, number, weights[number], looks[number], collision[number], origin)
+            _link_data(part, labels, number, weights[number], looks[number], collision[number], origin)
             for number, part in enumerate(thing.parts)
             if number
         ]
     if thing.parts[0].handles:
         data["handles"] = [_shift_handle(handle, origin) for handle in thing.parts[0].handles]
-    if held := _grasp(base, weights[0].mass, origin):
+    if held := _overhead_grasp_data(base, weights[0].mass, origin):
         data["grasp"] = held
     return BuiltObject(
         data,
-        _files(looks, collision, origin),
+        _mesh_files(looks, collision, origin),
         tuple(collision),
         mass=sum(weight.mass for weight in weights),
         mass_is_guessed=options.mass is None
@@ -152,7 +152,7 @@ def build_object(
     )
 
 
-def _report_part(share: Share, number: int, parts: int, done: float) -> None:
+def _report_part_progress(share: ReportShare, number: int, parts: int, done: float) -> None:
     share(number / parts + 1 / parts * done)
 
 
@@ -162,7 +162,7 @@ def _require_volume(vertices: Array, name: str) -> None:
         raise ResourceError(f"{name}: all {len(vertices)} vertices of its base lie in one plane; give it a thickness")
 
 
-def _labels(thing: ObjectDescription) -> list[str]:
+def _part_labels(thing: ObjectDescription) -> list[str]:
     labels = ["base"]
     for part in thing.parts[1:]:
         label = re.sub(r"\W+", "_", part.name, flags=re.ASCII).strip("_") or "part"
@@ -191,7 +191,7 @@ def _mass_properties(
     return weights
 
 
-def _origin(vertices: Array, weight: MassProperties, *, supports_others: bool) -> Array:
+def _object_origin(vertices: Array, weight: MassProperties, *, supports_others: bool) -> Array:
     """Return the origin (3,), m: the underside's middle if `supports_others`, else the centre of mass."""
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     middle = np.array([*_base_centre(vertices), low[2]]) if supports_others else weight.centre
@@ -225,23 +225,25 @@ def _rim_depth(vertices: Array, faces: Faces) -> float:
     return float(vertices[:, 2].max() - np.median(heights)) if len(heights) else 0.0
 
 
-def _lowest(thing: ObjectDescription) -> float:
-    looks = [surface.transform(T) for part, T in zip(thing.parts, thing.poses(), strict=True) for surface in part.looks]
+def _lowest_height(thing: ObjectDescription) -> float:
+    looks = [
+        surface.transform(T) for part, T in zip(thing.parts, thing.part_poses(), strict=True) for surface in part.looks
+    ]
     return min(float(surface.vertices[:, 2].min()) for surface in looks)
 
 
-def _contact(geometry: CollisionGeometry, friction: float) -> dict[str, Any]:
+def _contact_data(geometry: CollisionGeometry, friction: float) -> dict[str, Any]:
     if (radius := rolling_radius(geometry.parts)) is not None:
         return {"friction": [friction, _TORSIONAL_FRICTION, round(ROLLING_SHARE * radius, 4)], "condim": 6}
     return {"friction": [friction, _TORSIONAL_FRICTION, _ROLLING_FRICTION], "condim": 4}
 
 
-def _meshes(looks: VisualMeshes, origin: Array) -> dict[str, Any]:
+def _mesh_entries(looks: VisualMeshes, origin: Array) -> dict[str, Any]:
     first, *others = [{**mesh, "origin": [float(x) for x in origin]} for mesh in looks.meshes]
     return {"mesh": first, **({"meshes": others} if others else {})}
 
 
-def _link(
+def _link_data(
     part: RigidPart,
     labels: list[str],
     number: int,
@@ -283,20 +285,20 @@ def _shift_handle(handle: Mapping[str, Any], origin: Array) -> dict[str, Any]:
     return {**{key: _round_value(value) for key, value in handle.items()}, "name": name, "position": position}
 
 
-def _files(looks: list[VisualMeshes], collision: list[CollisionGeometry], origin: Array) -> dict[str, bytes]:
+def _mesh_files(looks: list[VisualMeshes], collision: list[CollisionGeometry], origin: Array) -> dict[str, bytes]:
     """Return name -> content, with the base's collision meshes shifted by -`origin`."""
     files: dict[str, bytes] = {}
     for look in looks:
         files |= look.files
     for number, geometry in enumerate(collision):
         for name, data in geometry.files.items():
-            vertices, faces = read_stl(data)
-            files[name] = stl_bytes(vertices - origin, faces) if number == 0 else data
+            vertices, faces = decode_stl(data)
+            files[name] = encode_stl(vertices - origin, faces) if number == 0 else data
     return files
 
 
-def _grasp(base: tuple[Array, Faces], mass: float, origin: Array) -> dict[str, Any] | None:
-    body = PointBody.inside(base[0] - origin, base[1])
+def _overhead_grasp_data(base: tuple[Array, Faces], mass: float, origin: Array) -> dict[str, Any] | None:
+    body = PointBody.from_mesh(base[0] - origin, base[1])
     if not len(body.points):
         return None
     heights = base[0][:, 2] - origin[2]

@@ -11,8 +11,8 @@ import numpy as np
 
 from ..core.geometry.closed_surface import is_closed
 from ..core.geometry.se3 import Array
-from ..core.geometry.stl import stl_bytes
-from .convex_decomposition import Body, Share, convex_hull, convexity, decompose
+from ..core.geometry.stl import encode_stl
+from .convex_decomposition import Body, ReportShare, convex_hull, convexity, decompose_body
 from .part_surfaces import merged_surface
 from .primitive_fit import Scan, SolidFit, evaluate_fit, fit_hollow, fit_solid
 from .primitives import primitive_data
@@ -20,7 +20,7 @@ from .readers.object_parts import Surface
 
 CollisionMode = Literal["auto", "primitives", "decompose", "sdf", "hull"]
 
-NEAR = 0.0015  # m; "auto" uses fitted primitives if 99 % of the surface is nearer
+MAX_PRIMITIVE_DISTANCE = 0.0015  # m; "auto" uses fitted primitives if 99 % of the surface is nearer
 _MIN_CONVEXITY = 0.995  # volume over the convex hull's; above, a body counts as convex
 
 
@@ -47,7 +47,7 @@ def collision_geometry(
     shapes: tuple[Mapping[str, Any] | Surface, ...] | None,
     collision: CollisionMode,
     cache: Path,
-    share: Share,
+    share: ReportShare,
 ) -> CollisionGeometry:
     """Return a part's collision geometry.
 
@@ -61,22 +61,22 @@ def collision_geometry(
         ResourceError: a body cannot be decomposed.
     """
     if shapes is not None and collision == "auto":
-        return _of_file(name, shapes, cache, share)
+        return _geometry_from_shapes(name, shapes, cache, share)
     meshes = tuple(shape for shape in shapes or () if isinstance(shape, Surface))
     body = merged_surface(meshes if meshes and len(meshes) == len(shapes or ()) else looks)
     if collision in ("auto", "primitives"):
         fit = fit_primitives(body)
-        if collision == "primitives" or fit.p99 <= NEAR:
+        if collision == "primitives" or fit.p99 <= MAX_PRIMITIVE_DISTANCE:
             return CollisionGeometry("primitives", tuple(primitive_data(part) for part in fit.parts), {}, fit=fit)
     if collision == "sdf":
-        return _of_meshes(name, "sdf", [body])
+        return _geometry_from_bodies(name, "sdf", [body])
     if collision == "hull" or (is_closed(body[1]) and convexity(body) > _MIN_CONVEXITY):
-        return _of_meshes(name, "hull", [convex_hull(body)])
-    return _of_meshes(name, "decompose", decompose(body, cache, share))
+        return _geometry_from_bodies(name, "hull", [convex_hull(body)])
+    return _geometry_from_bodies(name, "decompose", decompose_body(body, cache, share))
 
 
-def _of_file(
-    name: str, shapes: tuple[Mapping[str, Any] | Surface, ...], cache: Path, share: Share
+def _geometry_from_shapes(
+    name: str, shapes: tuple[Mapping[str, Any] | Surface, ...], cache: Path, share: ReportShare
 ) -> CollisionGeometry:
     parts: list[Mapping[str, Any]] = [shape for shape in shapes if not isinstance(shape, Surface)]
     bodies: list[Body] = []
@@ -84,16 +84,16 @@ def _of_file(
         if isinstance(shape, Surface):
             body = merged_surface((shape,))
             is_convex = shape.convex or (is_closed(body[1]) and convexity(body) > _MIN_CONVEXITY)
-            bodies += [convex_hull(body)] if is_convex else decompose(body, cache, share)
-    made = _of_meshes(name, "file", bodies)
+            bodies += [convex_hull(body)] if is_convex else decompose_body(body, cache, share)
+    made = _geometry_from_bodies(name, "file", bodies)
     return CollisionGeometry("file", (*parts, *made.parts), made.files)
 
 
-def _of_meshes(name: str, kind: str, bodies: list[Body]) -> CollisionGeometry:
+def _geometry_from_bodies(name: str, kind: str, bodies: list[Body]) -> CollisionGeometry:
     parts, files = list[Mapping[str, Any]](), {}
     for number, (vertices, faces) in enumerate(bodies):
         file = f"{name}_{'sdf' if kind == 'sdf' else 'part'}_{number}.stl"
-        files[file] = stl_bytes(vertices, faces)
+        files[file] = encode_stl(vertices, faces)
         low, high = ([round(float(x), 5) for x in corner] for corner in (vertices.min(axis=0), vertices.max(axis=0)))
         parts.append({"type": "sdf" if kind == "sdf" else "hull", "file": file, "low": low, "high": high})
     return CollisionGeometry(kind, tuple(parts), files)

@@ -29,20 +29,22 @@ from .part_surfaces import simplified_mesh
 DECOMPOSITION_FOLDER = "decomposed"  # folder of cached results, beside the mesh sets
 
 # Triangle counts of the reduced body, tried in order, and its largest deviation; the parts deviate by 1 to 2 mm.
-_FACES, _LIMIT_MM = (1_000, 2_000, 4_000, 8_000), 0.3
+_FACE_COUNTS, _LIMIT_MM = (1_000, 2_000, 4_000, 8_000), 0.3
 
 # Found by experiment (docs/figures.md). `threshold`: remaining concavity over half the body's length. `parts`: maximum
 # number. The others limit the tree search of each cut.
-_SEARCH = {"threshold": 0.05, "parts": 32, "iterations": 40, "nodes": 10, "depth": 2, "resolution": 1000}
+_SEARCH_OPTIONS = {"threshold": 0.05, "parts": 32, "iterations": 40, "nodes": 10, "depth": 2, "resolution": 1000}
 _LIMIT_S = 300.0  # s; several times the duration for some thousand triangles
-_MEMORY = 8_000_000_000  # bytes, address space of the child
+_MEMORY_BYTES = 8_000_000_000  # bytes, address space of the child
 _CORE_SECONDS = 1200  # s, CPU time of the child on all cores
 
-Share = Callable[[float], None]  # called with the completed share, 0 to 1
+ReportShare = Callable[[float], None]  # called with the completed share, 0 to 1
 Body = tuple[Array, Faces]  # vertices (n, 3), m; triangles (m, 3)
 
 
-def decompose(body: Body, cache: Path, share: Share = lambda done: None, limit_s: float = _LIMIT_S) -> list[Body]:
+def decompose_body(
+    body: Body, cache: Path, share: ReportShare = lambda done: None, limit_s: float = _LIMIT_S
+) -> list[Body]:
     """Return convex parts whose union approximates a body; `cache` is the folder of earlier results.
 
     Raises:
@@ -53,14 +55,17 @@ def decompose(body: Body, cache: Path, share: Share = lambda done: None, limit_s
             "convex parts need coacd: run `pip install 'yamsim[import]'`, or choose --collision hull or sdf"
         )
     vertices, faces = merge_vertices(*body)
-    if is_closed(faces) and (fewer := simplified_mesh((vertices, faces), _FACES, _LIMIT_MM, closed=True)) is not None:
+    if (
+        is_closed(faces)
+        and (fewer := simplified_mesh((vertices, faces), _FACE_COUNTS, _LIMIT_MM, closed=True)) is not None
+    ):
         vertices, faces = fewer
-    how: dict[str, Any] = {**_SEARCH, "coacd": version("coacd"), "closed": is_closed(faces)}
+    how: dict[str, Any] = {**_SEARCH_OPTIONS, "coacd": version("coacd"), "closed": is_closed(faces)}
     source = io.BytesIO()
     np.savez(source, vertices=vertices, faces=faces)
     text = json.dumps(how, sort_keys=True).encode()
     file = cache / f"{sha256_bytes(vertices.tobytes() + faces.tobytes() + text)}.npz"
-    if (parts := _read(file)) is not None:
+    if (parts := _read_bodies(file)) is not None:
         return parts
     with scratch_directory("yamsim-parts-") as scratch:
         (scratch / "body.npz").write_bytes(source.getvalue())
@@ -71,13 +76,13 @@ def decompose(body: Body, cache: Path, share: Share = lambda done: None, limit_s
         write_file(file, data)
     except OSError as error:
         raise ResourceError(f"{file} cannot be written: {error.strerror}") from error
-    parts = _read(file)
+    parts = _read_bodies(file)
     if parts is None:
         raise ResourceError("the decomposition gave no convex parts: try --collision sdf")
     return parts
 
 
-def _decompose_in_child(scratch: Path, share: Share, limit_s: float) -> bytes:
+def _decompose_in_child(scratch: Path, share: ReportShare, limit_s: float) -> bytes:
     call = python_call(run_decomposition, str(scratch))
     furthest = 0.0
 
@@ -111,7 +116,7 @@ def run_decomposition(folder: str) -> None:
 
     import coacd
 
-    resource.setrlimit(resource.RLIMIT_AS, (_MEMORY, _MEMORY))
+    resource.setrlimit(resource.RLIMIT_AS, (_MEMORY_BYTES, _MEMORY_BYTES))
     resource.setrlimit(resource.RLIMIT_CPU, (_CORE_SECONDS, _CORE_SECONDS))
     scratch = Path(folder)
     how = json.loads((scratch / "how.json").read_bytes())
@@ -139,7 +144,7 @@ def run_decomposition(folder: str) -> None:
     np.savez(scratch / "parts.npz", **arrays)
 
 
-def _read(file: Path) -> list[Body] | None:
+def _read_bodies(file: Path) -> list[Body] | None:
     try:
         with np.load(file, allow_pickle=False) as stored:
             count = sum(name.startswith("v") for name in stored.files)

@@ -37,12 +37,12 @@ def overhead_grasp(body: PointBody, mass: float, foot: float, top: float) -> dic
     height = max(min(height, top - _MIN_TOP_DEPTH), top - _MAX_TOP_DEPTH)
     centre = (float(body.centre[0]), float(body.centre[1]))
     body = PointBody(body.points[np.abs(body.points[:, 2] - height) <= _HALF_PAD], body.step)
-    widths = {axis: found for axis in _AXES_DEG if (found := body.width(height, axis, centre, _HALF_PAD))}
+    widths = {axis: found for axis in _AXES_DEG if (found := body.width_between_pads(height, axis, centre, _HALF_PAD))}
     least = min(width for width, _ in widths.values())
-    best = _middle([axis for axis, (width, _) in widths.items() if width <= least + body.step / 2])
-    points = [_point(body, height, best, centre)]
+    best = _middle_heading([axis for axis, (width, _) in widths.items() if width <= least + body.step / 2])
+    points = [_grasp_point(body, height, best, centre)]
     points += [
-        _point(body, height, other, centre)
+        _grasp_point(body, height, other, centre)
         for turn in (90, 45, 135)
         if widths.get(other := (best + turn) % 180, (math.inf, 0))[0] <= least + _WIDTH_TOLERANCE
     ]
@@ -50,14 +50,14 @@ def overhead_grasp(body: PointBody, mass: float, foot: float, top: float) -> dic
     if len(points) == 1:
         for offset in _DISPLACEMENTS:
             at = (centre[0] + float(offset * along[0]), centre[1] + float(offset * along[1]))
-            found = body.width(height, best, at, _HALF_PAD)
+            found = body.width_between_pads(height, best, at, _HALF_PAD)
             if found and found[0] <= least + _WIDTH_TOLERANCE:
-                points.append(_point(body, height, best, at))
+                points.append(_grasp_point(body, height, best, at))
     force = max(_MIN_FORCE, _WEIGHT_FACTOR * mass * 9.81 / 2)
     return {**points[0], "friction": {"force": round(force, 1), "points": points}}
 
 
-def _middle(axes: list[int]) -> int:
+def _middle_heading(axes: list[int]) -> int:
     """Return the middle of the first run of consecutive headings, degrees; 0 for a round outline."""
     if len(axes) > _ROUND_RANGE:
         return 0
@@ -67,8 +67,8 @@ def _middle(axes: list[int]) -> int:
     return (start + (length - 1) // 2) % 180
 
 
-def _point(body: PointBody, height: float, axis: int, at: tuple[float, float]) -> dict[str, Any]:
-    found = body.width(height, axis, at, _HALF_PAD)
+def _grasp_point(body: PointBody, height: float, axis: int, at: tuple[float, float]) -> dict[str, Any]:
+    found = body.width_between_pads(height, axis, at, _HALF_PAD)
     assert found is not None
     width, middle = found
     angle = math.radians(axis)

@@ -14,7 +14,7 @@ from ..core.config.objects.primitives import Box, Capsule, Cylinder, Primitive, 
 from ..core.geometry.closed_surface import sphere_directions
 from ..core.geometry.se3 import Array
 from ..core.geometry.shape_generators.generated_shape import simplify_polyline
-from ..core.geometry.stl import Faces, read_stl
+from ..core.geometry.stl import Faces, decode_stl
 from ..core.geometry.surface_distance import sample_surface
 from .primitives import signed_distance
 
@@ -22,10 +22,10 @@ _SAMPLES = 6000  # points of a surface; another random sample changes no fit by 
 
 _PARAMETER_COST = 3e-4  # m, cost of each parameter of a shape: a shape with more must fit that much better
 _DIMPLE_DEPTH = 0.0015  # m; points deeper under all tangent planes lie in a dimple, and are left out of a fit
-_PLANES = 600  # number of tangent planes around the points, in directions spread over the sphere
+_TANGENT_PLANES = 600  # number of tangent planes around the points, in directions spread over the sphere
 _GROUND_REACH = 0.004  # m; a capsule's end with less clearance from the ground is moved to the ground
 _MAX_STEPS = 30  # iterations of a fit
-_STEP = 1e-5  # step of the finite differences in each parameter, m or rad
+_DIFFERENCE_STEP = 1e-5  # step of the finite differences in each parameter, m or rad
 _TOLERANCE = 1e-4  # length of a step over that of the parameters, below which a fit stops
 _DAMPING_FACTOR = 8.0  # factor of the damping after a rejected step; MuJoCo's default of 1.26 takes half as long again
 
@@ -39,7 +39,7 @@ _RING_BOXES = 24  # boxes per ring in collisions
 _MIN_WALL = 0.002  # m, of a ring; objects could pass through thinner walls
 
 Parts = tuple[Primitive, ...]
-Make = Callable[[Array], Parts]  # parameters of a shape -> primitives
+MakeParts = Callable[[Array], Parts]  # parameters of a shape -> primitives
 
 
 @dataclass(frozen=True)
@@ -57,9 +57,9 @@ class Scan:
     wall: float
 
     @classmethod
-    def read(cls, stl: bytes) -> Scan:
+    def from_stl(cls, stl: bytes) -> Scan:
         """Read a binary STL in metres. Raises `ResourceError`."""
-        return cls.from_mesh(*read_stl(stl))
+        return cls.from_mesh(*decode_stl(stl))
 
     @classmethod
     def from_mesh(cls, vertices: Array, faces: Faces) -> Scan:
@@ -74,7 +74,7 @@ class Scan:
         return cls(points, normals[chosen] * np.sign(volume), 4 * abs(volume) / float(twice.sum()))
 
     @property
-    def foot(self) -> float:
+    def lowest_height(self) -> float:
         """Height of the lowest point, m."""
         return float(self.points[:, 2].min())
 
@@ -101,7 +101,7 @@ def fit_solid(points: Array) -> SolidFit:
     """
     points = _without_dimples(points)
     best: tuple[float, SolidFit] | None = None
-    for make, start in _candidates(points):
+    for make, start in _solid_candidates(points):
         parts = _extend_to_ground(make(_fit_parameters(make, start, points)), float(points[:, 2].min()))
         fit = evaluate_fit(parts, points)
         cost = fit.rms + fit.p99 / 4 + _PARAMETER_COST * len(start)
@@ -111,7 +111,7 @@ def fit_solid(points: Array) -> SolidFit:
     return best[1]
 
 
-def _fit_parameters(make: Make, start: Array, points: Array) -> Array:
+def _fit_parameters(make: MakeParts, start: Array, points: Array) -> Array:
     """Return the parameters (k,) near `start` with the least squares of distances of points (n, 3), m, from a shape."""
 
     def distances(columns: Array) -> Array:
@@ -120,7 +120,7 @@ def _fit_parameters(make: Make, start: Array, points: Array) -> Array:
     found, _ = minimize.least_squares(
         start,
         distances,
-        eps=_STEP,
+        eps=_DIFFERENCE_STEP,
         mu_factor=_DAMPING_FACTOR,
         xtol=_TOLERANCE,
         max_iter=_MAX_STEPS,
@@ -131,56 +131,65 @@ def _fit_parameters(make: Make, start: Array, points: Array) -> Array:
 
 
 def _without_dimples(points: Array) -> Array:
-    heights = points @ np.ascontiguousarray(sphere_directions(_PLANES).T)
+    heights = points @ np.ascontiguousarray(sphere_directions(_TANGENT_PLANES).T)
     depth = (heights.max(axis=0) - heights).min(axis=1)
     near: Array = points[depth < _DIMPLE_DEPTH]
     return near
 
 
-def _candidates(points: Array) -> Iterator[tuple[Make, Array]]:
+def _solid_candidates(points: Array) -> Iterator[tuple[MakeParts, Array]]:
     low, high = np.percentile(points, (0.5, 99.5), axis=0)
     centre, half = (low + high) / 2, (high - low) / 2
-    yield lambda p: _sphere(p, half[:2].min()), np.array([*centre, half.mean()])
-    yield _cylinder, np.array([*centre, half[:2].mean(), half[2]])
-    yaw = min(np.radians(np.arange(0, 90, 2)), key=lambda yaw: float(np.prod(_extent(points, yaw)[1])))
-    middle, size = _extent(points, yaw)
-    yield _box, np.array([*middle, centre[2], *size, half[2], yaw])
+    yield lambda p: _sphere_parts(p, half[:2].min()), np.array([*centre, half.mean()])
+    yield _cylinder_parts, np.array([*centre, half[:2].mean(), half[2]])
+    yaw = min(np.radians(np.arange(0, 90, 2)), key=lambda yaw: float(np.prod(_turned_extent(points, yaw)[1])))
+    middle, size = _turned_extent(points, yaw)
+    yield _box_parts, np.array([*middle, centre[2], *size, half[2], yaw])
     for count in (1, 2, 3):
-        yield _capsules, _row(points, count)
+        yield _capsule_parts, _initial_capsules(points, count)
 
 
-def _sphere(p: Array, maximum: float) -> Parts:
+def _sphere_parts(p: Array, maximum: float) -> Parts:
     """Limit the radius to `maximum`: fingers that fit around the scan then fit around the sphere."""
-    return (Sphere(type="sphere", centre=_vector(p[:3]), radius=min(_size(p[3]), maximum)),)
+    return (Sphere(type="sphere", centre=_float_triple(p[:3]), radius=min(_positive_size(p[3]), maximum)),)
 
 
-def _cylinder(p: Array) -> Parts:
-    return (Cylinder(type="cylinder", centre=_vector(p[:3]), radius=_size(p[3]), half_height=_size(p[4])),)
+def _cylinder_parts(p: Array) -> Parts:
+    return (
+        Cylinder(
+            type="cylinder", centre=_float_triple(p[:3]), radius=_positive_size(p[3]), half_height=_positive_size(p[4])
+        ),
+    )
 
 
-def _box(p: Array) -> Parts:
-    size = (_size(p[3]), _size(p[4]), _size(p[5]))
-    return (Box(type="box", centre=_vector(p[:3]), half_size=size, yaw_deg=round(math.degrees(p[6]), 2)),)
+def _box_parts(p: Array) -> Parts:
+    size = (_positive_size(p[3]), _positive_size(p[4]), _positive_size(p[5]))
+    return (Box(type="box", centre=_float_triple(p[:3]), half_size=size, yaw_deg=round(math.degrees(p[6]), 2)),)
 
 
-def _capsules(p: Array) -> Parts:
+def _capsule_parts(p: Array) -> Parts:
     """Return capsules from positions (x, y, z) of their shared ends, then a radius each."""
     count = (len(p) - 3) // 4
     joints, radii = p[: 3 * count + 3].reshape(-1, 3), p[3 * count + 3 :]
     return tuple(
-        Capsule(type="capsule", start=_vector(joints[k]), end=_vector(joints[k + 1]), radius=_size(radii[k]))
+        Capsule(
+            type="capsule",
+            start=_float_triple(joints[k]),
+            end=_float_triple(joints[k + 1]),
+            radius=_positive_size(radii[k]),
+        )
         for k in range(count)
     )
 
 
-def _extent(points: Array, yaw: float) -> tuple[Array, Array]:
+def _turned_extent(points: Array, yaw: float) -> tuple[Array, Array]:
     """Return centre (x, y) and half size (2,), m, of the bounding rectangle seen from above, turned by `yaw`, rad."""
     turn = np.array([[math.cos(yaw), math.sin(yaw)], [-math.sin(yaw), math.cos(yaw)]])
     low, high = np.percentile(points[:, :2] @ turn.T, (0.5, 99.5), axis=0)
     return (low + high) / 2 @ turn, (high - low) / 2
 
 
-def _row(points: Array, count: int) -> Array:
+def _initial_capsules(points: Array, count: int) -> Array:
     """Return initial capsules: equal slices along the longest horizontal axis."""
     centre = points.mean(axis=0)
     along = np.linalg.svd(points[:, :2] - centre[:2], full_matrices=False)[2][0]
@@ -191,7 +200,7 @@ def _row(points: Array, count: int) -> Array:
     length = edges[-1] - edges[0]
     joints, radii = list[Array](), list[float]()
 
-    def place(t: float, w: float, z: float) -> Array:
+    def horizontal_point(t: float, w: float, z: float) -> Array:
         return np.array([*(centre[:2] + t * along + w * across), z])
 
     for k in range(count):
@@ -199,8 +208,8 @@ def _row(points: Array, count: int) -> Array:
         (w0, w1), (z0, z1) = (np.percentile(value[inside], (1, 99)) for value in (w, points[:, 2]))
         radii.append((w1 - w0 + z1 - z0) / 4)
         start = edges[k] + (min(radii[k], length / 2) if k == 0 else 0)
-        joints.append(place(start, (w0 + w1) / 2, (z0 + z1) / 2))
-        last = place(max(start + 1e-3, edges[-1] - radii[k]), (w0 + w1) / 2, (z0 + z1) / 2)
+        joints.append(horizontal_point(start, (w0 + w1) / 2, (z0 + z1) / 2))
+        last = horizontal_point(max(start + 1e-3, edges[-1] - radii[k]), (w0 + w1) / 2, (z0 + z1) / 2)
     return np.concatenate([*joints, last, radii])
 
 
@@ -230,11 +239,11 @@ def _extend_to_ground(parts: Parts, ground: float) -> Parts:
     return tuple(laid)
 
 
-def _vector(p: Sequence[float] | Array) -> tuple[float, float, float]:
+def _float_triple(p: Sequence[float] | Array) -> tuple[float, float, float]:
     return float(p[0]), float(p[1]), float(p[2])
 
 
-def _size(value: float) -> float:
+def _positive_size(value: float) -> float:
     return max(float(abs(value)), 1e-4)
 
 
@@ -250,13 +259,13 @@ def fit_hollow(scan: Scan) -> tuple[SolidFit, tuple[float, float]] | None:
     radius = np.hypot(points[:, 0], points[:, 1])
     if not _is_round(points, radius):
         return None
-    profile = _profile(points, radius, scan.normals, float(high[2]))
+    profile = _inner_profile(points, radius, scan.normals, float(high[2]))
     if profile is None or profile[-1, 1] - profile[0, 1] < _MIN_DEPTH_SHARE * (high[2] - low[2]):
         return None
     corners = next(
         found for tolerance in _TOLERANCES if len(found := simplify_polyline(profile, tolerance)) <= _MAX_SEGMENTS + 1
     )
-    parts = _parts(corners, scan.foot, max(scan.wall, _MIN_WALL))
+    parts = _vessel_parts(corners, scan.lowest_height, max(scan.wall, _MIN_WALL))
     return evaluate_fit(parts, points), (float(axis[0]), float(axis[1]))
 
 
@@ -266,7 +275,7 @@ def _is_round(points: Array, radius: Array) -> bool:
     return bool(np.ptp(reach) < 2 * _MAX_OUT_OF_ROUND)
 
 
-def _profile(points: Array, radius: Array, normals: Array, rim: float) -> Array | None:
+def _inner_profile(points: Array, radius: Array, normals: Array, rim: float) -> Array | None:
     """Return radius and height (n, 2), m, of a vessel's inner surface from its middle outwards.
 
     None if no inner surface rises towards the rim.
@@ -285,7 +294,7 @@ def _profile(points: Array, radius: Array, normals: Array, rim: float) -> Array 
     return profile if rises else None
 
 
-def _parts(corners: Array, foot: float, wall: float) -> tuple[Primitive, ...]:
+def _vessel_parts(corners: Array, foot: float, wall: float) -> tuple[Primitive, ...]:
     top = float(corners[:2, 1].mean())
     edge = float(corners[1, 0])
     half = max((top - foot) / 2, wall / 4)

@@ -73,7 +73,7 @@ class PointBody:
     step: float
 
     @classmethod
-    def fill(cls, parts: Sequence[Primitive], low: Array, high: Array) -> PointBody:
+    def from_primitives(cls, parts: Sequence[Primitive], low: Array, high: Array) -> PointBody:
         """Fill primitives within the box from `low` to `high` (3,), m."""
         step = max(float((high - low).max()) / _CELLS, _MIN_STEP)
         counts = np.ceil((high - low) / step).astype(int)
@@ -83,7 +83,7 @@ class PointBody:
         return cls(points[signed_distance(parts, points) <= 0], step)
 
     @classmethod
-    def inside(cls, vertices: Array, faces: Faces) -> PointBody:
+    def from_mesh(cls, vertices: Array, faces: Faces) -> PointBody:
         """Fill a closed surface of triangles (m, 3) over vertices (n, 3), m."""
         low, high = vertices.min(axis=0), vertices.max(axis=0)
         step = max(float((high - low).max()) / _CELLS, _MIN_STEP)
@@ -107,7 +107,7 @@ class PointBody:
         centre: Array = self.points.mean(axis=0)
         return centre
 
-    def inertia(self, mass: float) -> tuple[Array, Array]:
+    def principal_inertia(self, mass: float) -> tuple[Array, Array]:
         """Return principal moments (3,), kg m2, and their axes' quaternion (wxyz)."""
         rest = self.points - self.centre
         spread = mass * (rest.T @ rest) / len(rest)
@@ -115,7 +115,9 @@ class PointBody:
         axes[:, 2] *= np.sign(np.linalg.det(axes))
         return moments, quat_from_rotation(axes)
 
-    def width(self, height: float, axis_deg: float, at: tuple[float, float], half: float) -> tuple[float, float] | None:
+    def width_between_pads(
+        self, height: float, axis_deg: float, at: tuple[float, float], half: float
+    ) -> tuple[float, float] | None:
         """Return the width between two finger pads, and its middle along their axis, m; None if nothing is there.
 
         Args:
@@ -136,10 +138,10 @@ class PointBody:
 def primitive_data(part: Primitive) -> dict[str, Any]:
     """Return config data, rounded to 0.01 mm."""
     data: dict[str, Any] = part.model_dump(exclude_none=True)
-    return {key: _rounded(value) for key, value in data.items()}
+    return {key: _round_lengths(value) for key, value in data.items()}
 
 
-def _rounded(value: Any) -> Any:
+def _round_lengths(value: Any) -> Any:
     if isinstance(value, tuple | list):
         return [round(float(x), 5) for x in value]
     return round(value, 5) if isinstance(value, float) else value

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..core.errors import ResourceError
 from ..core.files.writing import sha256_bytes
 from ..core.geometry.se3 import Array
-from ..core.geometry.stl import Faces, stl_bytes
+from ..core.geometry.stl import Faces, encode_stl
 from ..core.images.png import decode_png, encode_png
 from ..core.scene.assets.mesh_reduction import MAX_DEVIATION_MM
 from .part_surfaces import merged_surface, simplified_mesh
@@ -22,7 +22,7 @@ from .readers.object_parts import Surface, SurfaceMaterial
 _MAX_FACES = 20_000  # triangles that render fast; larger surfaces are reduced within LIMIT_MM
 _FACE_COUNTS = (6_000, 12_000, 24_000, 48_000)  # triangles of a reduced surface, tried in order
 _CELL_SIZE = 0.0006  # m, finest cells in which colours are averaged; each level doubles their side
-_LEVELS = 6
+_CELL_LEVELS = 6
 _MAX_SIDE = 4096  # px, width of a baked texture
 _TILE_RANGE = (2, 16)  # px, side of a triangle's square in a texture
 
@@ -46,13 +46,13 @@ def make_visual_meshes(name: str, surfaces: tuple[Surface, ...]) -> VisualMeshes
     meshes: list[Mapping[str, Any]] = []
     files: dict[str, bytes] = {}
     for number, group in enumerate(groups.values()):
-        mesh, made = _mesh(f"{name}_{number}", tuple(group))
+        mesh, made = _mesh_entry(f"{name}_{number}", tuple(group))
         meshes.append(mesh)
         files |= made
     return VisualMeshes(tuple(meshes), files)
 
 
-def _mesh(name: str, group: tuple[Surface, ...]) -> tuple[dict[str, Any], dict[str, bytes]]:
+def _mesh_entry(name: str, group: tuple[Surface, ...]) -> tuple[dict[str, Any], dict[str, bytes]]:
     material = group[0].material
     entry: dict[str, Any] = {
         "rgba": [round(part, 4) for part in material.rgba],
@@ -61,7 +61,7 @@ def _mesh(name: str, group: tuple[Surface, ...]) -> tuple[dict[str, Any], dict[s
     }
     vertices, faces, uv, texture = _mesh_arrays(group, material)
     if uv is None or texture is None:
-        return {"file": f"{name}.stl", **entry}, {f"{name}.stl": stl_bytes(vertices, faces)}
+        return {"file": f"{name}.stl", **entry}, {f"{name}.stl": encode_stl(vertices, faces)}
     files = {f"{name}.obj": obj_bytes(vertices, faces, uv), f"{name}.png": texture}
     return {"file": f"{name}.obj", "texture": f"{name}.png", **entry}, files
 
@@ -106,7 +106,7 @@ def baked_colours(source: Sequence[Surface], target: tuple[Array, Faces]) -> tup
         target: vertices (n, 3), m, and triangles (m, 3).
     """
     vertices, faces = target
-    colours = _Colours(*_samples(source))
+    colours = _ColourCells(*_sample_colours(source))
     a, b, c = np.moveaxis(vertices[faces], 1, 0)
     area = float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum()) / 2
     columns = int(np.ceil(np.sqrt(len(faces))))
@@ -119,14 +119,16 @@ def baked_colours(source: Sequence[Surface], target: tuple[Array, Faces]) -> tup
         for u in range(tile):
             # The triangle fills half of its tile; the other half repeats the long side's colours.
             s, t = u / (tile - 1), v / (tile - 1)
-            texels[y + v, x + u] = colours.at(a + s * (b - a) + t * (c - a) if s + t <= 1 else b + (1 - s) * (c - b))
+            texels[y + v, x + u] = colours.mean_colours(
+                a + s * (b - a) + t * (c - a) if s + t <= 1 else b + (1 - s) * (c - b)
+            )
     ends = np.array([[0, 0], [tile - 1, 0], [0, tile - 1]])
     uv = (np.stack([x, y], axis=1)[:, None] + ends + 0.5) / [texels.shape[1], texels.shape[0]]
     uv[..., 1] = 1 - uv[..., 1]
     return uv, encode_png(texels)
 
 
-def _samples(source: Sequence[Surface]) -> tuple[Array, NDArray[np.uint8]]:
+def _sample_colours(source: Sequence[Surface]) -> tuple[Array, NDArray[np.uint8]]:
     places, found = [], []
     rng = np.random.default_rng(0)
     for surface in source:
@@ -139,11 +141,11 @@ def _samples(source: Sequence[Surface]) -> tuple[Array, NDArray[np.uint8]]:
         places.append(np.einsum("ik,ikj->ij", shares, surface.vertices[surface.faces[drawn]]))
         assert surface.uv is not None and surface.material.texture is not None
         uv = np.einsum("ik,ikj->ij", shares, surface.uv[drawn])
-        found.append(_texels(surface.material.texture, uv))
+        found.append(_texture_colours(surface.material.texture, uv))
     return np.concatenate(places), np.concatenate(found)
 
 
-def _texels(texture: bytes, uv: Array) -> NDArray[np.uint8]:
+def _texture_colours(texture: bytes, uv: Array) -> NDArray[np.uint8]:
     image = decode_png(texture)
     if image is None:
         raise ResourceError("a texture of the object cannot be decoded")
@@ -154,28 +156,28 @@ def _texels(texture: bytes, uv: Array) -> NDArray[np.uint8]:
     return picked
 
 
-class _Colours:
+class _ColourCells:
     """Mean colours in cubic cells of several sizes, by position."""
 
     def __init__(self, places: Array, colours: NDArray[np.uint8]) -> None:
         self._low = places.min(axis=0) - 1e-3
         self._levels = []
-        for level in range(_LEVELS):
-            keys = self._keys(places, level)
+        for level in range(_CELL_LEVELS):
+            keys = self._cell_keys(places, level)
             found, index = np.unique(keys, return_inverse=True)
             sums = np.stack([np.bincount(index, colours[:, k].astype(float)) for k in range(3)], axis=1)
             self._levels.append((found, sums / np.bincount(index)[:, None]))
 
-    def _keys(self, places: Array, level: int) -> NDArray[np.int64]:
+    def _cell_keys(self, places: Array, level: int) -> NDArray[np.int64]:
         cells = np.floor((places - self._low) / (_CELL_SIZE * 2**level)).astype(np.int64)
         keys: NDArray[np.int64] = (cells[:, 0] << 42) + (cells[:, 1] << 21) + cells[:, 2]
         return keys
 
-    def at(self, places: Array) -> NDArray[np.uint8]:
+    def mean_colours(self, places: Array) -> NDArray[np.uint8]:
         colours = np.full((len(places), 3), 128.0)
-        for level in reversed(range(_LEVELS)):
+        for level in reversed(range(_CELL_LEVELS)):
             found, means = self._levels[level]
-            keys = self._keys(places, level)
+            keys = self._cell_keys(places, level)
             at = np.searchsorted(found, keys).clip(0, len(found) - 1)
             has = found[at] == keys
             colours[has] = means[at[has]]

@@ -76,7 +76,7 @@ class PageText:
     align: Literal["left", "right", "centre"] = "left"
 
 
-Mark = PrintedMarker | PageBar | PageLine | PageText
+PageMark = PrintedMarker | PageBar | PageLine | PageText
 
 LINE_WIDTH = 0.15  # mm
 
@@ -87,7 +87,7 @@ class PrintedPage:
 
     paper: Paper
     title: str
-    marks: tuple[Mark, ...]
+    marks: tuple[PageMark, ...]
 
 
 _PAGE_MARGIN = 12.0  # mm, edge where most printers cannot print
@@ -132,20 +132,21 @@ def board_sheet(board: Board, owner: str, paper: Paper) -> PrintedPage:
         paper,
         f"{owner}: {board.name}",
         (
-            *_header(board, owner, paper),
-            *_markers(board, cells, left, top),
+            *_header_marks(board, owner, paper),
+            *_printed_markers(board, cells, left, top),
             *_crop_marks(left, top, width, height, quiet),
-            *_upright_ruler(_PAGE_MARGIN + _RULER_COLUMN - 4, top),
-            *_axes(_PAGE_MARGIN + 6, foot + 24),
-            *_level_ruler(paper.width - _PAGE_MARGIN - _RULER_LENGTH - 4, foot + 8),
+            *_vertical_ruler(_PAGE_MARGIN + _RULER_COLUMN - 4, top),
+            *_axis_marks(_PAGE_MARGIN + 6, foot + 24),
+            *_horizontal_ruler(paper.width - _PAGE_MARGIN - _RULER_LENGTH - 4, foot + 8),
         ),
     )
 
 
-def _header(board: Board, owner: str, paper: Paper) -> Iterator[Mark]:
+def _header_marks(board: Board, owner: str, paper: Paper) -> Iterator[PageMark]:
     yield PageText(_PAGE_MARGIN, _PAGE_MARGIN + _TITLE_SIZE, f"{owner}: {board.name}", _TITLE_SIZE, bold=True)
     lines = (
-        f"Markers {board.ids[0]} to {board.ids[-1]}, row by row from the top left ({board.columns} x {board.rows}), of "
+        f"Markers {board.marker_ids[0]} to {board.marker_ids[-1]}, row by row from the top left "
+        f"({board.columns} x {board.rows}), of "
         f"{board.dictionary}.",
         f"Marker {board.marker_length * 1000:.3f} mm, gap {board.gap * 1000:.3f} mm, board {board.width * 1000:.3f} x "
         f"{board.height * 1000:.3f} mm.",
@@ -156,14 +157,14 @@ def _header(board: Board, owner: str, paper: Paper) -> Iterator[Mark]:
         yield PageText(_PAGE_MARGIN, _PAGE_MARGIN + 8 + k * _LINE_STEP, line)
 
 
-def _markers(board: Board, cells: NDArray[np.bool_], left: float, top: float) -> Iterator[Mark]:
+def _printed_markers(board: Board, cells: NDArray[np.bool_], left: float, top: float) -> Iterator[PageMark]:
     # From the `board` frame (origin at the centre, y up) to the page.
-    corners = 1000 * (board.corners()[:, 0, :2] * (1, -1) + (board.width / 2, board.height / 2))
+    corners = 1000 * (board.marker_corners()[:, 0, :2] * (1, -1) + (board.width / 2, board.height / 2))
     for (x, y), black in zip(corners, cells, strict=True):
         yield PrintedMarker(left + float(x), top + float(y), board.marker_length * 1000 / len(black), black)
 
 
-def _crop_marks(left: float, top: float, width: float, height: float, quiet: float) -> Iterator[Mark]:
+def _crop_marks(left: float, top: float, width: float, height: float, quiet: float) -> Iterator[PageMark]:
     border = 0.6 * quiet  # 3 mm for a white zone of 5 mm, so that the cut piece fits the lab's 100 mm plate
     far = quiet + _CROP_MARK
     for x in (left - border, left + width + border):
@@ -174,14 +175,14 @@ def _crop_marks(left: float, top: float, width: float, height: float, quiet: flo
         yield PageLine(left + width + quiet, y, left + width + far, y)
 
 
-def _tick(mm: int) -> float:
+def _tick_length(mm: int) -> float:
     return 3.5 if mm % 10 == 0 else 2.5 if mm % 5 == 0 else 1.5
 
 
-def _level_ruler(x: float, y: float) -> Iterator[Mark]:
+def _horizontal_ruler(x: float, y: float) -> Iterator[PageMark]:
     yield PageBar(x, y, _RULER_LENGTH, 1.0)
     for mm in range(int(_RULER_LENGTH) + 1):
-        yield PageLine(x + mm, y + 1, x + mm, y + 1 + _tick(mm))
+        yield PageLine(x + mm, y + 1, x + mm, y + 1 + _tick_length(mm))
         if mm % 10 == 0:
             yield PageText(x + mm, y + 8, str(mm), 2.8, align="centre")
     yield PageText(x, y - 2.5, "Measure: both bars must be 100.0 mm long.", bold=True)
@@ -195,15 +196,15 @@ def _level_ruler(x: float, y: float) -> Iterator[Mark]:
         yield PageText(x, y + 14 + k * _LINE_STEP, line)
 
 
-def _upright_ruler(x: float, y: float) -> Iterator[Mark]:
+def _vertical_ruler(x: float, y: float) -> Iterator[PageMark]:
     yield PageBar(x - 1, y, 1.0, _RULER_LENGTH)
     for mm in range(int(_RULER_LENGTH) + 1):
-        yield PageLine(x - 1, y + mm, x - 1 - _tick(mm), y + mm)
+        yield PageLine(x - 1, y + mm, x - 1 - _tick_length(mm), y + mm)
         if mm % 10 == 0:
             yield PageText(x - 5.5, y + mm + 1, str(mm), 2.8, align="right")
 
 
-def _axes(x: float, y: float) -> Iterator[Mark]:
+def _axis_marks(x: float, y: float) -> Iterator[PageMark]:
     length, head = 16.0, 1.8
     yield PageLine(x, y, x + length, y)
     yield PageLine(x + length, y, x + length - head, y - head / 2)
@@ -248,7 +249,7 @@ def pdf_bytes(sheets: Sequence[PrintedPage]) -> bytes:
                 case PrintedMarker():
                     # Viewers antialias each path separately: separate cells would show seams.
                     path = canvas.beginPath()
-                    for x, y, width in _runs(mark):
+                    for x, y, width in _black_runs(mark):
                         path.rect(x, height - y - mark.cell, width, mark.cell)
                     canvas.drawPath(path, stroke=0, fill=1)
                 case PageBar():
@@ -273,11 +274,11 @@ def png_bytes(sheet: PrintedPage) -> bytes:
 
     The file's integer pixels per metre cause a scale error of at most 0.003 %.
     """
-    image, px_per_mm = _raster(sheet)
+    image, px_per_mm = _draw_page(sheet)
     return encode_png(image, px_per_mm * 1000)
 
 
-def _runs(marker: PrintedMarker) -> Iterator[tuple[float, float, float]]:
+def _black_runs(marker: PrintedMarker) -> Iterator[tuple[float, float, float]]:
     """Yield runs of black cells as (left, top, width)."""
     for row, cells in enumerate(marker.black):
         steps = np.diff(cells.astype(np.int8), prepend=0, append=0)
@@ -285,7 +286,7 @@ def _runs(marker: PrintedMarker) -> Iterator[tuple[float, float, float]]:
             yield marker.x + float(start) * marker.cell, marker.y + row * marker.cell, float(end - start) * marker.cell
 
 
-def _raster(sheet: PrintedPage) -> tuple[Image, float]:
+def _draw_page(sheet: PrintedPage) -> tuple[Image, float]:
     cell_px = _cell_px(sheet)
     cell = next(mark.cell for mark in sheet.marks if isinstance(mark, PrintedMarker))
     scale = cell_px / cell
@@ -306,7 +307,7 @@ def _raster(sheet: PrintedPage) -> tuple[Image, float]:
                 end = math.floor(mark.x1 * scale), math.floor(mark.y1 * scale)
                 cv2.line(image, start, end, (0,), thickness)
             case PageText():
-                _write(image, mark, scale)
+                _draw_text(image, mark, scale)
     return image, scale
 
 
@@ -318,18 +319,18 @@ def _cell_px(sheet: PrintedPage) -> int:
     wanted = cell * _PX_PER_MM
     choices = range(max(1, math.ceil(0.95 * wanted)), math.floor(1.05 * wanted) + 2)
 
-    def miss(cell_px: int) -> tuple[float, float]:
+    def rounding_error(cell_px: int) -> tuple[float, float]:
         places = offsets * cell_px
         return round(float(np.abs(places - places.round()).max()), 6), abs(cell_px - wanted)
 
-    return min(choices, key=miss)
+    return min(choices, key=rounding_error)
 
 
 _HERSHEY_UNITS = 21  # height of capitals, units of OpenCV's Hershey fonts
 _CAPITAL_HEIGHT = 0.718  # height of capitals over the font size, Helvetica
 
 
-def _write(image: Image, text: PageText, scale: float) -> None:
+def _draw_text(image: Image, text: PageText, scale: float) -> None:
     font, size = cv2.FONT_HERSHEY_SIMPLEX, _CAPITAL_HEIGHT * text.size * scale / _HERSHEY_UNITS
     thickness = max(1, round(text.size * scale / (9 if text.bold else 22)))
     (width, _), _ = cv2.getTextSize(text.text, font, size, thickness)

@@ -16,15 +16,15 @@ Mask = NDArray[np.bool_]
 
 # Unit of length: a grain is one pixel or, in a large photo with larger details, several.
 _GRAINS_ACROSS = 1000  # approximate grains along the longer side of a large photo
-REACH = 12.0  # grains, search distance for edges on either side of the outline
+DEFAULT_REACH = 12.0  # grains, search distance for edges on either side of the outline
 _SAMPLES_PER_GRAIN = 2  # sample points per grain of the search line
-_SPACING = 3  # grains between outline points
+_POINT_SPACING = 3  # grains between outline points
 _MIN_SLOPE = 4.0  # grey levels per grain, gradient of an edge
 _MIN_SLOPE_SHARE = 0.4  # share of the search line's largest gradient, for an edge
 _TUKEY_CUTOFF = 4.685  # standard deviations, beyond which Tukey's biweight is 0 (95 % efficiency)
 _INDEPENDENT_POINTS = 60.0  # maximum number of outline points that count as independent
 _BORDER = 3  # grains from the picture's border; outlines there are ignored
-_ROUNDS = 6  # rounds of a pose refinement
+_REFINEMENT_ROUNDS = 6  # rounds of a pose refinement
 # Each round's search distance over the one before; the last round's is too short for the edges of other objects.
 _REACH_RATIO = 0.62
 
@@ -45,12 +45,12 @@ class EdgeOffsets:
     reach: float
 
     @property
-    def found(self) -> float:
+    def found_share(self) -> float:
         """Share of outline points with an edge within reach."""
         return float(np.isfinite(self.offsets).mean()) if len(self.offsets) else 0.0
 
     @property
-    def residual(self) -> float | None:
+    def median_distance(self) -> float | None:
         """Median distance to the photo's edge, px, `reach` for a missing edge; None without an outline."""
         if len(self.offsets) == 0:
             return None
@@ -73,7 +73,7 @@ def mask_outline(mask: Mask, others: Mask | None = None) -> MaskOutline:
     # The blur makes normals smooth: steps between pixels have only eight directions.
     soft = cv2.GaussianBlur(mask.astype(np.float32), (0, 0), 2.0 * grain)
     slope = np.stack([cv2.Sobel(soft, cv2.CV_32F, 1, 0), cv2.Sobel(soft, cv2.CV_32F, 0, 1)], axis=-1)
-    chosen = [contour[:: _SPACING * grain, 0, :] for contour in contours if len(contour) >= 8 * grain]
+    chosen = [contour[:: _POINT_SPACING * grain, 0, :] for contour in contours if len(contour) >= 8 * grain]
     if not chosen:
         return MaskOutline(np.zeros((0, 2)), np.zeros((0, 2)))
     at = np.concatenate(chosen)
@@ -92,7 +92,7 @@ def mask_outline(mask: Mask, others: Mask | None = None) -> MaskOutline:
     return MaskOutline(at[clear] + 0.5 * normals, normals)
 
 
-def edge_offsets(grey: Grey, line: MaskOutline, reach: float = REACH) -> EdgeOffsets:
+def edge_offsets(grey: Grey, line: MaskOutline, reach: float = DEFAULT_REACH) -> EdgeOffsets:
     """Return the offsets of edges of the photo `grey` (height, width) within `reach` (grains) of an outline."""
     grain = grain_px(grey.shape)
     if len(line.points) == 0:
@@ -136,14 +136,14 @@ class PoseCorrection:
     step: Array
     centre: Array
 
-    def apply(self, T_in_cam: Array) -> Array:
+    def apply_to_pose(self, T_in_cam: Array) -> Array:
         """Return the moved pose (4, 4) in the camera frame."""
         turn = rotation_from_vector(self.step[:3])
         moved = self.centre + self.step[3:] + turn @ (T_in_cam[:3, 3] - self.centre)
         return pose(moved, turn @ T_in_cam[:3, :3])
 
     @property
-    def size(self) -> float:
+    def approximate_displacement(self) -> float:
         """Approximate displacement of points 0.3 m from `centre`, m."""
         return float(np.linalg.norm(self.step[3:]) + 0.3 * np.linalg.norm(self.step[:3]))
 
@@ -201,4 +201,4 @@ def solve_correction(
 
 def search_radii() -> list[float]:
     """Return the refinement rounds' decreasing search distances, grains."""
-    return [REACH * _REACH_RATIO**k for k in range(_ROUNDS)]
+    return [DEFAULT_REACH * _REACH_RATIO**k for k in range(_REFINEMENT_ROUNDS)]

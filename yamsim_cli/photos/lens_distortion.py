@@ -105,7 +105,7 @@ class LensWarp:
                 f"the camera sees {math.degrees(math.atan(float(reach.max()))):.0f} degrees off its axis, too wide for "
                 f"a pinhole model; at most {math.degrees(_MAX_HALF_ANGLE):.0f}: check K and distortion"
             )
-        focal = camera.focal * supersample
+        focal = camera.mean_focal_length * supersample
         width, height = (2 * math.ceil(float(r) * focal) for r in reach)
         self.ideal = Intrinsics(width, height, focal, focal, (width - 1) / 2, (height - 1) / 2)
         self._camera = camera
@@ -117,9 +117,9 @@ class LensWarp:
         """The ideal camera's vertical field of view, rad."""
         return 2 * math.atan(self.ideal.height / 2 / self.ideal.fy)
 
-    def undistort(self, photo: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """Undistort a photo into a picture of the camera `coarse`."""
-        ideal, K = self.coarse, np.array(self._camera.K)
+    def undistort_photo(self, photo: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """Undistort a photo into a picture of the camera `coarse_intrinsics`."""
+        ideal, K = self.coarse_intrinsics, np.array(self._camera.K)
         map_x, map_y = cv2.initUndistortRectifyMap(
             K, np.array(self._camera.distortion), np.eye(3), ideal.K, (ideal.width, ideal.height), cv2.CV_32FC1
         )
@@ -127,7 +127,7 @@ class LensWarp:
         return np.asarray(flat, dtype=np.uint8)
 
     @property
-    def coarse(self) -> Intrinsics:
+    def coarse_intrinsics(self) -> Intrinsics:
         """The ideal camera with every `supersample`-th row and column."""
         fine, step = self.ideal, self.supersample
         return Intrinsics(
@@ -139,17 +139,17 @@ class LensWarp:
             fine.cy / step,
         )
 
-    def image(self, ideal: NDArray[np.uint8], nearest: bool = False) -> NDArray[np.uint8]:
+    def distort_picture(self, ideal: NDArray[np.uint8], nearest: bool = False) -> NDArray[np.uint8]:
         """Return the real camera's picture (height, width[, channels]) of an ideal one; `nearest` for masks and ids."""
         camera, fine = self._camera, 1 if nearest else self.supersample
-        map_x, map_y = self._maps(fine)
+        map_x, map_y = self._distortion_maps(fine)
         mode = cv2.INTER_NEAREST if nearest else cv2.INTER_LINEAR
         bent = cv2.remap(ideal, map_x, map_y, mode, borderMode=cv2.BORDER_REPLICATE)
         if fine > 1:
             bent = cv2.resize(bent, (camera.width, camera.height), interpolation=cv2.INTER_AREA)
         return np.asarray(bent, dtype=np.uint8)
 
-    def _maps(self, fine: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    def _distortion_maps(self, fine: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         if fine in self._known_maps:
             return self._known_maps[fine]
         camera, offset = self._camera, (fine - 1) / 2

@@ -47,7 +47,7 @@ class ActClient:
         except OSError as error:
             raise no_answer_error(url, error) from error
 
-    def begin(self, seed: int) -> None:
+    def begin_trial(self, seed: int) -> None:
         """Do nothing: the server keeps no state of a trial."""
 
     def infer(self, message: Mapping[str, Any]) -> Mapping[str, Any]:

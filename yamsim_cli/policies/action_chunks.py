@@ -66,18 +66,18 @@ class _TimedChunk:
     arrival_tick: int  # control tick from which the chunk acts
     per_action: float  # duration of an action, ticks
 
-    def index(self, now: int) -> int:
-        """Return the index of the action at tick `now`; `actions` or more after the last."""
+    def action_index(self, now: int) -> int:
+        """Return the index of the action at tick `now`; `action_count` or more after the last."""
         return math.floor((now - self.requested) / self.per_action + _ROUNDING)
 
     @property
-    def actions(self) -> int:
+    def action_count(self) -> int:
         return len(self.chunk.ctrl)
 
     @property
-    def ends(self) -> int:
+    def end_tick(self) -> int:
         """Control tick at which the last action is over."""
-        return self.requested + _ticks(self.actions * self.per_action)
+        return self.requested + _round_up_to_ticks(self.action_count * self.per_action)
 
 
 class ChunkScheduler:
@@ -104,7 +104,7 @@ class ChunkScheduler:
 
     def last_chunk_is_over(self, now: int) -> bool:
         """Whether the policy is finished (`done`), and its last action is over."""
-        return self.has_ended and now >= max(self._chunks[-1].ends, self._chunks[-1].arrival_tick)
+        return self.has_ended and now >= max(self._chunks[-1].end_tick, self._chunks[-1].arrival_tick)
 
     @property
     def has_ended(self) -> bool:
@@ -115,23 +115,23 @@ class ChunkScheduler:
         """Add the chunk that was requested at tick `now`, and took `seconds` s of real time."""
         chunking = self._chunking
         per_action = float(self._hold) if chunk.period is None else chunk.period / self._tick
-        late = _ticks((seconds if chunking.latency is None else chunking.latency) / self._tick)
+        late = _round_up_to_ticks((seconds if chunking.latency is None else chunking.latency) / self._tick)
         timed = _TimedChunk(chunk, now, now + late, per_action)
-        execute = min(chunking.execute or timed.actions, timed.actions)
+        execute = min(chunking.execute or timed.action_count, timed.action_count)
         # At least a tick passes between two requests, and a request waits for the previous answer.
-        self._next = max(timed.arrival_tick, now + max(1, _ticks(execute * per_action)))
+        self._next = max(timed.arrival_tick, now + max(1, _round_up_to_ticks(execute * per_action)))
         self._chunks.append(timed)
         count = self.chunk_stats
-        stale = min(timed.actions, timed.index(timed.arrival_tick))
+        stale = min(timed.action_count, timed.action_index(timed.arrival_tick))
         self.chunk_stats = ChunkStats(
-            count.chunks + 1, count.actions + timed.actions, count.stale + stale, count.waited
+            count.chunks + 1, count.actions + timed.action_count, count.stale + stale, count.waited
         )
 
     def next_command(self, now: int) -> tuple[Array, WeldStates]:
         """Return commands to drives (arms, drives) and welds (arms,). Call once per tick, in order."""
         self._drop_chunks(now)
         here = [timed for timed in self._chunks if timed.arrival_tick <= now]
-        acting = [timed for timed in here if timed.index(now) < timed.actions]
+        acting = [timed for timed in here if timed.action_index(now) < timed.action_count]
         if not acting:
             count = self.chunk_stats
             self.chunk_stats = ChunkStats(count.chunks, count.actions, count.stale, count.waited + 1)
@@ -139,11 +139,13 @@ class ChunkScheduler:
                 return self._rest, np.zeros(len(self._rest), dtype=bool)
         if self._chunking.ensemble is None or len(acting) < 2:
             newest = (acting or here)[-1]
-            k = min(newest.index(now), newest.actions - 1)
+            k = min(newest.action_index(now), newest.action_count - 1)
             return newest.chunk.ctrl[k], newest.chunk.magnet[k]
         weights = np.exp(-self._chunking.ensemble * np.arange(len(acting)))
         weights /= weights.sum()
-        rows = [(timed.chunk.ctrl[timed.index(now)], timed.chunk.magnet[timed.index(now)]) for timed in acting]
+        rows = [
+            (timed.chunk.ctrl[timed.action_index(now)], timed.chunk.magnet[timed.action_index(now)]) for timed in acting
+        ]
         ctrl = np.einsum("c,cad->ad", weights, np.array([ctrl for ctrl, _ in rows]))
         return ctrl, weights @ np.array([magnet for _, magnet in rows], dtype=float) >= 0.5
 
@@ -156,12 +158,12 @@ class ChunkScheduler:
         covered = -1
         for timed in reversed(self._chunks):
             here = timed.arrival_tick <= now
-            if not here or covered < 0 or timed.ends > max(now, covered):
+            if not here or covered < 0 or timed.end_tick > max(now, covered):
                 kept.append(timed)
             if here:
-                covered = max(covered, timed.ends if self._chunking.ensemble is None else now)
+                covered = max(covered, timed.end_tick if self._chunking.ensemble is None else now)
         self._chunks = kept[::-1]
 
 
-def _ticks(amount: float) -> int:
+def _round_up_to_ticks(amount: float) -> int:
     return math.ceil(amount - _ROUNDING)

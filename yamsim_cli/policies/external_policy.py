@@ -9,9 +9,9 @@ from typing import Any, Protocol
 import numpy as np
 
 from ..core.config.policy import PictureMapping, PolicyConfig
-from ..core.dataset.environment_state import joints_key, state_row
-from ..core.errors import UsageError, suggest
-from ..core.geometry.se3 import Array, inverse
+from ..core.dataset.environment_state import joints_key, make_state_row
+from ..core.errors import UsageError, suggest_similar
+from ..core.geometry.se3 import Array, invert_pose
 from ..core.images.resize import resize_image
 from .policy_client import action_period, action_rows
 from .policy_protocol import OBJECTS, InvalidActionError, Observation
@@ -20,7 +20,7 @@ from .policy_protocol import OBJECTS, InvalidActionError, Observation
 class PolicyClient(Protocol):
     """Client of a policy server, or of a checkpoint in this process."""
 
-    def begin(self, seed: int) -> None:
+    def begin_trial(self, seed: int) -> None:
         """Prepare for a new trial. `seed` seeds the policy's random numbers, if any."""
         ...
 
@@ -76,26 +76,28 @@ class MappedPolicy:
         self.execute: int | None = getattr(client, "execute", None)
         sides = station.sides if config.arms == "all" else config.arms
         if missing := [side for side in sides if side not in station.sides]:
-            raise self._unfit("arms", f"there is no {missing[0]} arm; valid: {', '.join(station.sides)}")
+            raise self._unfit_error("arms", f"there is no {missing[0]} arm; valid: {', '.join(station.sides)}")
         if unused := [side for side in station.sides if side not in sides]:
-            raise self._unfit("arms", f"no output drives the {unused[0]} arm")
+            raise self._unfit_error("arms", f"no output drives the {unused[0]} arm")
         # Indices that reorder arms from the station to the client, and back.
         self._to_client = [station.sides.index(side) for side in sides]
         self._to_station = [sides.index(side) for side in station.sides]
         self._scale = np.ones((len(sides), station.drives))
         if config.gripper == "share":
             if not all(station.openings):
-                raise self._unfit("gripper", "an arm has no gripper, so openings cannot be shares")
+                raise self._unfit_error("gripper", "an arm has no gripper, so openings cannot be shares")
             self._scale[:, -1] = station.openings
         self._pictures = {
             key: (picture, station.cameras[camera])
             for key, picture in config.images.items()
-            if (wanted is None or key in wanted) and (camera := self._camera(key, picture, wanted)) is not None
+            if (wanted is None or key in wanted) and (camera := self._find_camera(key, picture, wanted)) is not None
         }
         rows = [row.key for row in (config.state, config.environment_state) if row is not None]
         known = (*config.images, *rows)
         if lacking := [key for key in wanted or () if key not in known]:
-            raise self._unfit("images", f"the policy asks for {lacking[0]!r}; {suggest(lacking[0], known)}")
+            raise self._unfit_error(
+                "images", f"the policy asks for {lacking[0]!r}; {suggest_similar(lacking[0], known)}"
+            )
         things = config.environment_state
         self._has_things = things is not None and (wanted is None or things.key in wanted)
         self.wants = (OBJECTS,) if self._has_things else ()
@@ -106,13 +108,13 @@ class MappedPolicy:
     def reset(self, seed: int) -> None:
         """Begin a trial."""
         self._seed = seed
-        self._client.begin(seed)
+        self._client.begin_trial(seed)
 
     def __call__(self, observation: Observation) -> Mapping[str, Any]:
         """Return the client's actions, as a policy of yamsim does."""
-        return self._actions(self._client.infer(self.message(observation)))
+        return self._read_actions(self._client.infer(self.make_message(observation)))
 
-    def message(self, observation: Observation) -> dict[str, Any]:
+    def make_message(self, observation: Observation) -> dict[str, Any]:
         """Convert an observation to the client's message."""
         config = self._config
         message: dict[str, Any] = dict(config.constants)
@@ -125,7 +127,7 @@ class MappedPolicy:
             message[config.environment_state.key] = self._object_poses(observation).astype(
                 config.environment_state.dtype
             )
-        pictures = {key: _picture(how, observation[name]) for key, (how, name) in self._pictures.items()}
+        pictures = {key: _prepare_picture(how, observation[name]) for key, (how, name) in self._pictures.items()}
         message |= {config.images_under: pictures} if config.images_under else pictures
         for key, value in (
             (config.prompt, observation["prompt"]),
@@ -140,7 +142,7 @@ class MappedPolicy:
         """Close the client."""
         self._client.close()
 
-    def _actions(self, answer: Mapping[str, Any]) -> Mapping[str, Any]:
+    def _read_actions(self, answer: Mapping[str, Any]) -> Mapping[str, Any]:
         actions = self._config.actions
         if actions.key not in answer:
             raise InvalidActionError(
@@ -161,25 +163,27 @@ class MappedPolicy:
 
     def _object_poses(self, observation: Observation) -> Array:
         """Return all objects' poses in the base, and joint positions, in the order of LeRobot exports."""
-        T_world_in_base = inverse(self._station.T_base_in_world)
-        return state_row(
+        T_world_in_base = invert_pose(self._station.T_base_in_world)
+        return make_state_row(
             [
                 (T_world_in_base @ observation[key], observation.get(joints_key(thing), ()))
                 for thing, key in self._station.things.items()
             ]
         )
 
-    def _camera(self, key: str, picture: PictureMapping, wanted: Sequence[str] | None) -> str | None:
+    def _find_camera(self, key: str, picture: PictureMapping, wanted: Sequence[str] | None) -> str | None:
         found = next((name for name in picture.cameras if name in self._station.cameras), None)
         if found is None and (wanted is not None or not picture.optional):
             there = ", ".join(self._station.cameras)
-            raise self._unfit(f"images.{key}", f"there is no camera {' or '.join(picture.cameras)}; there is {there}")
+            raise self._unfit_error(
+                f"images.{key}", f"there is no camera {' or '.join(picture.cameras)}; there is {there}"
+            )
         return found
 
-    def _unfit(self, key: str, problem: str) -> UsageError:
+    def _unfit_error(self, key: str, problem: str) -> UsageError:
         return UsageError(f"--policy-config {self._config.name}: {key}: on rig {self._station.rig!r} {problem}")
 
 
-def _picture(how: PictureMapping, image: np.ndarray) -> np.ndarray:
+def _prepare_picture(how: PictureMapping, image: np.ndarray) -> np.ndarray:
     shown = image if how.size_px is None else resize_image(image, how.size_px, pad=how.fit == "pad")
     return np.ascontiguousarray(shown.transpose(2, 0, 1)) if how.layout == "channels" else shown

@@ -74,7 +74,7 @@ class LeRobotClient:
         self._needs_history = getattr(config, "n_obs_steps", 1) > 1 or bool(kept)
         self.execute: int | None = None if self._needs_history else getattr(config, "n_action_steps", None)
 
-    def begin(self, seed: int) -> None:
+    def begin_trial(self, seed: int) -> None:
         """Seed torch and reset the policy."""
         self._torch.manual_seed(seed)
         self._policy.reset()

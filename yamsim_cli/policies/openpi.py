@@ -100,19 +100,19 @@ class OpenpiClient:
         self._address = f"{SCHEME}://{host}:{port}{urlsplit(url).path or '/'}"
         self._socket: WebSocket | None = None
         try:
-            self._connection()
+            self._connected_socket()
         except (RemoteError, TimeoutError) as error:
             raise ResourceError(str(no_answer_error(url, error))) from error
 
-    def begin(self, seed: int) -> None:
+    def begin_trial(self, seed: int) -> None:
         """Connect again if the connection is lost, as after an error of the server. Raises the errors of `infer`."""
-        self._connection()
+        self._connected_socket()
 
     def infer(self, message: Mapping[str, Any]) -> Mapping[str, Any]:
         """Return the server's answer to an observation's message. Raise RemoteError or TimeoutError without a valid
         answer.
         """
-        return self._receive(self._connection(), pack_openpi(message))
+        return self._request_answer(self._connected_socket(), pack_openpi(message))
 
     def close(self) -> None:
         """Close the connection."""
@@ -120,16 +120,16 @@ class OpenpiClient:
             self._socket.close()
             self._socket = None
 
-    def _connection(self) -> WebSocket:
+    def _connected_socket(self) -> WebSocket:
         if self._socket is not None:
             return self._socket
         with request_context(self._url, self.close):
             made = self._socket = WebSocket(self._address, self._timeout)
         # Discard the metadata, which the server sends first.
-        self._receive(made)
+        self._request_answer(made)
         return made
 
-    def _receive(self, connection: WebSocket, question: bytes | None = None) -> Mapping[str, Any]:
+    def _request_answer(self, connection: WebSocket, question: bytes | None = None) -> Mapping[str, Any]:
         with request_context(self._url, self.close):
             if question is not None:
                 connection.send(question)

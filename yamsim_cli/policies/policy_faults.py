@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 
-_YAMSIM = str(Path(__file__).resolve().parents[1])
+_YAMSIM_FOLDER = str(Path(__file__).resolve().parents[1])
 # Python and installed packages. A fault is described by the last line outside these folders.
-_INSTALLED = tuple({sysconfig.get_path(name) for name in ("stdlib", "platstdlib", "purelib", "platlib")})
+_INSTALLED_FOLDERS = tuple({sysconfig.get_path(name) for name in ("stdlib", "platstdlib", "purelib", "platlib")})
 _MAX_CHARACTERS = 300  # of an exception's message in a description
 
 
@@ -29,10 +29,12 @@ class PolicyFault:
 def describe_fault(error: BaseException, folder: Path) -> PolicyFault:
     """Describe an exception that a policy raised, with paths relative to `folder`."""
     trace = error.__traceback__
-    while trace is not None and trace.tb_next is not None and _is_below(trace.tb_frame.f_code.co_filename, _YAMSIM):
+    while (
+        trace is not None and trace.tb_next is not None and _is_below(trace.tb_frame.f_code.co_filename, _YAMSIM_FOLDER)
+    ):
         trace = trace.tb_next
     whole = "".join(traceback.format_exception(type(error), error, trace))
-    return PolicyFault(summarize_exception(error) + _place(trace, folder), whole)
+    return PolicyFault(summarize_exception(error) + _user_code_line(trace, folder), whole)
 
 
 def summarize_exception(error: BaseException) -> str:
@@ -46,10 +48,10 @@ def summarize_exception(error: BaseException) -> str:
     return f"{type(error).__name__}: {message}" if message else type(error).__name__
 
 
-def _place(trace: TracebackType | None, folder: Path) -> str:
-    frames = [frame for frame in traceback.extract_tb(trace) if not _is_below(frame.filename, _YAMSIM)]
+def _user_code_line(trace: TracebackType | None, folder: Path) -> str:
+    frames = [frame for frame in traceback.extract_tb(trace) if not _is_below(frame.filename, _YAMSIM_FOLDER)]
     frames = [frame for frame in frames if not frame.filename.startswith("<")]
-    own = [frame for frame in frames if not any(_is_below(frame.filename, place) for place in _INSTALLED)]
+    own = [frame for frame in frames if not any(_is_below(frame.filename, place) for place in _INSTALLED_FOLDERS)]
     # A policy may itself be an installed package.
     if not (frames := own or frames):
         return ""

@@ -9,15 +9,17 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from ..core.errors import UsageError, suggest
+from ..core.errors import UsageError, suggest_similar
 from ..core.files.documents.yaml_document import number_or_text
 from .policy_faults import describe_fault
-from .policy_protocol import IMAGES, SCENE, STATE, WRIST, Policy
+from .policy_protocol import IMAGE_REQUESTS, SCENE, STATE_REQUESTS, WRIST, Policy
 
-_OWN = "module:Class or file.py:Class"
+_USER_FORMS = "module:Class or file.py:Class"
 # Policies of other programs: MolmoAct2's and GR00T's servers, openpi's, and LeRobot's checkpoints.
 EXTERNAL_FORMS = ("act://HOST:PORT", "ws://HOST:PORT", "lerobot:CHECKPOINT")
-FORMS = f"give scripted, hold_still, replay:DATASET, {', '.join(EXTERNAL_FORMS)}, http://HOST:PORT, {_OWN}"
+POLICY_FORMS = (
+    f"give scripted, hold_still, replay:DATASET, {', '.join(EXTERNAL_FORMS)}, http://HOST:PORT, {_USER_FORMS}"
+)
 
 _WITHOUT_IMAGES = ("scripted", "hold_still", "replay")  # policies that need no rendering
 
@@ -41,7 +43,7 @@ def takes_keywords(name: str) -> bool:
 def load_policy(
     name: str,
     folder: Path,
-    forms: str = f"give {_OWN}",
+    forms: str = f"give {_USER_FORMS}",
     arguments: Mapping[str, Any] | None = None,
     *,
     known_only: bool = False,
@@ -57,8 +59,8 @@ def load_policy(
         raise UsageError(f"--policy {name!r} is not valid: {forms}")
     try:
         module = _load_file(folder / place) if is_file else _load_module(place, folder)
-        found, keywords = _find(module, attribute, name), dict(arguments or {})
-        made = found(**(_known(found, keywords) if known_only else keywords))
+        found, keywords = _find_policy_class(module, attribute, name), dict(arguments or {})
+        made = found(**(_accepted_keywords(found, keywords) if known_only else keywords))
     except UsageError:
         raise
     except Exception as error:
@@ -66,7 +68,7 @@ def load_policy(
     return check_policy(made, name)
 
 
-def _known(function: Callable[..., Any], keywords: Mapping[str, Any]) -> dict[str, Any]:
+def _accepted_keywords(function: Callable[..., Any], keywords: Mapping[str, Any]) -> dict[str, Any]:
     parameters = inspect.signature(function).parameters
     if any(parameter.kind is inspect.Parameter.VAR_KEYWORD for parameter in parameters.values()):
         return dict(keywords)
@@ -105,7 +107,7 @@ def _load_file(path: Path) -> ModuleType:
     return module
 
 
-def _find(module: ModuleType, attribute: str, name: str) -> Any:
+def _find_policy_class(module: ModuleType, attribute: str, name: str) -> Any:
     own = {key: value for key, value in vars(module).items() if inspect.isclass(value)}
     classes = {
         key: value
@@ -114,7 +116,7 @@ def _find(module: ModuleType, attribute: str, name: str) -> Any:
     }
     if attribute:
         if not hasattr(module, attribute):
-            raise UsageError(f"--policy {name}: it has no {attribute!r}; {suggest(attribute, classes)}")
+            raise UsageError(f"--policy {name}: it has no {attribute!r}; {suggest_similar(attribute, classes)}")
         return getattr(module, attribute)
     if len(classes) != 1:
         found = f"has the policies {', '.join(classes)}" if classes else "has no class that can be called"
@@ -128,13 +130,13 @@ def check_policy(policy: Any, name: str) -> Policy:
         raise UsageError(
             f"--policy {name}: {type(policy).__name__} needs the methods reset() and __call__(observation)"
         )
-    for attribute, what, valid in (("images", "image", IMAGES), ("wants", "state", STATE)):
+    for attribute, what, valid in (("images", "image", IMAGE_REQUESTS), ("wants", "state", STATE_REQUESTS)):
         requested = getattr(policy, attribute, ())
         if not isinstance(requested, tuple | list | set | frozenset):
             raise UsageError(f"--policy {name}: {attribute} is {requested!r}; give a tuple, such as ({valid[0]!r},)")
         for one in requested:
             if one not in valid:
-                raise UsageError(f"--policy {name}: it asks for the {what} {one!r}; {suggest(str(one), valid)}")
+                raise UsageError(f"--policy {name}: it asks for the {what} {one!r}; {suggest_similar(str(one), valid)}")
     ticks = getattr(policy, "ticks", 1)
     if not isinstance(ticks, int) or ticks < 1:
         raise UsageError(f"--policy {name}: ticks is {ticks!r}; give a whole number, at least 1")

@@ -15,11 +15,11 @@ from ..core.geometry.se3 import Array
 
 # Images that a policy can request; "wrist" stands for all wrist cameras.
 SCENE, WRIST = "scene", "wrist"
-IMAGES = (SCENE, WRIST, "left_wrist", "right_wrist")
+IMAGE_REQUESTS = (SCENE, WRIST, "left_wrist", "right_wrist")
 
 # Further values that a policy can request: poses of objects, which only a simulation knows, and joint velocities.
 OBJECTS, VELOCITIES = "objects", "velocities"
-STATE = (OBJECTS, VELOCITIES)
+STATE_REQUESTS = (OBJECTS, VELOCITIES)
 
 MAX_ACTIONS = 1000  # in one answer
 MIN_PERIOD, MAX_PERIOD = 1e-3, 10.0  # s, of one action
@@ -45,8 +45,8 @@ class Policy(Protocol):
 
     Optional attributes of the class or the object:
 
-    - `images`: requested images, from `IMAGES`; by default "scene" and "wrist".
-    - `wants`: requested values, from `STATE`; by default none.
+    - `images`: requested images, from `IMAGE_REQUESTS`; by default "scene" and "wrist".
+    - `wants`: requested values, from `STATE_REQUESTS`; by default none.
     - `ticks`: duration of an action in control ticks of 32 ms; by default 1. Datasets use 2.
     - `execute`: executed actions of a chunk before the next inference; by default all.
     """
@@ -103,7 +103,7 @@ def read_chunk(answer: object, arms: int, each: int) -> ActionChunk:
         raise InvalidActionError(f"an action is a dictionary with ctrl, magnet and done, not {type(answer).__name__}")
     if unknown := sorted(map(str, answer.keys() - {"ctrl", "magnet", "done", "period"})):
         raise InvalidActionError(f"an action holds ctrl, magnet, done and period, not {', '.join(unknown)}")
-    ctrl = _ctrl(answer, arms * each)
+    ctrl = _read_ctrl(answer, arms * each)
     count = len(ctrl) if ctrl.ndim > 1 else 1
     _check_angles(ctrl.reshape(count, arms, each))
     magnet = (
@@ -116,18 +116,18 @@ def read_chunk(answer: object, arms: int, each: int) -> ActionChunk:
         raise InvalidActionError(
             f"{count} actions of {period:g} s last {count * period:g} s, not at most {_MAX_CHUNK_S:g}"
         )
-    (done,) = _truths(answer.get("done", False), "done", 1)
+    (done,) = _read_truth_values(answer.get("done", False), "done", 1)
     return ActionChunk(ctrl.reshape(count, arms, each), np.array(magnet), done, period)
 
 
 def _weld_rows(value: Any, is_chunk: bool, count: int, arms: int) -> list[tuple[bool, ...]]:
-    rows = _values(value, "magnet")
+    rows = _as_array(value, "magnet")
     if is_chunk and rows.size == count * arms:
-        return [_truths(row, "magnet", arms) for row in rows.reshape(count, arms)]
-    return [_truths(value, "magnet", arms)] * count
+        return [_read_truth_values(row, "magnet", arms) for row in rows.reshape(count, arms)]
+    return [_read_truth_values(value, "magnet", arms)] * count
 
 
-def _ctrl(answer: Mapping[str, Any], drives: int) -> Array:
+def _read_ctrl(answer: Mapping[str, Any], drives: int) -> Array:
     if "ctrl" not in answer:
         raise InvalidActionError(f"an action needs ctrl, {drives} numbers")
     try:
@@ -155,15 +155,15 @@ def _check_angles(ctrl: Array) -> None:
         raise InvalidActionError(f"ctrl has a joint at {largest:g}, which {error}") from error
 
 
-def _truths(value: object, key: str, count: int) -> tuple[bool, ...]:
-    values = _values(value, key).ravel()
+def _read_truth_values(value: object, key: str, count: int) -> tuple[bool, ...]:
+    values = _as_array(value, key).ravel()
     if values.size != count or values.dtype.kind not in "bif" or not np.isin(values, (0, 1)).all():
         wanted = "true or false" if count == 1 else f"{count} times true or false, the left arm's first"
         raise InvalidActionError(f"{key} is {repr(value)[:80]}, not {wanted}")
     return tuple(map(bool, values))
 
 
-def _values(value: object, key: str) -> np.ndarray:
+def _as_array(value: object, key: str) -> np.ndarray:
     try:
         return np.asarray(value)
     except (TypeError, ValueError) as error:

@@ -67,22 +67,22 @@ class PolicyServer(ThreadingHTTPServer):
         host, port = self.server_address[:2]
         return f"http://{host if isinstance(host, str) else host.decode()}:{port}"
 
-    def answer(self, what: str, message: Any) -> bytes:
+    def answer_message(self, what: str, message: Any) -> bytes:
         """Return the encoded answer to a message that was posted to `/<what>`. An error becomes an answer too."""
         with self._one_at_a_time:
             try:
                 # Otherwise, a process that the policy forks would answer the client again.
                 with kill_forks_at_exit():
-                    return pack_message(self._answer(what, message))
+                    return pack_message(self._handle_message(what, message))
             except Exception as error:  # noqa: BLE001
-                return _fault(error)
+                return _fault_answer(error)
 
     def handle_error(self, request: Any, client_address: Any) -> None:
         """Ignore lost connections, such as those of terminated workers."""
         if not isinstance(sys.exception(), ConnectionError):
             super().handle_error(request, client_address)
 
-    def _answer(self, what: str, message: Any) -> dict[str, Any]:
+    def _handle_message(self, what: str, message: Any) -> dict[str, Any]:
         if what == "session":
             if message["protocol"] != PROTOCOL:
                 raise MessageError(f"this server speaks version {PROTOCOL} of the protocol, not {message['protocol']}")
@@ -105,7 +105,7 @@ class PolicyServer(ThreadingHTTPServer):
         raise MessageError(f"there is no /{what}")
 
 
-def _fault(error: Exception) -> bytes:
+def _fault_answer(error: Exception) -> bytes:
     if isinstance(error, MessageError):
         report: dict[str, Any] = {"error": str(error), "invalid": isinstance(error, UnsendableError)}
     else:
@@ -134,9 +134,9 @@ class _Handler(BaseHTTPRequestHandler):
             self.send_error(413)
             return
         try:
-            data = self.server.answer(self.path.strip("/"), unpack_message(self.rfile.read(int(length))))
+            data = self.server.answer_message(self.path.strip("/"), unpack_message(self.rfile.read(int(length))))
         except MessageError as error:
-            data = _fault(error)
+            data = _fault_answer(error)
         self.send_response(200)
         self.send_header("Content-Type", "application/msgpack")
         self.send_header("Content-Length", str(len(data)))

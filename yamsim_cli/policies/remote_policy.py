@@ -19,7 +19,7 @@ from .policy_protocol import InvalidActionError, Observation
 
 PROTOCOL = 1  # a server refuses clients with another version
 
-_ARRAY = 1  # msgpack's extension type of an array
+_ARRAY_TYPE = 1  # msgpack's extension type of an array
 _DTYPE_KINDS = "biuf"  # booleans, integers and floating-point numbers
 
 
@@ -146,13 +146,13 @@ def _pack_array(value: Any) -> Any:
         what = f"an array of dtype {array.dtype}" if isinstance(value, np.ndarray) else type(value).__name__
         raise TypeError(f"{what} cannot be sent: only numbers, text, plain containers and arrays can")
     content = np.ascontiguousarray(array).tobytes()
-    return msgpack.ExtType(_ARRAY, msgpack.packb([array.dtype.str, list(array.shape), content]))
+    return msgpack.ExtType(_ARRAY_TYPE, msgpack.packb([array.dtype.str, list(array.shape), content]))
 
 
 def _unpack_array(code: int, data: bytes) -> Any:
     import msgpack
 
-    if code != _ARRAY:
+    if code != _ARRAY_TYPE:
         raise MessageError(f"unknown type {code}")
     kind, shape, content = msgpack.unpackb(data)
     dtype = np.dtype(str(kind))

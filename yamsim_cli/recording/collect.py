@@ -18,7 +18,7 @@ from ..core.config.recording import RecordConfig
 from ..core.dataset.dataset_paths import episode_name
 from ..core.dataset.records import attempt_record, episode_record
 from ..core.dataset.writing.ledger import missing_episode
-from ..core.dataset.writing.staged_writer import Sink
+from ..core.dataset.writing.staged_writer import EpisodeWriter
 from ..core.errors import DatasetError, InterruptedJobError, PartialJobError
 from ..core.workers.executors import Executor, LostJobError
 from ..core.workers.stop_request import StopRequest
@@ -50,7 +50,7 @@ class Collector:
     def __init__(
         self,
         config: RecordConfig,
-        sink: Sink,
+        sink: EpisodeWriter,
         callbacks: RecordCallbacks,
         stop: StopRequest,
         no_better_start: AllStartsFail,
@@ -61,7 +61,7 @@ class Collector:
         self._watch = callbacks
         self._stop = stop
         # Attempts whose episode or ledger line is lost are repeated first, under their old numbers.
-        self._lost_attempts = {attempt.attempt: attempt for attempt in sink.missing}
+        self._lost_attempts = {attempt.attempt: attempt for attempt in sink.attempts_without_episode}
         self._queue = sorted(self._lost_attempts.keys() | sink.lost_lines, reverse=True)
         self._next = len(sink.attempts)
         self._finished: dict[int, AttemptPayload] = {}
@@ -85,7 +85,7 @@ class Collector:
 
     def run(self, executor: EpisodeExecutor) -> None:
         """Record until the dataset is complete. After a stop, running attempts have `_STOP_SECONDS` to finish."""
-        self._report()
+        self._report_progress()
         while self.attempts_needed:
             while not self._stop.is_requested and executor.idle and self._can_start(executor):
                 executor.submit(AttemptJob(self._config.seed, self._next_attempt()))
@@ -112,15 +112,15 @@ class Collector:
         """Write all results that are next in the order of attempts; return whether there were any."""
         before = len(self._finished)
         for attempt in self._lost_attempts.keys() & self._finished.keys():
-            self._restore(self._finished.pop(attempt))
+            self._restore_lost_episode(self._finished.pop(attempt))
         while (lost := min(self._sink.lost_lines, default=-1)) in self._finished:
             self._log_again(self._finished.pop(lost))
         # New episodes get numbers only when the outcomes of all earlier attempts are known.
         while not self._sink.lost_lines and self._next_is_finished:
-            self._commit(self._finished.pop(len(self._sink.attempts)))
+            self._commit_attempt(self._finished.pop(len(self._sink.attempts)))
         if len(self._finished) == before:
             return False
-        self._report()
+        self._report_progress()
         return True
 
     @property
@@ -163,11 +163,11 @@ class Collector:
             self._watch.warn(f"Attempt {job.attempt} {detail}. It will count as a failure unless others fail like it.")
         self._finished[job.attempt] = AttemptPayload(Attempt(job), Outcome(False, FailureCause.WORKER_LOST, detail))
 
-    def _commit(self, payload: AttemptPayload) -> None:
+    def _commit_attempt(self, payload: AttemptPayload) -> None:
         episode = self._sink.episodes if payload.outcome.success else None
         if episode is not None:
             self._publish(payload, episode)
-        self._sink.log(attempt_record(payload, episode))
+        self._sink.log_attempt(attempt_record(payload, episode))
         self.check_retry_limit()
 
     def check_retry_limit(self) -> None:
@@ -180,7 +180,7 @@ class Collector:
         ):
             raise error
 
-    def _restore(self, payload: AttemptPayload) -> None:
+    def _restore_lost_episode(self, payload: AttemptPayload) -> None:
         lost = self._lost_attempts[payload.job.attempt]
         if not payload.outcome.success or lost.episode is None:
             raise self._not_reproduced_error(payload, lost.episode or 0)
@@ -204,11 +204,11 @@ class Collector:
         elif number is not None and number < self._sink.episodes and len(self._sink.lost_lines) == 1:
             # Later episodes exist, and no other attempt can have given this episode.
             raise self._not_reproduced_error(payload, number)
-        self._sink.log(attempt_record(payload, episode))
+        self._sink.log_attempt(attempt_record(payload, episode))
         self.check_retry_limit()
 
     def _publish(self, payload: AttemptPayload, episode: int) -> None:
-        self._sink.publish(episode_record(self._config, payload, episode), payload.files)
+        self._sink.publish_episode(episode_record(self._config, payload, episode), payload.files)
 
     def _compare_renderers(self, payload: AttemptPayload) -> None:
         """Warn if workers render with different OpenGL drivers, which give different image bytes."""
@@ -219,5 +219,5 @@ class Collector:
             )
         self._renderer = payload.renderer or self._renderer
 
-    def _report(self) -> None:
+    def _report_progress(self) -> None:
         self._watch.progress(self.complete_episodes, self._config.episodes, len(self._sink.attempts))

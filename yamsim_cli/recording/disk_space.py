@@ -48,7 +48,7 @@ class EpisodeSize:
         qualities = list(_JPEG_PER_PIXEL)
         likely_per_pixel = float(np.interp(image.jpeg_quality, qualities, [_JPEG_PER_PIXEL[q] for q in qualities]))
 
-        def total(count: int, per_pixel: float, per_truth: float) -> int:
+        def total_bytes(count: int, per_pixel: float, per_truth: float) -> int:
             picture = _round_up_to_blocks(_JPEG_OVERHEAD + per_pixel * pixels, block)
             if truth:
                 picture += 2 * _round_up_to_blocks(per_truth * pixels / 2, block) + _TRUTH_ARRAY_BYTES
@@ -60,8 +60,8 @@ class EpisodeSize:
         besides = cameras + 4 + (3 + 2 * cameras if truth else 0)
         least_inodes, inodes = (files_per_episode(count, cameras, truth=truth) + besides for count in frames)
         return cls(
-            total(frames[0], _MIN_JPEG_PER_PIXEL, _MIN_TRUTH_PER_PIXEL),
-            total(frames[1], likely_per_pixel, _LIKELY_TRUTH_PER_PIXEL),
+            total_bytes(frames[0], _MIN_JPEG_PER_PIXEL, _MIN_TRUTH_PER_PIXEL),
+            total_bytes(frames[1], likely_per_pixel, _LIKELY_TRUTH_PER_PIXEL),
             least_inodes,
             inodes,
         )

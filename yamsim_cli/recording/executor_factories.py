@@ -87,10 +87,10 @@ def pack_session(session: Session) -> PackedSession:
     files: dict[str, bytes] = {}
     # Files of the data folder with the highest priority replace others.
     for root in reversed(locations.data):
-        files |= _read(root / _MODELS, _MODELS)
+        files |= _read_folder(root / _MODELS, _MODELS)
     for name, folder in locations.meshes.items():
         if folder is not None:
-            files |= _read(folder, f"meshes/{name}")
+            files |= _read_folder(folder, f"meshes/{name}")
     meshes = {name: f"meshes/{name}" if folder else None for name, folder in locations.meshes.items()}
     return PackedSession(session.config, files, meshes)
 
@@ -116,7 +116,7 @@ def unpacked_runner(packed: PackedSession) -> Iterator[AttemptRunner]:
         yield runner
 
 
-def _read(folder: Path, prefix: str) -> dict[str, bytes]:
+def _read_folder(folder: Path, prefix: str) -> dict[str, bytes]:
     return {
         f"{prefix}/{path.relative_to(folder).as_posix()}": path.read_bytes()
         for path in sorted(folder.rglob("*"))

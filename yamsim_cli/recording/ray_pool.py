@@ -15,7 +15,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Generic, cast
 
 from ..core.errors import ResourceError
-from ..core.workers.executors import Factory, J, R
+from ..core.workers.executors import J, R, RunnerFactory
 from ..core.workers.job_server import STOP_SIGNALS, WorkerJobRunner
 from ..core.workers.worker_pool import JOB_SECONDS, BaseWorkerPool, Event, Worker, WorkerDied
 
@@ -31,7 +31,7 @@ class RayPool(BaseWorkerPool[J, R]):
 
     def __init__(
         self,
-        factory: Factory[J, R],
+        factory: RunnerFactory[J, R],
         workers: int,
         *,
         address: str | None = None,
@@ -60,11 +60,13 @@ class _Actor(Generic[J]):
 class _Cluster(Generic[J, R]):
     """Starts Ray actors as workers, and waits for their answers."""
 
-    def __init__(self, factory: Factory[J, R], workers: int, address: str | None, environ: dict[str, str]) -> None:
+    def __init__(
+        self, factory: RunnerFactory[J, R], workers: int, address: str | None, environ: dict[str, str]
+    ) -> None:
         self._ray = _import_ray()
         self._ours = not self._ray.is_initialized()
         if self._ours:
-            _connect(self._ray, address, workers)
+            _connect_ray(self._ray, address, workers)
         cpus = int(self._ray.cluster_resources().get("CPU", 0))
         if cpus < workers:
             self.close()
@@ -90,9 +92,9 @@ class _Cluster(Generic[J, R]):
             time.sleep(timeout)
             return []
         ready, _ = self._ray.wait(list(awaited), num_returns=1, timeout=timeout)
-        return [(awaited[answer], self._event(awaited[answer])) for answer in ready]
+        return [(awaited[answer], self._receive_event(awaited[answer])) for answer in ready]
 
-    def _event(self, actor: _Actor[J]) -> Event[R]:
+    def _receive_event(self, actor: _Actor[J]) -> Event[R]:
         answer, actor.answer = actor.answer, None
         try:
             return cast("Event[R]", pickle.loads(self._ray.get(answer)))
@@ -112,7 +114,7 @@ def _import_ray() -> Any:
     return ray
 
 
-def _connect(ray: Any, address: str | None, workers: int) -> None:
+def _connect_ray(ray: Any, address: str | None, workers: int) -> None:
     quiet = {"logging_level": logging.ERROR, "log_to_driver": False}
     with _restore_signal_handlers():
         try:

@@ -63,7 +63,7 @@ def _check_certificates(session: Session, callbacks: RecordCallbacks) -> None:
     """Refuse an object that failed its certification. Warn about an object that changed since."""
     config, locations = session.config, session.locations
     lock = load_lock(locations)
-    for item in (*config.task.objects, *config.randomization.extras):
+    for item in (*config.task.objects, *config.randomization.distractor_configs):
         found = find_certificate(locations.assets, item, lock)
         if found.status is CertificateStatus.FAILED:
             raise ResourceError(
@@ -81,12 +81,12 @@ def _report_on_early_end(
     """At an early end, write the manifest, and add recorded and remaining episodes to the error."""
     place = destination.writer.path
 
-    def whole() -> str:
+    def complete_episodes_text() -> str:
         complete = collector.complete_episodes
         return f"{complete} of {config.episodes} episodes are complete in {place}{destination.describe_staged}"
 
-    def state() -> str:
-        return f"{whole()}, {collector.remaining_episodes} are left; continue with --resume"
+    def progress_text() -> str:
+        return f"{complete_episodes_text()}, {collector.remaining_episodes} are left; continue with --resume"
 
     try:
         try:
@@ -95,10 +95,10 @@ def _report_on_early_end(
             destination.abandon()
             raise
     except (KeyboardInterrupt, InterruptedJobError):
-        raise InterruptedJobError(f"interrupted: {state()}") from None
+        raise InterruptedJobError(f"interrupted: {progress_text()}") from None
     except OSError as error:
-        raise PartialJobError(f"{explain_disk_error(error, place)}: {state()}") from error
+        raise PartialJobError(f"{explain_disk_error(error, place)}: {progress_text()}") from error
     except RetryLimitError as error:
-        raise RetryLimitError(f"{error}; {whole()}") from error
+        raise RetryLimitError(f"{error}; {complete_episodes_text()}") from error
     except PartialJobError as error:
-        raise PartialJobError(f"{error}: {state()}") from error
+        raise PartialJobError(f"{error}: {progress_text()}") from error

@@ -13,10 +13,10 @@ from pathlib import Path
 from ..core.config.recording import RecordConfig
 from ..core.dataset.records import ManifestEntry
 from ..core.dataset.writing.directory_claim import OpenMode
-from ..core.dataset.writing.staged_writer import MAX_WAITING, Sink, StagedWriter
+from ..core.dataset.writing.staged_writer import MAX_WAITING, EpisodeWriter, StagedWriter
 from ..core.dataset.writing.writer import DatasetWriter, config_for_new_episodes
 from ..core.errors import InterruptedJobError
-from ..core.expert.skills.program import typical_ticks
+from ..core.expert.skills.program import typical_tick_count
 from ..core.files.filesystem_mounts import Mount, network_mount, read_mounts
 from ..core.files.writing import nearest_directory
 from ..core.workers.stop_request import StopRequest
@@ -47,7 +47,7 @@ class OpenRecordingOutput:
         self._staged = staged
 
     @property
-    def sink(self) -> Sink:
+    def sink(self) -> EpisodeWriter:
         """The writer for new episodes."""
         return self._staged or self.writer
 
@@ -61,19 +61,19 @@ class OpenRecordingOutput:
     def finish(self, callbacks: RecordCallbacks, stop: StopRequest) -> None:
         """Wait until all episodes are in the dataset, and write the manifest."""
         if self._staged is None:
-            self.writer.finish()
+            self.writer.write_manifest()
             return
         if waiting := self._staged.pending_episodes:
             callbacks.warn(f"Moving the last {waiting} episodes to {self.writer.path}.")
-        while not self._staged.drain(_POLL_SECONDS):
+        while not self._staged.wait_until_moved(_POLL_SECONDS):
             if stop.is_requested:
                 raise InterruptedJobError("interrupted")
-        self._staged.finish()
+        self._staged.write_manifest()
 
     def abandon(self) -> None:
         """Write the manifest and ignore disk errors; the next --resume writes it again."""
         with contextlib.suppress(OSError):
-            (self._staged or self.writer).finish()
+            (self._staged or self.writer).write_manifest()
 
 
 @contextlib.contextmanager
@@ -98,7 +98,7 @@ def open_destination(
         for repair in writer.repairs + (staged.repairs if staged else []):
             callbacks.warn(repair)
         destination = OpenRecordingOutput(config, writer, staged)
-        left = config.episodes - destination.sink.episodes + len(destination.sink.missing)
+        left = config.episodes - destination.sink.episodes + len(destination.sink.attempts_without_episode)
         if resuming:
             _check_space(config, writer.path, writer.entries, left, callbacks)
         if output.stage is not None:
@@ -111,7 +111,7 @@ def _check_mounts(config: RecordConfig, output: RecordingOutput, callbacks: Reco
     mounts = read_mounts()
     mount = network_mount(output.path, mounts)
     if output.stage is None and mount is not None:
-        frames = _frames(config, {})[1]
+        frames = _frames_per_episode(config, {})[1]
         files = files_per_episode(frames, len(config.recorded_cameras), truth=config.truth)
         seconds = files * _ROUND_TRIPS_PER_FILE * _ROUND_TRIP
         callbacks.warn(
@@ -136,16 +136,16 @@ def _check_space(
         return
     disk = nearest_directory(place)
     block = os.statvfs(disk).f_frsize
-    frames = _frames(config, entries)
+    frames = _frames_per_episode(config, entries)
     size = EpisodeSize.estimate(frames, len(config.recorded_cameras), config.image, block, truth=config.truth)
     if warning := check_space(disk, episodes, size.from_recorded(entries.values(), block)):
         callbacks.warn(warning)
 
 
-def _frames(config: RecordConfig, entries: Mapping[int, ManifestEntry]) -> tuple[int, int]:
+def _frames_per_episode(config: RecordConfig, entries: Mapping[int, ManifestEntry]) -> tuple[int, int]:
     """Return lower bound and typical frames of an episode, from the mean of `entries` or else estimated."""
     every = config.task.timing.ticks_per_frame
-    frames = math.ceil(typical_ticks(config.task) / every)
+    frames = math.ceil(typical_tick_count(config.task) / every)
     if entries:
         frames = round(statistics.fmean(entry.frames for entry in entries.values()))
     return math.ceil(_MIN_DURATION * frames), frames

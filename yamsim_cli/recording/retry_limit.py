@@ -20,7 +20,7 @@ from ..core.config.recording import RecordConfig
 from ..core.config.session import Session
 from ..core.dataset.records import AttemptRecord
 from ..core.episode.sampling import sample_object_placements
-from ..core.episode.simulator import Simulators
+from ..core.episode.simulator import SimulatorCache
 from ..core.errors import PartialJobError, SimulationError, YamsimError
 from ..core.expert.skills.program import build_program
 
@@ -74,7 +74,7 @@ class RetryLimit:
             return None
         if episodes:
             rest = f"the task works too rarely, {episodes} of {tried} times and at least 1 in {_ATTEMPTS_PER_EPISODE} "
-            return RetryLimitError(f"gave up after {tried} attempts: {rest}is needed; {self._causes(attempts)}")
+            return RetryLimitError(f"gave up after {tried} attempts: {rest}is needed; {self._causes_text(attempts)}")
         if tried >= MIN_ATTEMPTS:
             return self._infeasible_task_error(f"none of {tried} attempts succeeded", attempts)
         causes = {attempt.outcome.cause for attempt in attempts}
@@ -88,12 +88,12 @@ class RetryLimit:
 
     def _infeasible_task_error(self, why: str, attempts: Sequence[AttemptRecord]) -> SimulationError:
         return SimulationError(
-            f"task {self._name!r} cannot work as it is: {why}; {self._causes(attempts)}; then record with "
+            f"task {self._name!r} cannot work as it is: {why}; {self._causes_text(attempts)}; then record with "
             "--overwrite, or to another --out"
         )
 
     @staticmethod
-    def _causes(attempts: Sequence[AttemptRecord]) -> str:
+    def _causes_text(attempts: Sequence[AttemptRecord]) -> str:
         failed = [attempt for attempt in attempts if not attempt.outcome.success]
         counts = Counter(str(attempt.outcome.cause) for attempt in failed).most_common()
         commonest = counts[0][0]
@@ -107,14 +107,14 @@ def all_starts_fail(session: Session, cause: FailureCause, first: int) -> bool:
     """Whether all starts from attempt `first` on fail for `cause`; False for causes that depend on physics."""
     if cause not in (FailureCause.NO_LAYOUT, FailureCause.UNREACHABLE):
         return False
-    with Simulators(session.without_meshes()) as simulators:
+    with SimulatorCache(session.without_meshes()) as simulators:
         return not any(
             _start_is_feasible(simulators, cause, AttemptJob(session.config.seed, number))
             for number in range(first, first + STARTS_TO_CHECK)
         )
 
 
-def _start_is_feasible(simulators: Simulators, cause: FailureCause, job: AttemptJob) -> bool:
+def _start_is_feasible(simulators: SimulatorCache, cause: FailureCause, job: AttemptJob) -> bool:
     """Whether the objects have room and, for `UNREACHABLE`, whether grippers reach all objects to be grasped.
 
     Without that, the program fails.
@@ -127,7 +127,7 @@ def _start_is_feasible(simulators: Simulators, cause: FailureCause, job: Attempt
     grasped = {
         thing for skill in build_program(task, cast) if skill.NEEDS_HELD is False for _, thing in skill.roles()[:1]
     }
-    top = simulator.config.table.top
+    top = simulator.config.widened_table.top_height
     return all(
         simulator.expert_planner.is_place_reachable(np.array([*places[name].T[:2, 3], top + HAND_HEIGHT]))
         for thing in grasped

@@ -14,7 +14,7 @@ from ..core.files.documents.config_base import Config
 from ..core.files.resources import Locations
 from ..core.files.writing import describe_refusal, write_file
 
-_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
+_VALID_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 
 _TEMPLATE = """\
 # The task {name}: try it with `yamsim tasks check {name}.yaml`, record it with `yamsim record --task {name}.yaml`.
@@ -88,7 +88,7 @@ def _as_data(config: Config) -> Mapping[str, Any]:
 
 def write_task_template(name: str, folder: Path) -> Path:
     """Write the template of a task, and return its file."""
-    if not _NAME.fullmatch(name):
+    if not _VALID_NAME.fullmatch(name):
         raise UsageError(
             f"{name!r} is not a valid name for a task; use letters, digits and underscores, and begin with a letter"
         )

@@ -18,10 +18,10 @@ from ..core.config.goals.world import TABLE
 from ..core.config.program_task import NearMiss, ProgramTask, Start
 from ..core.config.session import Session
 from ..core.episode.episode_rules import REPLAY_RULES
-from ..core.episode.execution import SimulatedAttempt, demonstrate
+from ..core.episode.execution import SimulatedAttempt, simulate_expert
 from ..core.episode.sampling import sample_attempt
-from ..core.episode.simulator import Simulator, Simulators, open_episode
-from ..core.episode.trials import run_batch
+from ..core.episode.simulator import Simulator, SimulatorCache, open_episode
+from ..core.episode.trials import run_expert_trials
 from ..core.errors import SimulationError
 from ..core.expert.skills.program import parse_program
 from ..core.expert.skills.program_checks import program_contradiction
@@ -62,7 +62,9 @@ def check_program_fits(task: ProgramTask) -> TaskCheck:
 def check_reach(simulator: Simulator) -> TaskCheck:
     """Check that a hand reaches enough points of each start region on the table."""
     shares = {
-        role: _reachable_share(simulator, start) for role, start in simulator.config.starts.items() if start.on == TABLE
+        role: _reachable_share(simulator, start)
+        for role, start in simulator.config.start_regions_in_world.items()
+        if start.on == TABLE
     }
     least = min(shares.values(), default=1.0)
     listed = ", ".join(f"{role} {share:.0%}" for role, share in shares.items())
@@ -72,12 +74,12 @@ def check_reach(simulator: Simulator) -> TaskCheck:
 
 
 def _reachable_share(simulator: Simulator, start: Start) -> float:
-    height = simulator.config.table.top + _HAND_HEIGHT
+    height = simulator.config.widened_table.top_height + _HAND_HEIGHT
     places = list(itertools.product(np.linspace(*start.x, _GRID_POINTS), np.linspace(*start.y, _GRID_POINTS)))
     return sum(simulator.expert_planner.is_place_reachable(np.array((x, y, height))) for x, y in places) / len(places)
 
 
-def check_holding_still(simulators: Simulators, seed: int, n: int) -> TaskCheck:
+def check_holding_still(simulators: SimulatorCache, seed: int, n: int) -> TaskCheck:
     """Check that arms that hold still never reach the goal."""
     reached = []
     for job in (AttemptJob(seed, number) for number in range(n)):
@@ -87,13 +89,13 @@ def check_holding_still(simulators: Simulators, seed: int, n: int) -> TaskCheck:
             continue
         episode = open_episode(simulator, attempt, REPLAY_RULES)
         task = simulator.config.task
-        ticks = math.ceil(_STILL_SECONDS / task.timing.tick) + task.hold_ticks
+        ticks = math.ceil(_STILL_SECONDS / task.timing.tick_seconds) + task.hold_ticks
         episode.run_commands(_hold_actions(simulator.scene, attempt.start, ticks))
-        reached.append(episode.succeeds)
+        reached.append(episode.has_succeeded)
     return _never_reached("hold_still", reached, "attempts in which nothing is done")
 
 
-def check_open_fingers(simulators: Simulators, seed: int, n: int) -> TaskCheck:
+def check_open_fingers(simulators: SimulatorCache, seed: int, n: int) -> TaskCheck:
     """Check that an expert whose fingers do not close never reaches the goal."""
     task = simulators.session.config.task
     if all(skill.NEEDS_HELD is not False for skill in parse_program(task.expert, task.typical_roles)):
@@ -103,7 +105,7 @@ def check_open_fingers(simulators: Simulators, seed: int, n: int) -> TaskCheck:
         simulator = simulators.get(job)
         attempt = sample_attempt(simulator, job)
         if attempt.start is not None:
-            reached.append(demonstrate(simulator, attempt, grips=False).outcome.success)
+            reached.append(simulate_expert(simulator, attempt, grips=False).outcome.success)
     return _never_reached("open_fingers", reached, "attempts in which no finger closes")
 
 
@@ -113,7 +115,7 @@ def check_near_misses(simulator: Simulator, done: SimulatedAttempt) -> TaskCheck
     Each moved object is put back to its start in turn. Each near miss of the task is applied by itself.
     """
     episode = open_episode(simulator, done.attempt, REPLAY_RULES)
-    for state in done.states:
+    for state in done.recorded_states:
         episode.run_commands(state.actions)
     task, roles = simulator.config.task, simulator.roles
     ended = episode.data.qpos.copy()
@@ -133,7 +135,7 @@ def _near_miss_states(
 ) -> Iterator[tuple[str, Array]]:
     assert attempt.start is not None, "a success has a start"
     for name in _moved_objects(scene, attempt.start, ended):
-        back, at = ended.copy(), _addresses(scene, name)
+        back, at = ended.copy(), _qpos_addresses(scene, name)
         back[at] = attempt.start[at]
         yield f"the {name} where it started", back
     for miss in task.near_misses:
@@ -154,7 +156,7 @@ def _moved_objects(scene: CompiledScene, start: Array, ended: Array) -> Iterator
             yield name
 
 
-def _addresses(scene: CompiledScene, name: str) -> Ids:
+def _qpos_addresses(scene: CompiledScene, name: str) -> Ids:
     if name in scene.cloths:
         return scene.cloths[name].qpos
     return np.arange(scene.object_qpos[name], scene.object_qpos[name] + 7)
@@ -186,7 +188,7 @@ def _never_reached(name: str, reached: Sequence[bool], what: str) -> TaskCheck:
 def _hold_actions(scene: CompiledScene, start: Array, ticks: int) -> ActionSequence:
     ctrl = np.zeros(scene.model.nu)
     for arm in scene.arms:
-        ctrl[arm.drives] = start[arm.recorded_qpos]
+        ctrl[arm.drive_ctrl] = start[arm.recorded_qpos]
     joints = np.array([start[arm.recorded_qpos] for arm in scene.arms])
     return ActionSequence(
         np.tile(ctrl, (ticks, 1)), np.zeros((ticks, len(scene.arms)), bool), np.tile(joints, (ticks, 1, 1))
@@ -199,14 +201,14 @@ def validate_task(session: Session, minimum: float, progress: Progress) -> dict[
     The expert must reach the goal in the share `minimum` of the trials.
     """
     config = session.config
-    report = run_batch(session, (), progress)
+    report = run_expert_trials(session, (), progress)
     rate = report["success_rate"]
     low, high = report["wilson95"]
     counted = f"{report['n_success']} of {report['n']} succeed, 95 % interval {low:.1%} to {high:.1%}"
     detail = f"{counted}; at least {minimum:.0%} is needed"
     checks = [check_program_fits(config.task), TaskCheck("expert", rate >= minimum, rate, detail)]
     attempts = min(_MAX_ATTEMPTS, config.episodes)
-    with Simulators(session.without_meshes()) as simulators:
+    with SimulatorCache(session.without_meshes()) as simulators:
         checks.append(check_reach(simulators.get(AttemptJob(config.seed, 0))))
         checks.append(check_holding_still(simulators, config.seed, attempts))
         checks.append(check_open_fingers(simulators, config.seed, attempts))
@@ -219,13 +221,13 @@ def validate_task(session: Session, minimum: float, progress: Progress) -> dict[
     }
 
 
-def _near_misses(simulators: Simulators, report: Mapping[str, Any]) -> TaskCheck:
+def _near_misses(simulators: SimulatorCache, report: Mapping[str, Any]) -> TaskCheck:
     success = next((trial for trial in report["trials"] if trial["outcome"]["success"]), None)
     if success is None:
         return TaskCheck("near_misses", None, None, "no attempt succeeded, so there is no state to move objects from")
     job = AttemptJob(success["seed"], success["trial"])
     simulator = simulators.get(job)
-    return check_near_misses(simulator, demonstrate(simulator, sample_attempt(simulator, job)))
+    return check_near_misses(simulator, simulate_expert(simulator, sample_attempt(simulator, job)))
 
 
 def require_passed(report: Mapping[str, Any]) -> None:

@@ -116,14 +116,14 @@ def progress_bar(label: str, unit: str, log_seconds: float | None = None) -> Ite
         log_seconds: s before and between lines of text; None for 30 s.
     """
     if console.is_terminal:
-        with _bar(label, unit) as advance:
+        with _terminal_progress_bar(label, unit) as advance:
             yield advance
     else:
         yield _ProgressLog(label, unit, _LOG_SECONDS if log_seconds is None else log_seconds)
 
 
 @contextmanager
-def _bar(label: str, unit: str) -> Iterator[ProgressCallback]:
+def _terminal_progress_bar(label: str, unit: str) -> Iterator[ProgressCallback]:
     from rich.progress import (
         BarColumn,
         MofNCompleteColumn,
@@ -168,10 +168,10 @@ class _ProgressLog:
         if now - self._written < self._seconds:
             return
         self._written = now
-        parts = [f"{self._label}: {done} of {total} {self._unit}", *self._pace(now, done, total), remark]
+        parts = [f"{self._label}: {done} of {total} {self._unit}", *self._rate_and_time_left(now, done, total), remark]
         print_note(", ".join(part for part in parts if part))
 
-    def _pace(self, now: float, done: int, total: int) -> tuple[str, ...]:
+    def _rate_and_time_left(self, now: float, done: int, total: int) -> tuple[str, ...]:
         assert self._first is not None
         began, before = self._first
         if done <= before or now <= began:

@@ -22,11 +22,11 @@ def defer_signals() -> Iterator[Callable[[], bool]]:
     """Yield a function that returns whether a signal has arrived. In the block, signals raise no exception."""
     came = False
 
-    def note(number: int, frame: FrameType | None) -> None:
+    def note_signal(number: int, frame: FrameType | None) -> None:
         nonlocal came
         came = True
 
-    before = {number: signal.signal(number, note) for number in _STOP_SIGNALS}
+    before = {number: signal.signal(number, note_signal) for number in _STOP_SIGNALS}
     try:
         yield lambda: came
     finally:
@@ -41,17 +41,17 @@ def stop_on_signal(message: str) -> Iterator[StopRequest]:
 
     stop = StopRequest()
 
-    def ask(number: int, frame: FrameType | None) -> None:
+    def request_stop(number: int, frame: FrameType | None) -> None:
         if stop.is_requested:
-            _interrupt(number, frame)
-        stop.request()
+            _raise_interrupt(number, frame)
+        stop.request_stop()
         # The handler may have interrupted a write to sys.stderr, which is not reentrant.
         with suppress(OSError):
             os.write(_STDERR, f"{message}\n".encode())
 
     # Signals that are ignored already, such as SIGHUP under nohup, stay ignored.
     wanted = [number for number in (*_STOP_SIGNALS, signal.SIGHUP) if signal.getsignal(number) is not signal.SIG_IGN]
-    before = {number: signal.signal(number, ask) for number in wanted}
+    before = {number: signal.signal(number, request_stop) for number in wanted}
     try:
         yield stop
     finally:
@@ -62,18 +62,18 @@ def stop_on_signal(message: str) -> Iterator[StopRequest]:
 def raise_signals() -> None:
     """Make later signals raise KeyboardInterrupt at once, or after an import that is in progress."""
     for number in (*_STOP_SIGNALS, signal.SIGALRM):
-        signal.signal(number, _interrupt)
+        signal.signal(number, _raise_interrupt)
 
 
-def _interrupt(number: int, frame: FrameType | None) -> None:
+def _raise_interrupt(number: int, frame: FrameType | None) -> None:
     # A library whose import of an extension module is interrupted may treat the module as missing.
-    if _importing(frame):
+    if _is_importing(frame):
         signal.setitimer(signal.ITIMER_REAL, _RETRY_SECONDS)
         return
     raise KeyboardInterrupt
 
 
-def _importing(frame: FrameType | None) -> bool:
+def _is_importing(frame: FrameType | None) -> bool:
     while frame is not None:
         if frame.f_code.co_filename == "<frozen importlib._bootstrap>":
             return True

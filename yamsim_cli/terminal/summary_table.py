@@ -7,7 +7,7 @@ from rich.console import Group, RenderableType
 from rich.constrain import Constrain
 from rich.text import Text
 
-from yamsim_cli.core.dataset.checks.problem import printable
+from yamsim_cli.core.dataset.checks.problem import printable_line
 from yamsim_cli.core.errors import file_size
 from yamsim_cli.datasets.dataset_page import group_by_code, problem_counts
 
@@ -21,53 +21,58 @@ _STATISTIC_LABELS = {"median": "median", "p95": "95 %", "max": "most"}  # statis
 
 def summary_tables(report: Mapping[str, Any]) -> RenderableType:
     """Return tables of a dataset summary: figures, success rates by threshold, workspace, and problems by code."""
-    parts: list[RenderableType] = [_figures(report)]
+    parts: list[RenderableType] = [_figure_table(report)]
     if report["episodes"] and not report["real"]:
-        parts += [*([_rates(report)] if report["success_rate"] else []), _workspace(report["workspace"])]
-    parts.append(_problems(report))
+        parts += [
+            *([_success_rate_table(report)] if report["success_rate"] else []),
+            _workspace_table(report["workspace"]),
+        ]
+    parts.append(_problem_view(report))
     return Constrain(Group(*parts), _WIDTH)
 
 
-def _figures(report: Mapping[str, Any]) -> FactTable:
+def _figure_table(report: Mapping[str, Any]) -> FactTable:
     rows: list[tuple[str, str]] = []
 
-    def row(name: str, value: str) -> None:
+    def add_row(name: str, value: str) -> None:
         if value:
-            rows.append((name, printable(value)))
+            rows.append((name, printable_line(value)))
 
-    row("dataset", report["path"])
-    row("source", "real: imported, not simulated" if report["real"] else "")
-    row("episodes", f"{report['episodes']:,}: {report['frames']:,} frames, {_duration(report['seconds'])}")
+    add_row("dataset", report["path"])
+    add_row("source", "real: imported, not simulated" if report["real"] else "")
+    add_row("episodes", f"{report['episodes']:,}: {report['frames']:,} frames, {_duration(report['seconds'])}")
     each = report["bytes_per_episode"]
-    row("size", file_size(report["bytes"]) + (f", {file_size(each['median'])} an episode" if each else ""))
-    row("cameras", ", ".join(f"{name} {w}x{h}" for name, (w, h) in report["cameras"].items()))
+    add_row("size", file_size(report["bytes"]) + (f", {file_size(each['median'])} an episode" if each else ""))
+    add_row("cameras", ", ".join(f"{name} {w}x{h}" for name, (w, h) in report["cameras"].items()))
     noted = report["noted_at_import"]
-    row("noted at import", "; ".join(f"{name}: {line}" for name, lines in noted.items() for line in lines[:1]))
-    row("task, grasp", "; ".join(", ".join(names) for names in (report["tasks"], report["grasps"]) if names))
+    add_row("noted at import", "; ".join(f"{name}: {line}" for name, lines in noted.items() for line in lines[:1]))
+    add_row("task, grasp", "; ".join(", ".join(names) for names in (report["tasks"], report["grasps"]) if names))
     attempts = report["attempts"]
     if attempts["n"]:
-        row("attempts", f"{attempts['n']:,}: {_rate(attempts['success_rate'], attempts['wilson95'])} succeeded")
-        row("failures", ", ".join(f"{count} {cause}" for cause, count in attempts["causes"].items()))
+        add_row(
+            "attempts", f"{attempts['n']:,}: {_rate_text(attempts['success_rate'], attempts['wilson95'])} succeeded"
+        )
+        add_row("failures", ", ".join(f"{count} {cause}" for cause, count in attempts["causes"].items()))
         if attempts["recovered"]:
-            row("recovered", f"{attempts['recovered']:,} of them after a skill was tried again")
+            add_row("recovered", f"{attempts['recovered']:,} of them after a skill was tried again")
     for key, label in (("dxy_m", "off centre"), ("dz_m", "above target")):
         if spread := report[key]:
-            row(label, ", ".join(f"{name} {spread[k] * 1000:.1f} mm" for k, name in _STATISTIC_LABELS.items()))
+            add_row(label, ", ".join(f"{name} {spread[k] * 1000:.1f} mm" for k, name in _STATISTIC_LABELS.items()))
     return FactTable(rows)
 
 
-def _rates(report: Mapping[str, Any]) -> ItemTable:
+def _success_rate_table(report: Mapping[str, Any]) -> ItemTable:
     attempts = report["attempts"]
     table = ItemTable(["within", "episodes", *(["all attempts"] if attempts["n"] else [])], title="Success")
     for limit, rate in report["success_rate"].items():
-        cells = [_rate(rate, report["wilson95"][limit])]
+        cells = [_rate_text(rate, report["wilson95"][limit])]
         if attempts["n"]:
-            cells.append(_rate(attempts["rates"][limit], attempts["rates_wilson95"][limit]))
+            cells.append(_rate_text(attempts["rates"][limit], attempts["rates_wilson95"][limit]))
         table.add_row(f"{float(limit) * 100:g} cm", *cells)
     return table
 
 
-def _workspace(workspace: Mapping[str, Any]) -> ItemTable:
+def _workspace_table(workspace: Mapping[str, Any]) -> ItemTable:
     table = ItemTable(["m", "x", "y", "cells hit", "outside"], title="Workspace")
     if found := workspace["box"]:
         table.add_row("sampled from", _span(found["x"]), _span(found["y"]), "", "")
@@ -81,18 +86,18 @@ def _workspace(workspace: Mapping[str, Any]) -> ItemTable:
     return table
 
 
-def _problems(report: Mapping[str, Any]) -> RenderableType:
+def _problem_view(report: Mapping[str, Any]) -> RenderableType:
     if not report["problems"]:
         return Text("No problems: every file was opened and is valid.", style="green")
     title = ", ".join(problem_counts(report))
     table = ItemTable(["problem", "times", "what, where, and what to do"], title, numbers_to=2, whole=True)
     for code, problems in group_by_code(report["problems"]):
         style = "red" if problems[0]["severity"] == "error" else "yellow"
-        table.add_row(Text(code, style=style), f"{len(problems):,}", _explained(problems))
+        table.add_row(Text(code, style=style), f"{len(problems):,}", _problem_examples(problems))
     return table
 
 
-def _explained(problems: Sequence[Mapping[str, Any]]) -> Text:
+def _problem_examples(problems: Sequence[Mapping[str, Any]]) -> Text:
     text = Text()
     for problem in problems[:_MAX_EXAMPLES]:
         place = "/".join(part for part in (problem["episode"], problem["file"]) if part)
@@ -104,7 +109,7 @@ def _explained(problems: Sequence[Mapping[str, Any]]) -> Text:
     return text.append(problems[0]["advice"], style="dim")
 
 
-def _rate(rate: float | None, interval: Sequence[float]) -> str:
+def _rate_text(rate: float | None, interval: Sequence[float]) -> str:
     return "none" if rate is None else f"{rate:.1%} ({interval[0]:.1%} to {interval[1]:.1%})"
 
 

@@ -21,7 +21,7 @@ class FactTable:
     """Table of names and values; narrow terminals show values below long names."""
 
     def __init__(self, rows: Iterable[tuple[str | Text, str | Text]], title: str | None = None) -> None:
-        self._rows = [(_plain(name), _plain(value)) for name, value in rows]
+        self._rows = [(_plain_text(name), _plain_text(value)) for name, value in rows]
         self._title = title
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
@@ -33,7 +33,7 @@ class FactTable:
             yield _heading(self._title)
         for name, value in self._rows:
             yield name
-            yield _indented(value)
+            yield _indent_block(value)
 
 
 class ItemTable:
@@ -59,11 +59,11 @@ class ItemTable:
 
     def add_row(self, *cells: str | Text) -> None:
         """Add a row, with one cell for each column."""
-        self._rows.append([_plain(cell) for cell in cells])
+        self._rows.append([_plain_text(cell) for cell in cells])
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
-        table = self._table()
-        if options.max_width >= _MIN_WIDE_COLUMNS or self._narrowest() <= options.max_width:
+        table = self._rich_table()
+        if options.max_width >= _MIN_WIDE_COLUMNS or self._narrowest_width() <= options.max_width:
             yield table
             return
         if self._title:
@@ -71,13 +71,13 @@ class ItemTable:
         for first, *others in self._rows:
             yield first
             named = zip(self._headings[1:], others, strict=True)
-            yield _indented(FactTable((name, cell) for name, cell in named if cell.plain))
+            yield _indent_block(FactTable((name, cell) for name, cell in named if cell.plain))
 
-    def _narrowest(self) -> int:
-        columns = zip(map(_plain, self._headings), *self._rows, strict=True)
+    def _narrowest_width(self) -> int:
+        columns = zip(map(_plain_text, self._headings), *self._rows, strict=True)
         return sum(max(len(word) for cell in column for word in (cell.plain.split() or [""])) + 3 for column in columns)
 
-    def _table(self) -> Table:
+    def _rich_table(self) -> Table:
         from rich import box
         from rich.table import Table
 
@@ -149,13 +149,13 @@ def _heading(text: str) -> Text:
     return Text(f"\n{text}", style="bold")
 
 
-def _indented(what: Text | FactTable) -> Padding:
+def _indent_block(what: Text | FactTable) -> Padding:
     from rich.padding import Padding
 
     return Padding(what, (0, 0, 0, 2))
 
 
-def _plain(cell: str | Text) -> Text:
+def _plain_text(cell: str | Text) -> Text:
     """Return the cell as text that wraps and is not parsed as markup, because a path may contain brackets."""
     from rich.text import Text
 

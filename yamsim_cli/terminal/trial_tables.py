@@ -9,29 +9,29 @@ from .tables import FactTable
 
 if TYPE_CHECKING:
     from yamsim_cli.core.config.recording import RecordConfig
-    from yamsim_cli.core.episode.trials import FilmedTrial, TrialFilms
+    from yamsim_cli.core.episode.trials import FilmedTrial, TrialVideoWriter
     from yamsim_cli.core.progress import Progress
 
 
 def trials_table(report: dict[str, Any]) -> FactTable:
     """Return a table of a batch of trials, the result of `run_batch`."""
-    return FactTable([("trials", str(report["n"])), *_counted(report, report), *_batch(report)])
+    return FactTable([("trials", str(report["n"])), *_success_rows(report, report), *_batch_rows(report)])
 
 
 def evaluation_table(report: dict[str, Any]) -> FactTable:
     """Return a table of a policy's `evaluation_report`."""
-    return FactTable([("policy", report["policy"]), *_counted(report, report["stats"]), *_evaluation(report)])
+    return FactTable([("policy", report["policy"]), *_success_rows(report, report["stats"]), *_evaluation_rows(report)])
 
 
-def open_films(path: Path, settings: RecordConfig, *, overwrite: bool) -> TrialFilms:
+def open_films(path: Path, settings: RecordConfig, *, overwrite: bool) -> TrialVideoWriter:
     """Return a writer of trial videos. An unusable path raises an error now, before any trial runs."""
-    from yamsim_cli.core.episode.trials import TrialFilms
+    from yamsim_cli.core.episode.trials import TrialVideoWriter
 
     timing = settings.task.timing
-    return TrialFilms(path, timing.tick * timing.ticks_per_frame, overwrite=overwrite)
+    return TrialVideoWriter(path, timing.tick_seconds * timing.ticks_per_frame, overwrite=overwrite)
 
 
-def film_with_progress(films: TrialFilms, make: Callable[[Progress], list[FilmedTrial]]) -> list[dict[str, Any]]:
+def film_with_progress(films: TrialVideoWriter, make: Callable[[Progress], list[FilmedTrial]]) -> list[dict[str, Any]]:
     """Make videos with a progress bar. Return the number and video path of each trial."""
     with progress_bar("filming", "trials") as advance:
         filmed = make(advance)
@@ -39,7 +39,7 @@ def film_with_progress(films: TrialFilms, make: Callable[[Progress], list[Filmed
     return [{"trial": film.trial, "path": str(film.path)} for film in filmed]
 
 
-def _counted(report: dict[str, Any], counts: dict[str, Any]) -> Iterator[tuple[str, str]]:
+def _success_rows(report: dict[str, Any], counts: dict[str, Any]) -> Iterator[tuple[str, str]]:
     """Yield (label, text) rows of success rates and causes of failure, from `count_outcomes`."""
     yield "task", f"{report['task']} on {report['rig']}"
     low, high = counts["wilson95"]
@@ -51,14 +51,14 @@ def _counted(report: dict[str, Any], counts: dict[str, Any]) -> Iterator[tuple[s
     for limit, rate in counts["rates"].items():
         yield f"within {float(limit) * 100:g} cm", f"{rate:.1%}"
     if spread := counts["dxy_m"]:
-        yield "distance from the centre", _figures(spread, "mm")
+        yield "distance from the centre", _spread_text(spread, "mm")
     for cause, count in counts["causes"].items():
         yield f"failed: {cause}", str(count)
     if counts["recovered"]:
         yield "recovered", f"{counts['recovered']} of the successes tried a skill again"
 
 
-def _batch(report: dict[str, Any]) -> Iterator[tuple[str, str]]:
+def _batch_rows(report: dict[str, Any]) -> Iterator[tuple[str, str]]:
     if margins := report["margins"]:
         yield (
             "worst motion",
@@ -73,15 +73,15 @@ def _batch(report: dict[str, Any]) -> Iterator[tuple[str, str]]:
     for trial in report["trials"]:
         if not trial["outcome"]["success"]:
             yield f"trial {trial['trial']}", trial["outcome"]["detail"]
-    yield from _films(report)
+    yield from _film_rows(report)
     yield "time", f"{report['seconds']:.1f} s, {report['core_seconds_per_trial']:.2f} s of one core a trial"
 
 
-def _evaluation(report: dict[str, Any]) -> Iterator[tuple[str, str]]:
+def _evaluation_rows(report: dict[str, Any]) -> Iterator[tuple[str, str]]:
     stats = report["stats"]
     if spread := stats["policy_s"]:
         late = f"; {stats['slower_than_real_time']:.0%} longer than a control tick of {report['tick_s'] * 1000:g} ms"
-        yield "an answer of the policy", _figures(spread, "ms") + late
+        yield "an answer of the policy", _spread_text(spread, "ms") + late
     chunks = stats["chunks"]
     if chunks["actions"] > chunks["chunks"] or chunks["stale"] or chunks["waited_s"]:
         yield (
@@ -103,15 +103,15 @@ def _evaluation(report: dict[str, Any]) -> Iterator[tuple[str, str]]:
     for trial in report["trials"]:
         if trial["error"]:
             yield f"trial {trial['trial']}: {trial['ended']}", trial["error"]
-    yield from _films(report)
+    yield from _film_rows(report)
     yield "time", f"{report['seconds']:.1f} s, {report['ticks_per_second']:.0f} control ticks a second"
 
 
-def _figures(spread: dict[str, float], thousandths: str) -> str:
+def _spread_text(spread: dict[str, float], thousandths: str) -> str:
     return ", ".join(f"{name} {value * 1000:.1f} {thousandths}" for name, value in spread.items())
 
 
-def _films(report: dict[str, Any]) -> Iterator[tuple[str, str]]:
+def _film_rows(report: dict[str, Any]) -> Iterator[tuple[str, str]]:
     if films := report.get("videos"):
         paths = list(dict.fromkeys(film["path"] for film in films))
         yield "videos", f"{len(films)} trials, {paths[0]}" + (" and so on" if len(paths) > 1 else "")

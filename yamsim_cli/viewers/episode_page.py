@@ -15,12 +15,12 @@ from .viewed_scene import EpisodePlayer
 from .viewpoint import Viewpoint
 
 
-class Images(Protocol):
+class EpisodeImages(Protocol):
     """Reads the images of an episode."""
 
     cameras: tuple[str, ...]
 
-    def read(self, camera: str, frame: int) -> NDArray[np.uint8]:
+    def read_image(self, camera: str, frame: int) -> NDArray[np.uint8]:
         """Return an RGB image (height, width, 3). Raise DatasetError if it is missing or damaged."""
         ...
 
@@ -28,13 +28,15 @@ class Images(Protocol):
 class EpisodePage(ScenePage):
     """Plays an episode, with the images of the shown frame and a slider to choose the frame."""
 
-    def __init__(self, player: EpisodePlayer, viewpoint: Viewpoint, address: PageAddress, images: Images) -> None:
+    def __init__(
+        self, player: EpisodePlayer, viewpoint: Viewpoint, address: PageAddress, images: EpisodeImages
+    ) -> None:
         super().__init__(player, viewpoint, address)
         self._player = player
         self._images = images
         self._shown_frame: int | None = None
         self._slider_frame = 0
-        self.slider = self._server.gui.add_slider("frame", 0, player.frames - 1, step=1, initial_value=0)
+        self.slider = self._server.gui.add_slider("frame", 0, player.frame_count - 1, step=1, initial_value=0)
         self.slider.on_update(self.seek)
         self.pictures: dict[str, viser.GuiImageHandle] = {}
         self.update()
@@ -43,7 +45,7 @@ class EpisodePage(ScenePage):
         """Send changes of scene, slider and images to all browsers."""
         super().update()
         with self._player.lock:
-            frame = self._player.frame
+            frame = self._player.frame_number
             if frame != self._slider_frame:
                 # Move the slider only if playback reached another frame, so that a move by the user is not undone.
                 # mypy cannot express that viser's setter takes more types than its getter returns.
@@ -58,7 +60,7 @@ class EpisodePage(ScenePage):
     def _show_pictures(self, frame: int) -> None:
         for camera in self._images.cameras:
             try:
-                image = self._images.read(camera, frame)
+                image = self._images.read_image(camera, frame)
             except DatasetError as error:
                 # Playback continues without images.
                 self._status.content += f"  \n{error}"

@@ -27,7 +27,7 @@ def run_window(
         ready: called when the window is open, unless `stopped` returns True before.
     """
     _check_display()
-    with _window(shown) as viewer:
+    with _open_window(shown) as viewer:
         with viewer.lock():
             viewer.cam.lookat[:] = viewpoint.look_at
             viewer.cam.distance = viewpoint.distance
@@ -36,26 +36,26 @@ def run_window(
             ready()
         while viewer.is_running() and not stopped():
             began = time.monotonic()
-            shown.advance(began)
-            then = shown.time
+            shown.advance_to(began)
+            then = shown.simulated_seconds
             viewer.sync()
-            if shown.time < then:
+            if shown.simulated_seconds < then:
                 # The window's reset sets every joint to 0, where the arms intersect themselves.
                 shown.reset()
             time.sleep(max(0.0, began + period - time.monotonic()))
 
 
 @contextlib.contextmanager
-def _window(shown: ViewedScene) -> Iterator[Any]:
+def _open_window(shown: ViewedScene) -> Iterator[Any]:
     import mujoco.viewer
 
-    def press(key: int) -> None:
+    def handle_key(key: int) -> None:
         if key == _KEY_SPACE:
             shown.paused = not shown.paused
 
     others = set(threading.enumerate())
     try:
-        viewer = mujoco.viewer.launch_passive(shown.model, shown.data, key_callback=press)
+        viewer = mujoco.viewer.launch_passive(shown.model, shown.data, key_callback=handle_key)
     except RuntimeError as error:
         raise ResourceError(f"MuJoCo's window cannot be opened ({error}): use --web") from error
     try:

@@ -47,7 +47,7 @@ class RigPage(ScenePage):
     ) -> None:
         super().__init__(live, viewpoint, address)
         self._live = live
-        self._measured = (time.monotonic(), live.time)
+        self._measured = (time.monotonic(), live.simulated_seconds)
         home = self._server.gui.add_button("Home", icon=viser.Icon.HOME, hint="Arms back to rest, grippers shut")
         home.on_click(self._go_home)
         self.sliders = self._add_sliders()
@@ -76,7 +76,7 @@ class RigPage(ScenePage):
         slider = self._server.gui.add_slider(
             f"{drive.name} ({drive.unit})", round(low, 3), round(high, 3), step=_STEP, initial_value=drive.home
         )
-        slider.on_update(lambda _: self._live.command(drive, slider.value))
+        slider.on_update(lambda _: self._live.set_command(drive, slider.value))
         return slider
 
     def _add_margin(self) -> viser.GuiSliderHandle[float] | None:
@@ -104,12 +104,12 @@ class RigPage(ScenePage):
     def _add_switch(self, label: str, nodes: Any, *, shown: bool) -> None:
         box = self._server.gui.add_checkbox(label, initial_value=shown)
 
-        def show(_: Any = None) -> None:
+        def show_nodes(_: Any = None) -> None:
             for node in nodes:
                 node.visible = box.value
 
-        box.on_update(show)
-        show()
+        box.on_update(show_nodes)
+        show_nodes()
 
     def _go_home(self, _: Any) -> None:
         for drive in self._live.drives:
@@ -120,10 +120,10 @@ class RigPage(ScenePage):
     def _show_status(self) -> None:
         now, (then, simulated) = time.monotonic(), self._measured
         if now - then >= _STATUS_PERIOD:
-            self._measured = now, self._live.time
-            speed = max(0.0, self._live.time - simulated) / (now - then)
+            self._measured = now, self._live.simulated_seconds
+            speed = max(0.0, self._live.simulated_seconds - simulated) / (now - then)
             state = "paused" if self._live.paused else f"{speed:.2f} × real time"
-            self._status.content = f"{self._live.time:.0f} s, {state}"
+            self._status.content = f"{self._live.simulated_seconds:.0f} s, {state}"
 
 
 class CamerasPanel:
@@ -177,7 +177,7 @@ class CamerasPanel:
     def _add_view(self, camera: str) -> None:
         button = self._gui.add_button(f"Look through {camera}", icon=viser.Icon.EYE)
 
-        def look(event: Any) -> None:
+        def look_from_camera(event: Any) -> None:
             with self._live.lock:
                 seen = self._live.data.cam(camera)
                 position, R = seen.xpos.copy(), opencv_from_mujoco(seen.xmat)
@@ -186,4 +186,4 @@ class CamerasPanel:
                 view.wxyz, view.position = quat_from_rotation(R), position
                 view.fov = math.radians(float(self._live.model.cam(camera).fovy[0]))
 
-        button.on_click(look)
+        button.on_click(look_from_camera)

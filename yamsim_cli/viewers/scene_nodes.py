@@ -49,7 +49,7 @@ def add_bodies(scene: viser.SceneApi, model: mujoco.MjModel) -> BodyNodes:
             frames[body] = scene.add_frame(path, show_axes=False)
         if (body, hidden) not in groups:
             groups[body, hidden] = scene.add_frame(group, show_axes=False, visible=not hidden)
-        paint = _COLLISION_PAINT if hidden else {"color": _colour(model, geom)}
+        paint = _COLLISION_PAINT if hidden else {"color": _geom_colour(model, geom)}
         _add_geom(scene, model, geom, f"{group}/{model.geom(geom).name or geom}", paint)
     return BodyNodes(
         frames,
@@ -58,14 +58,14 @@ def add_bodies(scene: viser.SceneApi, model: mujoco.MjModel) -> BodyNodes:
     )
 
 
-def _colour(model: mujoco.MjModel, geom: int) -> tuple[int, int, int]:
+def _geom_colour(model: mujoco.MjModel, geom: int) -> tuple[int, int, int]:
     rgba, material = model.geom_rgba[geom], model.geom_matid[geom]
     if material >= 0 and np.allclose(rgba, _DEFAULT_RGBA):
         rgba = model.mat_rgba[material]
-    return _rgb(255 * rgba)
+    return _rgb_integers(255 * rgba)
 
 
-def _rgb(colour: Array) -> tuple[int, int, int]:
+def _rgb_integers(colour: Array) -> tuple[int, int, int]:
     red, green, blue = (round(float(part)) for part in colour[:3])
     return red, green, blue
 
@@ -125,7 +125,7 @@ def textured_mesh(model: mujoco.MjModel, geom: int) -> trimesh.Trimesh | None:
     uv = coordinates[pairs[:, 1]] * model.mat_texrepeat[material]
     material_of: Any = trimesh.visual.material.PBRMaterial
     pbr = material_of(
-        baseColorTexture=Image.fromarray(_texture(model, texture)),
+        baseColorTexture=Image.fromarray(_texture_pixels(model, texture)),
         baseColorFactor=np.rint(255 * model.mat_rgba[material]).astype(np.uint8),
         metallicFactor=0.0,
         roughnessFactor=0.7,
@@ -144,20 +144,20 @@ def _add_plane(scene: viser.SceneApi, model: mujoco.MjModel, geom: int, name: st
     if texture >= 0 and not model.mat_texuniform[material]:
         wxyz = np.empty(4)
         mujoco.mju_mulQuat(wxyz, model.geom_quat[geom], np.array(_IMAGE_IN_PLANE))
-        pixels, turned = _texture(model, texture), placed | {"wxyz": wxyz}
+        pixels, turned = _texture_pixels(model, texture), placed | {"wxyz": wxyz}
         # PNG, since the edges of markers must stay sharp.
         scene.add_image(name, pixels, width, height, format="png", cast_shadow=False, **turned)
         return
-    image = _texture(model, texture) if texture >= 0 else 255 * np.array([[model.geom_rgba[geom, :3]]])
+    image = _texture_pixels(model, texture) if texture >= 0 else 255 * np.array([[model.geom_rgba[geom, :3]]])
     darkest = image.min(axis=(0, 1))
     scene.add_grid(
         name,
         width,
         height,
         cell_size=0.1,
-        cell_color=_rgb(darkest),
-        section_color=_rgb(darkest * 0.9),
-        plane_color=_rgb(image.mean(axis=(0, 1))),
+        cell_color=_rgb_integers(darkest),
+        section_color=_rgb_integers(darkest * 0.9),
+        plane_color=_rgb_integers(image.mean(axis=(0, 1))),
         plane_opacity=1.0,
         **placed,
     )
@@ -167,7 +167,7 @@ def _texture_of(model: mujoco.MjModel, material: int) -> int:
     return int(model.mat_texid[material, mujoco.mjtTextureRole.mjTEXROLE_RGB]) if material >= 0 else -1
 
 
-def _texture(model: mujoco.MjModel, texture: int) -> Array:
+def _texture_pixels(model: mujoco.MjModel, texture: int) -> Array:
     """Return the pixels (height, width, channels), uint8, of a texture, top row first."""
     shape = model.tex_height[texture], model.tex_width[texture], model.tex_nchannel[texture]
     start = model.tex_adr[texture]
@@ -197,7 +197,7 @@ class ClothNodes:
             for k in range(model.nflex)
         ]
 
-    def show(self, points: Array) -> None:
+    def set_points(self, points: Array) -> None:
         """Set the positions of all points (nflexvert, 3) in `world`, m. viser sends changes only."""
         for node, own in zip(self.nodes, self._points, strict=True):
             node.vertices = points[own].astype(np.float32)
@@ -210,4 +210,6 @@ class ClothNodes:
 
 def _cloth_colour(model: mujoco.MjModel, material: int) -> tuple[int, int, int]:
     texture = _texture_of(model, material)
-    return _rgb(_texture(model, texture).mean(axis=(0, 1)) if texture >= 0 else 255 * model.mat_rgba[material])
+    return _rgb_integers(
+        _texture_pixels(model, texture).mean(axis=(0, 1)) if texture >= 0 else 255 * model.mat_rgba[material]
+    )

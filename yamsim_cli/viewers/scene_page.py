@@ -72,13 +72,13 @@ class ScenePage:
             for body, frame in self.bodies.frames.items():
                 # viser sends changed poses only.
                 frame.position, frame.wxyz = positions[body], quaternions[body]
-            self.cloths.show(points)
+            self.cloths.set_points(points)
         if self._pause_button.label != (label := "Play" if self._shown.paused else "Pause"):
             self._pause_button.label = label
             self._pause_button.icon = viser.Icon.PLAYER_PLAY if self._shown.paused else viser.Icon.PLAYER_PAUSE
         if (now := time.monotonic()) >= self._beat_due:
             self._beat, self._beat_due = self._beat + 1, now + _HEARTBEAT_PERIOD
-            self._heartbeat.content = _disconnected(self._beat)
+            self._heartbeat.content = _disconnection_notice(self._beat)
 
     def close(self) -> None:
         """Stop the server, and free its port."""
@@ -93,7 +93,7 @@ class ScenePage:
         self._shown.paused = not self._shown.paused
 
 
-def _disconnected(beat: int) -> str:
+def _disconnection_notice(beat: int) -> str:
     """Return HTML that shows a notice on the page, unless the next heartbeat replaces it in time.
 
     A server that is gone cannot send a notice, so each heartbeat contains it in advance.

@@ -50,7 +50,7 @@ class TeleopInterface(ViewedScene):
 
     @property
     @abc.abstractmethod
-    def target(self) -> Array:
+    def target_pose(self) -> Array:
         """Target pose (4, 4) of the pinch frame, between the finger tips, in `world`."""
 
     @property
@@ -75,11 +75,11 @@ class TeleopInterface(ViewedScene):
         """Switch the weld on or off. The weld takes an object only if the hand is near."""
 
     @abc.abstractmethod
-    def start(self) -> None:
+    def start_recording(self) -> None:
         """Reset the scene to the start of the attempt, and start a recording."""
 
     @abc.abstractmethod
-    def stop(self) -> None:
+    def stop_recording(self) -> None:
         """End the recording, which is then judged as success or failure."""
 
     @abc.abstractmethod
@@ -87,5 +87,5 @@ class TeleopInterface(ViewedScene):
         """Pause a recording because the last browser page was closed."""
 
     @abc.abstractmethod
-    def discard(self) -> None:
+    def discard_recording(self) -> None:
         """End and delete the recording."""

@@ -22,7 +22,7 @@ _TURN = np.radians(5.0)  # rad, about the vertical, by one key press
 _TYPING_PAUSE = 1.0  # s after the last key press; typing 0.15 must not move the target to 0
 
 # Key, description, translation of the target in `world` (m), and rotation about the vertical (rad).
-_MOVES = (
+_KEY_MOVES = (
     ("I", "Target away from the base", (_STEP, 0, 0), 0.0),
     ("K", "Target towards the base", (-_STEP, 0, 0), 0.0),
     ("J", "Target to the left", (0, _STEP, 0), 0.0),
@@ -33,7 +33,7 @@ _MOVES = (
     ("O", "Turn the hand right", (0, 0, 0), -_TURN),
 )
 
-_KEYS = (
+_KEYS_HELP = (
     "Keys: **I K** away and back, **J L** left and right, **Y H** up and down, **U O** turn, "
     "**N** point down, **G** gripper, **R** start or stop, **X** discard"
 )
@@ -57,28 +57,30 @@ class TeleopPage(ScenePage):
         self._server.on_client_disconnect(self._disconnect)
         status = arm.status
         magnet, other = "" if status.magnet is None else ", **M** magnet", ", **T** other arm" if status.arm else ""
-        self._server.gui.add_markdown(_KEYS + magnet + other)
-        for key, name, shift, turn in _MOVES:
-            self._add_key(name, key, lambda shift=shift, turn=turn: self._move(shift, turn))  # type: ignore[misc]
+        self._server.gui.add_markdown(_KEYS_HELP + magnet + other)
+        for key, name, shift, turn in _KEY_MOVES:
+            self._add_key(name, key, lambda shift=shift, turn=turn: self._move_target(shift, turn))  # type: ignore[misc]
         self.update()
 
     def update(self) -> None:
         """Send changes of scene, target and status to all browsers."""
         super().update()
         with self._acting:
-            if self._fields.ready:
+            if self._fields.is_typing_done:
                 self._take_typed()
             if not self._dragged:
                 self._show_target()
-        self._show(self._arm.status)
+        self._show_status(self._arm.status)
 
     def _add_recording(self) -> None:
         icons = viser.Icon
-        self._start = self._add_button("Start recording", self._arm.start, icon=icons.PLAYER_RECORD, color=_GREEN)
-        self._stop = self._add_button("Stop and judge", self._arm.stop, icon=icons.PLAYER_STOP, color=_RED)
-        self._discard = self._add_button("Discard", self._arm.discard, icon=icons.TRASH)
+        self._start = self._add_button(
+            "Start recording", self._arm.start_recording, icon=icons.PLAYER_RECORD, color=_GREEN
+        )
+        self._stop = self._add_button("Stop and judge", self._arm.stop_recording, icon=icons.PLAYER_STOP, color=_RED)
+        self._discard = self._add_button("Discard", self._arm.discard_recording, icon=icons.TRASH)
         self._add_key("Start or stop recording", "R", self._start_or_stop)
-        self._add_key("Discard the recording", "X", self._arm.discard)
+        self._add_key("Discard the recording", "X", self._arm.discard_recording)
 
     def _add_hand(self) -> None:
         if self._arm.status.arm:
@@ -99,13 +101,13 @@ class TeleopPage(ScenePage):
 
     def _add_button(self, label: str, act: Callable[[], None], **looks: Any) -> viser.GuiButtonHandle:
         button = self._server.gui.add_button(label, **looks)
-        button.on_click(self._queued(act))
+        button.on_click(self._queued_callback(act))
         return button
 
     def _add_key(self, name: str, key: Any, act: Callable[[], None]) -> None:
-        self._server.gui.add_command(name, hotkey=key).on_trigger(self._queued(act))
+        self._server.gui.add_command(name, hotkey=key).on_trigger(self._queued_callback(act))
 
-    def _queued(self, act: Callable[[], None]) -> Callable[[Any], Coroutine[Any, Any, None]]:
+    def _queued_callback(self, act: Callable[[], None]) -> Callable[[Any], Coroutine[Any, Any, None]]:
         """Return a callback for a button or a key. Callbacks run in the order of the presses."""
 
         # A coroutine runs in the server's loop. In threads, quick key presses could change their order or get lost.
@@ -117,14 +119,14 @@ class TeleopPage(ScenePage):
         return act_queued
 
     def _take_typed(self) -> None:
-        if self._fields.typed:
-            self._arm.set_target_pose(self._fields.take(self._arm.target))
+        if self._fields.has_typed_numbers:
+            self._arm.set_target_pose(self._fields.apply_typed(self._arm.target_pose))
 
     def _start_or_stop(self) -> None:
         if self._arm.status.recording:
-            self._arm.stop()
+            self._arm.stop_recording()
         else:
-            self._arm.start()
+            self._arm.start_recording()
 
     # A coroutine runs in the server's loop, where a client that reconnects is counted first.
     async def _disconnect(self, _: viser.ClientHandle) -> None:
@@ -134,12 +136,12 @@ class TeleopPage(ScenePage):
     def _toggle_weld(self) -> None:
         self._arm.set_weld(not self._arm.status.magnet)
 
-    def _move(self, shift: tuple[float, float, float], turn: float) -> None:
-        target = self._arm.target
+    def _move_target(self, shift: tuple[float, float, float], turn: float) -> None:
+        target = self._arm.target_pose
         self._arm.set_target_pose(pose(target[:3, 3] + shift, rotation_z(turn) @ target[:3, :3]))
 
     def _point_down(self) -> None:
-        target = self._arm.target
+        target = self._arm.target_pose
         y = rotation_z(hand_heading(target))[:, 0]
         down = np.array([0.0, 0.0, -1.0])
         self._arm.set_target_pose(pose(target[:3, 3], np.column_stack([np.cross(y, down), y, down])))
@@ -152,13 +154,13 @@ class TeleopPage(ScenePage):
             self._arm.set_target_pose(pose_from_quat(event.target.position, event.target.wxyz))
 
     def _show_target(self) -> None:
-        target = self._arm.target
+        target = self._arm.target_pose
         self._gizmo.position, self._gizmo.wxyz = target[:3, 3], quat_from_rotation(target[:3, :3])
         self._fields.show(target)
 
-    def _show(self, status: TeleopStatus) -> None:
+    def _show_status(self, status: TeleopStatus) -> None:
         self._ball.color = _GREEN if status.can_follow else _RED
-        self._notice.content = _notice(status)
+        self._notice.content = _reach_notice(status)
         self._start.disabled = status.recording
         self._stop.disabled = self._discard.disabled = not status.recording
         self._gripper.label = "Close gripper" if status.gripper_open else "Open gripper"
@@ -174,7 +176,7 @@ class TeleopPage(ScenePage):
         self._status.content = f"{task}\n\n" * bool(task) + f"{whose}{state}  \n{done}  \n{status.message}"
 
 
-def _notice(status: TeleopStatus) -> str:
+def _reach_notice(status: TeleopStatus) -> str:
     """Return HTML: in red why the hand cannot reach its target, or in green that the hand follows."""
     reasons = []
     if status.obstacle:
@@ -193,8 +195,8 @@ def _notice(status: TeleopStatus) -> str:
 class TargetFields:
     """Input fields for position and heading of the hand's target.
 
-    The fields follow the target until a user types, and then keep the typed numbers until `take`. Only `_type` runs in
-    the server's thread.
+    The fields follow the target until a user types, and then keep the typed numbers until `apply_typed`. Only `_type`
+    runs in the server's thread.
     """
 
     def __init__(self, gui: viser.GuiApi) -> None:
@@ -208,17 +210,17 @@ class TargetFields:
         self._heading.on_update(self._type)
 
     @property
-    def typed(self) -> bool:
-        """Whether `take` has typed numbers to apply."""
+    def has_typed_numbers(self) -> bool:
+        """Whether `apply_typed` has typed numbers to apply."""
         return self._typed_at is not None
 
     @property
-    def ready(self) -> bool:
-        """Whether `take` has typed numbers to apply, and the user has stopped typing."""
+    def is_typing_done(self) -> bool:
+        """Whether `apply_typed` has typed numbers to apply, and the user has stopped typing."""
         typed_at = self._typed_at
         return typed_at is not None and time.monotonic() - typed_at >= _TYPING_PAUSE
 
-    def take(self, target: Array) -> Array:
+    def apply_typed(self, target: Array) -> Array:
         """Return the pose (4, 4) in `world` with position and heading replaced by the typed numbers."""
         self._typed_at = None
         (x, y, z), heading = self._place.value, self._heading.value
@@ -237,7 +239,7 @@ class TargetFields:
         x, y, z = (round(float(part), 3) for part in target[:3, 3])
         numbers = ((x, y, z), round(float(np.degrees(hand_heading(target))), 1))
         # Compare with the last shown numbers, since the fields may hold typed numbers that are not registered yet.
-        if self.typed or numbers == self._shown:
+        if self.has_typed_numbers or numbers == self._shown:
             return
         self._shown = numbers
         # mypy cannot express that viser's setters take more types than their getters return.

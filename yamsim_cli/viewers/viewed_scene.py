@@ -33,11 +33,11 @@ class ViewedScene(abc.ABC):
 
     @property
     @abc.abstractmethod
-    def time(self) -> float:
+    def simulated_seconds(self) -> float:
         """Simulated time, s."""
 
     @abc.abstractmethod
-    def advance(self, now: float) -> None:
+    def advance_to(self, now: float) -> None:
         """Advance to the time `now`, s on a monotonic clock."""
 
     @abc.abstractmethod
@@ -55,7 +55,7 @@ class ViewedScene(abc.ABC):
             points: Array = self.data.flexvert_xpos.copy()
             return points
 
-    def _elapsed(self, now: float) -> float:
+    def _seconds_since_last(self, now: float) -> float:
         elapsed = 0.0 if self._last is None else now - self._last
         self._last = now
         return elapsed
@@ -90,12 +90,12 @@ class LiveRig(ViewedScene):
         self.title = title or rig.name
         self.model = model
         self.data = mujoco.MjData(model)
-        self.drives = tuple(_drive(model, arm, name) for arm in rig.arms for name in arm.robot.drives)
+        self.drives = tuple(_drive_control(model, arm, name) for arm in rig.arms for name in arm.robot.drive_names)
         self._pending_time = 0.0
         self.reset()
 
     @property
-    def time(self) -> float:
+    def simulated_seconds(self) -> float:
         """Simulated time since the last reset, s."""
         return float(self.data.time)
 
@@ -106,7 +106,7 @@ class LiveRig(ViewedScene):
             self._follow_bases()
             mujoco.mj_forward(self.model, self.data)
 
-    def command(self, drive: DriveControl, value: float) -> None:
+    def set_command(self, drive: DriveControl, value: float) -> None:
         """Command a drive, clipped to its range."""
         with self.lock:
             self.data.ctrl[drive.actuator] = min(max(value, drive.low), drive.high)
@@ -132,10 +132,10 @@ class LiveRig(ViewedScene):
                     mocap = self.model.body_mocapid[number]
                     self.data.mocap_pos[mocap], self.data.mocap_quat[mocap] = base.pos, base.quat
 
-    def advance(self, now: float) -> None:
+    def advance_to(self, now: float) -> None:
         """Simulate up to the time `now`, s on a monotonic clock, unless paused."""
         with self.lock:
-            elapsed = self._elapsed(now)
+            elapsed = self._seconds_since_last(now)
             if self.paused:
                 return
             timestep = self.model.opt.timestep
@@ -146,7 +146,7 @@ class LiveRig(ViewedScene):
                 self._pending_time -= steps * timestep
 
 
-def _drive(model: mujoco.MjModel, arm: ArmConfig, name: str) -> DriveControl:
+def _drive_control(model: mujoco.MjModel, arm: ArmConfig, name: str) -> DriveControl:
     actuator = model.actuator(arm.prefix + name).id
     low, high = (float(end) for end in model.actuator_ctrlrange[actuator])
     home = float(model.key_ctrl[0, actuator])
@@ -176,17 +176,17 @@ class EpisodePlayer(ViewedScene):
         self.reset()
 
     @property
-    def frames(self) -> int:
+    def frame_count(self) -> int:
         """Number of frames."""
         return len(self._positions)
 
     @property
-    def frame(self) -> int:
+    def frame_number(self) -> int:
         """Number of the shown frame, from 0."""
-        return min(int(self._time / self.frame_period), self.frames - 1)
+        return min(int(self._time / self.frame_period), self.frame_count - 1)
 
     @property
-    def time(self) -> float:
+    def simulated_seconds(self) -> float:
         """Simulated time since the first frame, s."""
         return self._time
 
@@ -199,18 +199,18 @@ class EpisodePlayer(ViewedScene):
         with self.lock:
             # In the middle of the frame, rounding errors do not matter.
             self._time = (frame + 0.5) * self.frame_period
-            self._show()
+            self._show_frame()
 
-    def advance(self, now: float) -> None:
+    def advance_to(self, now: float) -> None:
         """Advance the playback to the time `now`, s on a monotonic clock, unless paused."""
         with self.lock:
-            elapsed = self._elapsed(now)
+            elapsed = self._seconds_since_last(now)
             if not self.paused:
-                self._time = (self._time + elapsed * self._speed) % (self.frames * self.frame_period)
-            self._show()
+                self._time = (self._time + elapsed * self._speed) % (self.frame_count * self.frame_period)
+            self._show_frame()
 
-    def _show(self) -> None:
-        self.data.qpos[:] = self._positions[self.frame]
+    def _show_frame(self) -> None:
+        self.data.qpos[:] = self._positions[self.frame_number]
         mujoco.mj_kinematics(self.model, self.data)
         mujoco.mj_comPos(self.model, self.data)
         mujoco.mj_camlight(self.model, self.data)

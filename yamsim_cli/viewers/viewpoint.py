@@ -45,7 +45,7 @@ def workspace_viewpoint(x: float, y: float, z: float, span: float = 0.0) -> View
 
     `span` is the distance between the bases of the outermost arms, m.
     """
-    return _framing(np.array([x, y, z]), _BALL_RADIUS + _TABLE_MARGIN + span / 2)
+    return _sphere_viewpoint(np.array([x, y, z]), _BALL_RADIUS + _TABLE_MARGIN + span / 2)
 
 
 def rig_viewpoint(rig: RigConfig) -> Viewpoint:
@@ -53,9 +53,9 @@ def rig_viewpoint(rig: RigConfig) -> Viewpoint:
     bases = [rig.T_base_in_world(arm) for arm in range(len(rig.arms))]
     centres = np.array([(T @ (*_BALL_CENTRE, 1.0))[:3] for T in bases])
     look_at: Array = centres.mean(axis=0)
-    return _framing(look_at, _BALL_RADIUS + float(np.linalg.norm(centres - look_at, axis=1).max()))
+    return _sphere_viewpoint(look_at, _BALL_RADIUS + float(np.linalg.norm(centres - look_at, axis=1).max()))
 
 
-def _framing(look_at: Array, radius: float) -> Viewpoint:
+def _sphere_viewpoint(look_at: Array, radius: float) -> Viewpoint:
     """Return a viewpoint that shows a sphere around `look_at` with this radius, m."""
     return Viewpoint(look_at, radius / math.sin(math.radians(FOV_DEG / 2)), _AZIMUTH_DEG, _ELEVATION_DEG)

@@ -13,8 +13,10 @@ from yamsim_cli.policies.lerobot import LeRobotClient
 
 folder, observed, out = sys.argv[1:]
 told = np.load(observed)
-client = LeRobotClient(folder, load_config(PolicyConfig, "policies", "lerobot_export", Locations.find(os.environ)))
-client.begin(0)
+client = LeRobotClient(
+    folder, load_config(PolicyConfig, "policies", "lerobot_export", Locations.from_environment(os.environ))
+)
+client.begin_trial(0)
 message = {"observation.state": told["state"], "observation.images.scene_camera": told["scene"], "task": "a task"}
 np.save(out, client.infer(message)["action"])
 print(json.dumps({"asks": client.input_keys, "execute": client.execute}))

@@ -32,8 +32,8 @@ def in_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 def read(name: str, locations: Locations) -> CameraModel:
     """Read a name as `--camera` does; `config validate` must agree."""
-    model = load_config(CameraConfig, "cameras", name, locations).model
-    assert validate_file(CameraConfig, Path(name), locations).model == model
+    model = load_config(CameraConfig, "cameras", name, locations).camera_model
+    assert validate_file(CameraConfig, Path(name), locations).camera_model == model
     return model
 
 

@@ -154,39 +154,39 @@ def test_an_unreadable_file_is_named(tmp_path):
 def test_every_value_knows_its_line():
     document = parse_yaml("# comment\na: 1\nb:\n  c: [1,\n      2]\n  d: {e: x}\nf:\n", "f.yaml")
     lines = {("a",): 2, ("b", "c"): 4, ("b", "c", 1): 5, ("b", "d", "e"): 6, ("f",): 7}
-    assert {path: document.place(path) for path in lines} == {path: f"f.yaml:{n}" for path, n in lines.items()}
+    assert {path: document.place_of(path) for path in lines} == {path: f"f.yaml:{n}" for path, n in lines.items()}
 
 
 def test_a_missing_key_has_the_line_of_the_mapping_around_it():
     document = parse_yaml("a: 1\nb:\n  c: {x: 1}\n", "f.yaml")
-    assert document.place(("b", "c", "missing", 3)) == "f.yaml:3"
-    assert Document({}, "f.yaml").place(("a",)) == "f.yaml"
+    assert document.place_of(("b", "c", "missing", 3)) == "f.yaml:3"
+    assert Document({}, "f.yaml").place_of(("a",)) == "f.yaml"
 
 
 def test_an_overridden_value_forgets_its_line_and_those_inside_it():
     document = parse_yaml("a:\n  b: {c: 1}\n  d: 2\n", "f.yaml")
-    document.override(("a", "b"), {"c": 5}, "--b")
-    document.override(("new", "inner"), 7, "--new")
+    document.override_value(("a", "b"), {"c": 5}, "--b")
+    document.override_value(("new", "inner"), 7, "--new")
     assert document.data == {"a": {"b": {"c": 5}, "d": 2}, "new": {"inner": 7}}
-    assert document.place(("a", "b", "c")) == "--b"
-    assert document.place(("a", "d")) == "f.yaml:3"
+    assert document.place_of(("a", "b", "c")) == "--b"
+    assert document.place_of(("a", "d")) == "f.yaml:3"
 
 
 @pytest.mark.parametrize("value", ["5", "text", "", "true"])
 def test_an_override_below_a_plain_value_leaves_it_to_be_named_when_checked(value):
     document = parse_yaml(f"a: {value}\n", "f.yaml")
     before = dict(document.data)
-    document.override(("a", "b", "c"), 1, "--c")
+    document.override_value(("a", "b", "c"), 1, "--c")
     assert document.data == before
-    assert document.place(("a",)) == "f.yaml:1"
+    assert document.place_of(("a",)) == "f.yaml:1"
 
 
 def test_a_grafted_document_keeps_its_own_places():
     document = parse_yaml("rig: single\nseed: 1\n", "record.yaml")
     document.insert_document(("rig",), parse_yaml("# note\nname: x\n", "rig.yaml"))
     assert document.data == {"rig": {"name": "x"}, "seed": 1}
-    assert document.place(("rig", "name")) == "rig.yaml:2"
-    assert document.place(("seed",)) == "record.yaml:2"
+    assert document.place_of(("rig", "name")) == "rig.yaml:2"
+    assert document.place_of(("seed",)) == "record.yaml:2"
 
 
 scalars = st.one_of(

@@ -2,7 +2,14 @@ from typing import Any
 
 import pytest
 
-from yamsim_cli.core.config.loader import KINDS, REVISION_KEY, config_model, load_config, parse_config, validate_file
+from yamsim_cli.core.config.loader import (
+    CONFIG_KINDS,
+    REVISION_KEY,
+    config_model,
+    load_config,
+    parse_config,
+    validate_file,
+)
 from yamsim_cli.core.config.objects.object_config import ObjectConfig
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.rig import RigConfig
@@ -12,7 +19,7 @@ from yamsim_cli.core.expert.skills.program_checks import check_task_config
 from yamsim_cli.core.files.documents.yaml_document import dump_yaml
 from yamsim_cli.core.files.resources import Locations
 
-SHIPPED = [(kind, name) for kind in KINDS for name in Locations.find({}).config_names(kind)]
+SHIPPED = [(kind, name) for kind in CONFIG_KINDS for name in Locations.from_environment({}).config_names(kind)]
 # Robots are files beside each other, recorded by name.
 BY_NAME = ("robots", "grippers")
 
@@ -89,7 +96,7 @@ def test_a_datasets_own_config_needs_no_other_file_but_its_robots(config, locati
 def test_an_unknown_kind_is_named_with_the_valid_ones():
     message = refusal(config_model, "rig")
     assert message.startswith("unknown kind of config 'rig'; did you mean 'rigs'?")
-    assert all(kind in message for kind in KINDS)
+    assert all(kind in message for kind in CONFIG_KINDS)
 
 
 def test_a_config_is_named_after_its_file_unless_it_says_otherwise(puck):

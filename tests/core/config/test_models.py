@@ -146,13 +146,13 @@ def test_the_footprint_knows_every_primitive(config):
     branches = get_args(get_args(get_args(annotation)[0])[0])
     assert {get_args(branch.model_fields["type"].annotation)[0] for branch in branches} == set(parts)
     for part in parts.values():
-        assert ObjectConfig.model_validate(plain | {"collision": [part]}).footprint
+        assert ObjectConfig.model_validate(plain | {"collision": [part]}).footprint_discs
     whole = ObjectConfig.model_validate(plain | {"collision": list(parts.values())})
-    assert covered(whole.footprint, around((0.1, 0.01), 0.01) + around((0.2, 0.3), 0.02) + around((0, 0), 0.03))
+    assert covered(whole.footprint_discs, around((0.1, 0.01), 0.01) + around((0.2, 0.3), 0.02) + around((0, 0), 0.03))
     # The box's corners, rotated by 30 degrees.
     c, s = math.cos(math.radians(30)), math.sin(math.radians(30))
     corners = [(0.7 + c * x - s * y, 0.7 + s * x + c * y) for x in (-0.01, 0.01) for y in (-0.035, 0.035)]
-    assert covered(whole.footprint, corners)
+    assert covered(whole.footprint_discs, corners)
 
 
 def test_things_come_to_lie_on_the_highest_cylinder(config):

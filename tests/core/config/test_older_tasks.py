@@ -107,7 +107,7 @@ def test_a_datasets_own_task_is_read_as_it_was(name: str, arm: str, locations: L
     assert task.with_objects_of(task.typical_roles).language_task == older["language_task"].format(object="banana")
     assert (task.start_joints, read.grasp) == ((0.0, 1.0, 1.0, 0.0, 0.0, 0.0), "weld")
     assert (task.target_predicate.radius, task.timing.settle_ticks) == (0.03, 30)
-    assert (read.acting_indices, read.starts) == (now.acting_indices, now.starts)
+    assert (read.acting_indices, read.start_regions_in_world) == (now.acting_indices, now.start_regions_in_world)
 
 
 def test_a_task_that_is_data_stays_as_it_is(locations: Locations) -> None:

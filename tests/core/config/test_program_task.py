@@ -320,9 +320,9 @@ def test_of_two_arms_one_may_act(arm: str, other: str, tmp_path: Path) -> None:
     assert [one.side for one in config.acting_arms] == [arm]
     assert (config.rig.arms[config.first_arm].side, config.rig.arms[config.second_arm].side) == (arm, other)
     place = config.rig.arm_origin_y(config.first_arm)
-    assert config.starts["object"].y == pytest.approx((0.10 + place, 0.14 + place))
-    assert config.starts["target"].y == pytest.approx((-0.16 - place, -0.14 - place))
-    assert all(start.from_arm is None for start in config.starts.values())
+    assert config.start_regions_in_world["object"].y == pytest.approx((0.10 + place, 0.14 + place))
+    assert config.start_regions_in_world["target"].y == pytest.approx((-0.16 - place, -0.14 - place))
+    assert all(start.from_arm is None for start in config.start_regions_in_world.values())
     acting = config.acting_scene_arms[0]
     assert [stand.opening > 0 for stand in start_postures(config)] == [k == acting for k in range(2)]
 
@@ -330,7 +330,7 @@ def test_of_two_arms_one_may_act(arm: str, other: str, tmp_path: Path) -> None:
 def test_on_one_arm_first_and_second_are_the_same(tmp_path: Path) -> None:
     config = session_of(tmp_path, ONE_ARM).config
     assert config.first_arm == config.second_arm == 0
-    assert config.starts["target"].y == (-0.16, -0.14)
+    assert config.start_regions_in_world["target"].y == (-0.16, -0.14)
 
 
 def test_an_instruction_names_the_objects_and_arms_of_the_attempt(tmp_path: Path) -> None:
@@ -388,6 +388,6 @@ def test_a_datasets_config_states_defaults_too(tmp_path: Path) -> None:
     assert {start["from_arm"] for start in task["starts"].values()} == {None}
 
 
-@pytest.mark.parametrize("name", Locations.find(os.environ).config_names("tasks"))
+@pytest.mark.parametrize("name", Locations.from_environment(os.environ).config_names("tasks"))
 def test_every_task_of_ours_is_valid(name: str, locations: Locations) -> None:
     load_config(ProgramTask, "tasks", name, locations, check=check_task_config)

@@ -17,8 +17,8 @@ from yamsim_cli.core.dataset.upgrade import upgrade_config
 from yamsim_cli.core.errors import ConfigError
 from yamsim_cli.core.files.documents.yaml_document import dump_yaml
 from yamsim_cli.core.files.resources import Locations
-from yamsim_cli.core.geometry.closed_surface import open_edges, uniform_mass_properties
-from yamsim_cli.core.geometry.stl import read_stl
+from yamsim_cli.core.geometry.closed_surface import count_open_edges, uniform_mass_properties
+from yamsim_cli.core.geometry.stl import decode_stl
 from yamsim_cli.core.scene.objects.scene_object import add_object
 
 # Width, depth and height, cm. Source: KitchenBench 0.6, nominal sizes of its asset classes.
@@ -51,9 +51,9 @@ def test_every_kitchen_object_is_listed() -> None:
 def test_it_is_closed_and_as_large_as_it_is_to_be(name: str, locations: Locations) -> None:
     item = thing(name, locations)
     assert item.shape is not None
-    surfaces = [read_stl(data) for data in generated_mesh_files(item.name, item.shape).values()]
+    surfaces = [decode_stl(data) for data in generated_mesh_files(item.name, item.shape).values()]
     for vertices, faces in surfaces:
-        assert open_edges(faces) == 0
+        assert count_open_edges(faces) == 0
         assert uniform_mass_properties(vertices, faces).volume > 0
     points = np.concatenate([vertices for vertices, _ in surfaces])
     assert points[:, 2].min() == pytest.approx(0, abs=5e-4)
@@ -78,7 +78,7 @@ def test_sizes_are_parameters(tmp_path: Path, locations: Locations) -> None:
     file.write_text(text.replace("diameter_mm: 160", "diameter_mm: 200").replace("name: bowl", "name: large"))
     large, usual = load_config(ObjectConfig, "objects", str(file), locations), thing("bowl", locations)
     assert large.inertia.mass > 1.2 * usual.inertia.mass
-    assert max(disc[2] for disc in large.footprint) == pytest.approx(0.0985, abs=0.002)
+    assert max(disc[2] for disc in large.footprint_discs) == pytest.approx(0.0985, abs=0.002)
 
 
 def test_given_values_override_generated_ones(tmp_path: Path, locations: Locations) -> None:

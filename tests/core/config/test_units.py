@@ -11,7 +11,7 @@ from typing import Any, get_args
 import pytest
 from pydantic import BaseModel
 
-from yamsim_cli.core.config.loader import KINDS, load_config, parse_config, validate_file
+from yamsim_cli.core.config.loader import CONFIG_KINDS, load_config, parse_config, validate_file
 from yamsim_cli.core.config.objects.primitives import Box, Capsule, Cylinder, HullPart, Ring, SdfPart, Sphere
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.dataset.upgrade import upgrade_config
@@ -76,7 +76,7 @@ def test_a_value_in_another_unit_is_refused_with_the_converted_value(
     assert old in text
     (tmp_path / "mine.yaml").write_text(text.replace(old, new, 1))
     with pytest.raises(ConfigError) as caught:
-        validate_file(KINDS[kind], tmp_path / "mine.yaml", locations)
+        validate_file(CONFIG_KINDS[kind], tmp_path / "mine.yaml", locations)
     message = str(caught.value)
     assert re.match(rf"{re.escape(str(tmp_path))}/mine\.yaml:\d+: ", message), message
     assert "\n" not in message
@@ -116,10 +116,10 @@ def test_headings_in_radians_are_told_from_narrow_ones(
     text = locations.config_file("tasks", "pickplace").read_text().replace("[-90, 90]", str(list(value)))
     (tmp_path / "mine.yaml").write_text(text)
     if fine:
-        assert validate_file(KINDS["tasks"], tmp_path / "mine.yaml", locations)
+        assert validate_file(CONFIG_KINDS["tasks"], tmp_path / "mine.yaml", locations)
     else:
         with pytest.raises(ConfigError, match="radians"):
-            validate_file(KINDS["tasks"], tmp_path / "mine.yaml", locations)
+            validate_file(CONFIG_KINDS["tasks"], tmp_path / "mine.yaml", locations)
 
 
 def _models(model: type[BaseModel], seen: set[type[BaseModel]]) -> Iterator[type[BaseModel]]:
@@ -158,7 +158,7 @@ def test_every_quantity_has_its_bounds() -> None:
     """Each float field has plausible bounds, or is named above."""
     seen: set[type[BaseModel]] = set()
     bare = []
-    for kind in KINDS.values():
+    for kind in CONFIG_KINDS.values():
         for model in _models(kind, seen):
             assert issubclass(model, Config)
             if model in PARTS:
@@ -173,8 +173,8 @@ def test_every_quantity_has_its_bounds() -> None:
 
 
 def test_bounds_are_in_the_schema() -> None:
-    schema = KINDS["rigs"].model_json_schema()
+    schema = CONFIG_KINDS["rigs"].model_json_schema()
     margin = schema["properties"]["margin"]
     assert (margin["minimum"], margin["maximum"], margin["description"]) == (0, 3, "in m")
-    angle = KINDS["tasks"].model_json_schema()["properties"]["start_joints"]["anyOf"][0]["items"]
+    angle = CONFIG_KINDS["tasks"].model_json_schema()["properties"]["start_joints"]["anyOf"][0]["items"]
     assert angle["maximum"] == pytest.approx(2 * math.pi)

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 
 from yamsim_cli.core.dataset.dataset_paths import image_path, lowdim_path
-from yamsim_cli.core.dataset.lowdim import content_hash, dump_frame, frame_data
+from yamsim_cli.core.dataset.lowdim import content_hash, dump_frame, make_frame
 from yamsim_cli.core.dataset.records import AttemptRecord, EpisodeRecord, OutcomeRecord, file_hashes
 from yamsim_cli.core.dataset.writing.directory_claim import OpenMode
 from yamsim_cli.core.dataset.writing.writer import DatasetWriter
@@ -30,7 +30,7 @@ def jpeg(width: int = 16, height: int = 12, seed: int = 0) -> bytes:
 
 def frame(k: int = 0, seed: int = 0) -> dict:
     rng = np.random.default_rng([seed, k])
-    return frame_data(
+    return make_frame(
         joints=rng.normal(size=(1, 7)),
         timestamp=k * 0.064,
         intrinsics={CAMERA: rng.normal(size=(3, 3))},
@@ -103,8 +103,8 @@ def tree(folder: Path) -> dict[str, bytes]:
 
 
 def publish(writer: DatasetWriter, episode: HandmadeEpisode) -> None:
-    writer.publish(episode.record, episode.files)
-    writer.log(episode.attempt)
+    writer.publish_episode(episode.record, episode.files)
+    writer.log_attempt(episode.attempt)
 
 
 def failed_attempt(attempt: int) -> AttemptRecord:
@@ -116,5 +116,5 @@ def write_dataset(path: Path, *episodes: HandmadeEpisode) -> Path:
     with DatasetWriter(path, CONFIG, OpenMode.NEW) as writer:
         for episode in episodes or [made(k) for k in range(3)]:
             publish(writer, episode)
-        writer.finish()
+        writer.write_manifest()
     return path

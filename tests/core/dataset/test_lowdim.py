@@ -19,9 +19,9 @@ from yamsim_cli.core.dataset.lowdim import (
     dump_frame,
     flatten_frame,
     frame_array_shapes,
-    frame_data,
     has_simulation,
     load_frame,
+    make_frame,
     recorded_actions,
 )
 from yamsim_cli.core.errors import DatasetError
@@ -62,7 +62,7 @@ def test_a_frames_keys_come_in_one_order():
 
 def test_the_wrist_cameras_matrix_is_stored_on_its_own_too():
     K = np.diag([5.0, 6.0, 1.0])
-    data = frame_data(
+    data = make_frame(
         **{key: np.zeros((1, *shape)) for key, shape in frame_array_shapes(1, 7).items()},
         timestamp=0,
         intrinsics={"scene": np.eye(3), "wrist": K},
@@ -78,7 +78,7 @@ def test_the_wrist_cameras_matrix_is_stored_on_its_own_too():
 
 
 def test_arrays_are_contiguous_float32_and_scalars_plain():
-    data = frame_data(
+    data = make_frame(
         joints=np.arange(7)[None],
         timestamp=np.float32(0.5),
         intrinsics={"c": np.asfortranarray(np.arange(9.0).reshape(3, 3))},
@@ -102,7 +102,7 @@ def test_a_lone_arm_has_no_axis_and_two_come_one_after_the_other():
     """Values per arm have an axis of arms after reading."""
     for arms in (1, 2):
         given = {key: np.zeros((arms, 7)) for key in ("joints", "ctrl", "action_joints")}
-        data = frame_data(
+        data = make_frame(
             **given | {"joints": np.arange(7.0 * arms).reshape(arms, 7)},
             timestamp=0,
             intrinsics={},
@@ -258,7 +258,7 @@ CTRL = 0.2 + np.arange(14).reshape(2, 7) * 1e-12
 
 def simulated() -> dict:
     plain = {key: np.zeros((1, *shape)) for key, shape in frame_array_shapes(1, 7).items()}
-    return frame_data(
+    return make_frame(
         **plain,
         timestamp=0.064,
         intrinsics={CAMERA: np.eye(3)},

@@ -10,10 +10,10 @@ from typing import Any
 import pytest
 
 from yamsim_cli.core.attempt_data import Layout
-from yamsim_cli.core.config.variation import Variation
+from yamsim_cli.core.config.variation import RandomizationSample
 from yamsim_cli.core.dataset.dataset_paths import FORMAT_VERSION
-from yamsim_cli.core.dataset.imported_records import RealEpisodeRecord, real_config
-from yamsim_cli.core.dataset.reader import dataset_config, open_episode, open_recorded
+from yamsim_cli.core.dataset.imported_records import RealEpisodeRecord, read_imported_config
+from yamsim_cli.core.dataset.reader import open_episode, open_recorded_episode, read_recording_config
 from yamsim_cli.core.dataset.records import AttemptRecord, EpisodeRecord, Manifest, from_json, record_data, to_json
 from yamsim_cli.core.dataset.upgrade import upgrade_attempt, upgrade_config, upgrade_episode
 from yamsim_cli.core.dataset.writing.directory_claim import require_same_config
@@ -37,7 +37,7 @@ def stored(version: int) -> dict[str, Any]:
 @pytest.mark.parametrize("version", [1, 2, 3])
 def test_the_samples_are_of_older_versions_and_are_read_as_the_present_one(version: int) -> None:
     assert stored(version)["format_version"] == version
-    record = open_recorded(sample(version) / "ep_000000").record
+    record = open_recorded_episode(sample(version) / "ep_000000").record
     assert isinstance(record, RealEpisodeRecord if version == 3 else EpisodeRecord)
     assert record.format_version == FORMAT_VERSION == 4
     assert set(record_data(record)) == set(type(record).model_fields)
@@ -55,7 +55,7 @@ def test_version_1_left_out_what_it_did_not_know() -> None:
     assert (record.cast, record.phrasing, record.joints, record.cloths) == (None, "", {}, {})
     without = {key: value for key, value in stored(1).items() if key != "meshes"}
     assert from_json(EpisodeRecord, json.dumps(without), "x").meshes is None
-    assert (record.outcome.measures, record.outcome.recoveries, record.randomized) == ((), (), Variation())
+    assert (record.outcome.measures, record.outcome.recoveries, record.randomized) == ((), (), RandomizationSample())
     assert (record.versions["engine"], record.versions["looks"]) == ("1", "1")
     assert record.max_height_m == 0.1
 
@@ -114,15 +114,15 @@ def test_a_later_version_is_refused_in_one_line(model: Any) -> None:
 
 
 def test_configs_of_older_versions_are_read(locations: Locations) -> None:
-    older = dataset_config(sample(1), locations)
+    older = read_recording_config(sample(1), locations)
     assert [item.name for item in older.task.objects] == ["banana", "plate"]
     assert (older.arm, older.action, older.task.kind) == ("right", "drives", "program")
-    assert real_config(sample(3), locations).rig.name == "single"
+    assert read_imported_config(sample(3), locations).rig.name == "single"
 
 
 def test_a_config_with_defaults_left_out_is_the_same_as_with_all_values(locations: Locations) -> None:
     left_out = load_yaml(sample(2) / "config.yaml").data
-    explicit = dataset_config(sample(2), locations).data_config()
+    explicit = read_recording_config(sample(2), locations).data_config()
     assert "arm" not in left_out and explicit["arm"] == "right"
     require_same_config(sample(2), upgrade_config(left_out), explicit)
     with pytest.raises(ConfigError, match=r"push_out_s: None there, 0\.02 now"):

@@ -33,7 +33,7 @@ def test_a_new_or_empty_directory_is_taken_in_every_mode(tmp_path, mode, exists)
         path.mkdir(parents=True)
     writer = resume(path, CONFIG, mode)
     assert load_yaml(path / "config.yaml").data == CONFIG
-    assert (writer.episodes, writer.attempts, writer.missing, writer.moved_aside) == (0, [], [], None)
+    assert (writer.episodes, writer.attempts, writer.attempts_without_episode, writer.moved_aside) == (0, [], [], None)
 
 
 def test_a_finished_dataset_holds_its_episodes_ledger_and_manifest(dataset):
@@ -98,16 +98,16 @@ def test_a_disk_that_refuses_is_a_resource_error_with_its_reason(tmp_path, monke
 def test_resuming_goes_on_where_it_ended(dataset):
     writer = resume(dataset)
     assert numbers(writer) == [(0, 0), (1, 1), (2, 2)]
-    writer.log(failed_attempt(3))
+    writer.log_attempt(failed_attempt(3))
     publish(writer, made(3, attempt=4))
-    manifest = writer.finish()
+    manifest = writer.write_manifest()
     assert (manifest.attempts, len(manifest.episodes)) == (5, 4)
     assert numbers(resume(dataset)) == [(0, 0), (1, 1), (2, 2), (3, None), (4, 3)]
 
 
 def test_resuming_and_finishing_changes_nothing(dataset):
     before = tree(dataset)
-    resume(dataset).finish()
+    resume(dataset).write_manifest()
     assert tree(dataset) == before
 
 
@@ -166,7 +166,7 @@ def test_an_attempt_that_could_not_be_written_does_not_count(dataset, monkeypatc
     writer = resume(dataset)
     monkeypatch.setattr("yamsim_cli.core.dataset.writing.writer.append_line", refuse)
     with pytest.raises(OSError, match="Read-only"):
-        writer.log(failed_attempt(3))
+        writer.log_attempt(failed_attempt(3))
     assert len(writer.attempts) == 3
 
 
@@ -175,7 +175,7 @@ def test_a_cut_off_last_line_of_the_ledger_is_forgotten_and_its_episode_adopted(
     ledger = dataset / "attempts.jsonl"
     whole = ledger.read_bytes()
     ledger.write_bytes(b"".join(whole.splitlines(keepends=True)[:2]) + kept)
-    assert len(Ledger(dataset).known) == 2
+    assert len(Ledger(dataset).known_attempts) == 2
     writer = resume(dataset)
     assert numbers(writer) == [(0, 0), (1, 1), (2, 2)]
     assert ledger.read_bytes() == whole
@@ -188,8 +188,8 @@ def test_after_a_cut_off_line_the_ledger_can_go_on_and_be_read_again(build):
         stream.write(to_json(failed_attempt(1))[:-20])
     writer = resume(path)
     assert numbers(writer) == [(0, 0)]
-    writer.log(failed_attempt(1))
-    writer.log(failed_attempt(2))
+    writer.log_attempt(failed_attempt(1))
+    writer.log_attempt(failed_attempt(2))
     assert numbers(resume(path)) == [(0, 0), (1, None), (2, None)]
 
 
@@ -198,8 +198,8 @@ def test_a_last_line_that_only_lacks_its_end_counts(dataset):
     ledger.write_bytes(ledger.read_bytes()[:-1])
     writer = resume(dataset)
     assert len(writer.attempts) == 3
-    writer.log(failed_attempt(3))
-    assert len(Ledger(dataset).known) == 4
+    writer.log_attempt(failed_attempt(3))
+    assert len(Ledger(dataset).known_attempts) == 4
 
 
 BROKEN = [b"{\n", b"\xff\xfe\n", b"null\n", b"{}\n", b"\n", b""]
@@ -212,10 +212,10 @@ def with_failures(build):
     writer = resume(path)
     for attempt, episode in enumerate((0, None, 1, 2, None, 3)):
         if attempt and episode is None:
-            writer.log(failed_attempt(attempt))
+            writer.log_attempt(failed_attempt(attempt))
         elif attempt:
             publish(writer, made(episode, attempt))
-    writer.finish()
+    writer.write_manifest()
     return path
 
 
@@ -239,7 +239,12 @@ def test_the_line_of_an_episode_is_read_from_the_episode(with_failures, number, 
     spoiled = (with_failures / "attempts.jsonl").read_bytes()
     writer = resume(with_failures)
     assert (with_failures / "attempts.jsonl").read_bytes() == whole
-    assert (writer.lost_lines, writer.missing, len(writer.attempts), writer.episodes) == (set(), [], 6, 4)
+    assert (writer.lost_lines, writer.attempts_without_episode, len(writer.attempts), writer.episodes) == (
+        set(),
+        [],
+        6,
+        4,
+    )
     kept = with_failures / ".damaged/attempts.jsonl.1"
     if broken.strip():
         assert kept.read_bytes() == spoiled
@@ -262,7 +267,7 @@ def test_the_line_of_a_failure_has_to_be_made_again(with_failures, broken):
         assert numbers(writer) == [(0, 0), (1, None), (2, 1), (3, 2), (4, None), (5, 3)]
         assert writer.attempts[1].outcome == LOST_LINE_OUTCOME
         assert writer.repairs[-1] == "the line of attempt 1 in attempts.jsonl is lost; yamsim makes it again"
-    writer.log(failed_attempt(1))
+    writer.log_attempt(failed_attempt(1))
     assert (writer.lost_lines, writer.attempts[1]) == (set(), failed_attempt(1))
     assert (with_failures / "attempts.jsonl").read_bytes() == whole
     assert len(list(with_failures.glob(".damaged/*"))) == bool(broken.strip())
@@ -275,7 +280,7 @@ def test_a_ledger_that_is_gone_is_built_from_the_episodes(with_failures, lost):
     writer = resume(with_failures)
     assert writer.lost_lines == {1, 4}
     for attempt in (4, 1):
-        writer.log(failed_attempt(attempt))
+        writer.log_attempt(failed_attempt(attempt))
     assert (with_failures / "attempts.jsonl").read_bytes() == whole
     assert resume(with_failures).repairs == []
 
@@ -312,7 +317,7 @@ def test_an_impossible_line_of_the_ledger_is_dropped(with_failures, change, faul
     writer = resume(with_failures)
     assert f"({fault}" in writer.repairs[0]
     for attempt in writer.lost_lines & {1, 4}:
-        writer.log(failed_attempt(attempt))
+        writer.log_attempt(failed_attempt(attempt))
     assert writer.lost_lines == set()
     assert (with_failures / "attempts.jsonl").read_bytes() == whole
 
@@ -352,17 +357,17 @@ def test_a_ledger_that_cannot_be_mended_stays_as_it_is(with_failures, monkeypatc
 
 def test_an_episode_published_just_before_a_crash_is_adopted(dataset):
     writer = resume(dataset)
-    writer.log(failed_attempt(3))
-    writer.publish(made(3, attempt=4).record, made(3).files)
+    writer.log_attempt(failed_attempt(3))
+    writer.publish_episode(made(3, attempt=4).record, made(3).files)
     again = resume(dataset)
     assert numbers(again)[-2:] == [(3, None), (4, 3)]
     assert again.attempts[-1] == made(3, attempt=4).attempt
-    assert again.missing == []
+    assert again.attempts_without_episode == []
     assert from_json(AttemptRecord, (dataset / "attempts.jsonl").read_text().splitlines()[-1], "x").episode == 3
 
 
 def test_an_episode_far_ahead_of_the_ledger_leaves_attempts_to_be_made_again(dataset):
-    resume(dataset).publish(made(3, attempt=9).record, made(3).files)
+    resume(dataset).publish_episode(made(3, attempt=9).record, made(3).files)
     writer = resume(dataset)
     assert writer.lost_lines == set(range(3, 9))
     assert writer.attempts[9] == made(3, attempt=9).attempt
@@ -371,7 +376,7 @@ def test_an_episode_far_ahead_of_the_ledger_leaves_attempts_to_be_made_again(dat
 def test_a_lost_manifest_is_built_again(dataset):
     before = (dataset / "manifest.json").read_bytes()
     (dataset / "manifest.json").unlink()
-    resume(dataset).finish()
+    resume(dataset).write_manifest()
     assert (dataset / "manifest.json").read_bytes() == before
 
 
@@ -379,12 +384,12 @@ def test_a_lost_episode_is_missing_and_can_be_made_again(dataset):
     before = tree(dataset)
     shutil.rmtree(dataset / "ep_000001")
     writer = resume(dataset)
-    assert writer.missing == [made(1).attempt]
+    assert writer.attempts_without_episode == [made(1).attempt]
     assert writer.episodes == 3
-    assert [entry.episode for entry in writer.finish().episodes] == [0, 2]
-    writer.publish(made(1).record, made(1).files)
-    assert writer.missing == []
-    writer.finish()
+    assert [entry.episode for entry in writer.write_manifest().episodes] == [0, 2]
+    writer.publish_episode(made(1).record, made(1).files)
+    assert writer.attempts_without_episode == []
+    writer.write_manifest()
     assert tree(dataset) == before
 
 
@@ -392,9 +397,9 @@ def test_a_file_in_the_place_of_an_episode_is_moved_out_of_the_way(dataset):
     shutil.rmtree(dataset / "ep_000001")
     (dataset / "ep_000001").write_text("")
     writer = resume(dataset)
-    assert [attempt.episode for attempt in writer.missing] == [1]
+    assert [attempt.episode for attempt in writer.attempts_without_episode] == [1]
     assert "ep_000001 is not a directory" in writer.repairs[0]
-    writer.publish(made(1).record, made(1).files)
+    writer.publish_episode(made(1).record, made(1).files)
 
 
 def truncate(path: Path) -> None:
@@ -424,15 +429,15 @@ def test_a_damaged_episode_is_moved_out_of_the_way_named_and_made_again(dataset,
     damage(dataset / "ep_000001" / file)
     damaged = tree(dataset / "ep_000001")
     writer = resume(dataset)
-    assert writer.missing == [made(1).attempt]
+    assert writer.attempts_without_episode == [made(1).attempt]
     assert len(writer.repairs) == 1
     aside = dataset / ".damaged/ep_000001.1"
     assert writer.repairs[0].startswith(f"ep_000001: {fault}")
     assert writer.repairs[0].endswith(f"; moved to {aside}, to be recorded again")
     assert tree(aside) == damaged, "nothing is thrown away"
 
-    writer.publish(made(1).record, made(1).files)
-    writer.finish()
+    writer.publish_episode(made(1).record, made(1).files)
+    writer.write_manifest()
     shutil.rmtree(dataset / ".damaged")
     assert tree(dataset) == before
     assert resume(dataset).repairs == []
@@ -443,14 +448,14 @@ def test_an_episode_damaged_twice_is_moved_to_two_places(dataset):
         (dataset / "ep_000001/lowdim/000000.pkl").unlink()
         writer = resume(dataset)
         assert (dataset / f".damaged/ep_000001.{k}").is_dir()
-        writer.publish(made(1).record, made(1).files)
+        writer.publish_episode(made(1).record, made(1).files)
 
 
 def test_a_damaged_episode_that_is_not_in_the_ledger_yet_is_simply_the_next(dataset):
-    resume(dataset).publish(made(3).record, made(3).files)
+    resume(dataset).publish_episode(made(3).record, made(3).files)
     (dataset / "ep_000003/lowdim/000000.pkl").unlink()
     writer = resume(dataset)
-    assert (len(writer.attempts), writer.missing) == (3, [])
+    assert (len(writer.attempts), writer.attempts_without_episode) == (3, [])
     assert not (dataset / "ep_000003").exists()
 
 

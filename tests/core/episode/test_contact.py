@@ -18,10 +18,10 @@ from yamsim_cli.core.attempt_data import ActionSequence, Attempt, FailureCause, 
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.session import Session
-from yamsim_cli.core.dataset.reader import dataset_config, open_episode
+from yamsim_cli.core.dataset.reader import open_episode, read_recording_config
 from yamsim_cli.core.episode.commands import path_actions
 from yamsim_cli.core.episode.episode_rules import EXPERT_RULES
-from yamsim_cli.core.episode.execution import run_actions
+from yamsim_cli.core.episode.execution import simulate_actions
 from yamsim_cli.core.episode.simulator import Simulator
 from yamsim_cli.core.errors import ConfigError
 from yamsim_cli.core.files.resources import Locations
@@ -58,7 +58,7 @@ def succeeded(simulator: Simulator) -> Succeeded:
     """Return a successful attempt and its actions."""
     done = planned(simulator, 5)
     assert done.outcome.success
-    return done.attempt, all_actions(done.states)
+    return done.attempt, all_actions(done.recorded_states)
 
 
 @pytest.mark.slow
@@ -69,7 +69,7 @@ def test_friction_alone_holds_the_object(simulator: Simulator) -> None:
         assert outcome.success, outcome
         assert outcome.dxy is not None
         assert outcome.dxy < 0.01
-        assert not all_actions(done.states).magnet.any()
+        assert not all_actions(done.recorded_states).magnet.any()
         margins = outcome.margins
         assert margins is not None and margins.slip is not None and margins.tilt is not None
         assert 0 < margins.slip < HELD_SLIP
@@ -92,7 +92,7 @@ def test_no_two_frames_are_the_same(original: Path) -> None:
 
 
 def _rerun(simulator: Simulator, attempt: Attempt, actions: ActionSequence) -> tuple[FailureCause | None, str]:
-    outcome = run_actions(simulator, attempt, actions, EXPERT_RULES).outcome
+    outcome = simulate_actions(simulator, attempt, actions, EXPERT_RULES).outcome
     return outcome.cause, outcome.detail
 
 
@@ -110,7 +110,7 @@ def test_fingers_that_open_on_the_way_drop_it(simulator: Simulator, succeeded: S
 def test_a_slippery_object_slips(friction: RecordConfig, locations: Locations, succeeded: Succeeded) -> None:
     slippery = Simulator(Session(friction, locations))
     slippery.scene.model.geom_friction[:] = 0.02
-    outcome = run_actions(slippery, *succeeded, EXPERT_RULES).outcome
+    outcome = simulate_actions(slippery, *succeeded, EXPERT_RULES).outcome
     assert outcome.cause is FailureCause.GOAL
     assert outcome.margins is not None and outcome.margins.slip is not None
     assert outcome.margins.slip > HELD_SLIP
@@ -157,7 +157,7 @@ def test_a_joint_that_is_driven_too_hard_fails(simulator: Simulator, succeeded: 
 
 @pytest.mark.slow
 def test_an_episode_is_made_again_bit_for_bit(original: Path, locations: Locations) -> None:
-    config = dataset_config(original, locations)
+    config = read_recording_config(original, locations)
     verifier = EpisodeVerifier(Session(config, locations), Tolerances(values=0.0, images=None))
     for number in range(2):
         verdict = verifier.run((number, original / f"ep_{number:06d}"))

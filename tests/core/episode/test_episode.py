@@ -20,7 +20,7 @@ from yamsim_cli.core.episode.episode_rules import (
     EpisodeEnd,
     EpisodeRules,
 )
-from yamsim_cli.core.episode.execution import SimulatedAttempt, run_actions
+from yamsim_cli.core.episode.execution import SimulatedAttempt, simulate_actions
 from yamsim_cli.core.episode.expert import arm_sides
 from yamsim_cli.core.episode.simulator import Simulator
 from yamsim_cli.core.files.resources import Locations
@@ -60,7 +60,7 @@ def still(simulator: Simulator, start: Array, ticks: int) -> ActionSequence:
     """Actions that hold the arm's joints."""
     (arm,) = simulator.scene.arms
     ctrl = np.zeros(simulator.scene.model.nu)
-    ctrl[arm.drives] = place = start[arm.recorded_qpos]
+    ctrl[arm.drive_ctrl] = place = start[arm.recorded_qpos]
     return ActionSequence(np.tile(ctrl, (ticks, 1)), np.zeros((ticks, 1), bool), np.tile(place, (ticks, 1, 1)))
 
 
@@ -84,7 +84,7 @@ def over_plate(simulator: Simulator, start: Array) -> Array:
 
 def played_to(episode: Episode, actions: ActionSequence) -> EpisodeResult:
     episode.run_commands(actions)
-    return episode.finish()
+    return episode.end_episode()
 
 
 def assert_same(one: EpisodeResult, other: EpisodeResult) -> None:
@@ -105,7 +105,7 @@ def test_the_same_commands_in_pieces_or_at_once_give_the_same_bits(
     simulator: Simulator, done: SimulatedAttempt
 ) -> None:
     assert done.result is not None and done.attempt.start is not None
-    actions = all_actions(done.states)
+    actions = all_actions(done.recorded_states)
     whole = played_to(open_at(simulator, done.attempt.start, EXPERT_RULES), actions)
     assert_same(whole, done.result)
     pieces = open_at(simulator, done.attempt.start, EXPERT_RULES)
@@ -113,11 +113,11 @@ def test_the_same_commands_in_pieces_or_at_once_give_the_same_bits(
         pieces.run_commands(
             ActionSequence(actions.ctrl[first:last], actions.magnet[first:last], actions.joints[first:last])
         )
-    assert_same(pieces.finish(), whole)
+    assert_same(pieces.end_episode(), whole)
     ticks = open_at(simulator, done.attempt.start, EXPERT_RULES)
     for ctrl, magnet, joints in zip(actions.ctrl, actions.magnet, actions.joints, strict=True):
-        ticks.step(ctrl[simulator.scene.drives], magnet, joints)
-    assert_same(ticks.finish(), whole)
+        ticks.step(ctrl[simulator.scene.recorded_drive_ctrl], magnet, joints)
+    assert_same(ticks.end_episode(), whole)
 
 
 def test_an_episode_does_not_depend_on_earlier_episodes(
@@ -127,20 +127,20 @@ def test_an_episode_does_not_depend_on_earlier_episodes(
     other = planned(simulator, 9)
     assert other.outcome.success
     open_at(simulator, over_plate).run_commands(still(simulator, over_plate, 10))
-    again = run_actions(simulator, done.attempt, all_actions(done.states), EXPERT_RULES)
+    again = simulate_actions(simulator, done.attempt, all_actions(done.recorded_states), EXPERT_RULES)
     assert again.result is not None and done.result is not None
     assert_same(again.result, done.result)
 
 
 def test_one_command_a_frame_would_not_be_enough(simulator: Simulator, done: SimulatedAttempt) -> None:
     """If each frame's first command is held for the whole frame, the episode ends in another state."""
-    actions, (arm,) = all_actions(done.states), simulator.scene.arms
+    actions, (arm,) = all_actions(done.recorded_states), simulator.scene.arms
     every = simulator.config.task.timing.ticks_per_frame
     held = np.array([actions.ctrl[k - k % every] for k in range(len(actions.ctrl))])
-    again = run_actions(simulator, done.attempt, replace(actions, ctrl=held), REPLAY_RULES)
+    again = simulate_actions(simulator, done.attempt, replace(actions, ctrl=held), REPLAY_RULES)
     apart = [
         np.abs((before.qpos - after.qpos)[arm.joint_qpos]).max()
-        for before, after in zip(done.states, again.states, strict=True)
+        for before, after in zip(done.recorded_states, again.recorded_states, strict=True)
     ]
     assert max(apart) > 0.02
 
@@ -148,12 +148,18 @@ def test_one_command_a_frame_would_not_be_enough(simulator: Simulator, done: Sim
 def test_frames_are_states_before_their_first_command(simulator: Simulator, start: Array) -> None:
     episode = open_at(simulator, start)
     episode.run_commands(still(simulator, start, 5))
-    timing, played = simulator.config.task.timing, episode.finish()
+    timing, played = simulator.config.task.timing, episode.end_episode()
     assert timing.ticks_per_frame == 2
     np.testing.assert_array_equal(played.states[0].qpos, start)
     assert [len(state.actions.ctrl) for state in played.states] == [2, 2, 1]
-    np.testing.assert_allclose([state.time for state in played.states], [0.0, 2 * timing.tick, 4 * timing.tick])
-    assert (episode.ticks, episode.frames, episode.seconds) == (5, 3, pytest.approx(5 * timing.tick))
+    np.testing.assert_allclose(
+        [state.time for state in played.states], [0.0, 2 * timing.tick_seconds, 4 * timing.tick_seconds]
+    )
+    assert (episode.ticks, episode.frame_count, episode.simulated_seconds) == (
+        5,
+        3,
+        pytest.approx(5 * timing.tick_seconds),
+    )
 
 
 def test_the_state_is_looked_at_after_every_physics_step(simulator: Simulator, start: Array) -> None:
@@ -168,8 +174,8 @@ def test_the_state_is_looked_at_after_every_physics_step(simulator: Simulator, s
 
 def test_the_arm_follows_the_references_of_a_demonstration(simulator: Simulator, done: SimulatedAttempt) -> None:
     (arm,) = simulator.scene.arms
-    reached = np.array([state.qpos[arm.joint_qpos] for state in done.states[1:]])
-    wanted = np.array([state.actions.joints[-1, 0, : arm.dof] for state in done.states[:-1]])
+    reached = np.array([state.qpos[arm.joint_qpos] for state in done.recorded_states[1:]])
+    wanted = np.array([state.actions.joints[-1, 0, : arm.dof] for state in done.recorded_states[:-1]])
     assert np.abs(reached - wanted).max() < 0.05
 
 
@@ -179,10 +185,10 @@ def test_commands_are_clipped_to_what_drives_can_be_told(simulator: Simulator, s
     command = start[arm.recorded_qpos].copy()
     command[0], command[-1] = 100.0, -100.0
     episode.step(command[None], [False])
-    low, high = simulator.scene.model.actuator_ctrlrange[arm.drives].T
-    np.testing.assert_array_equal(episode.actions.ctrl[0, arm.drives], np.clip(command, low, high))
+    low, high = simulator.scene.model.actuator_ctrlrange[arm.drive_ctrl].T
+    np.testing.assert_array_equal(episode.executed_actions.ctrl[0, arm.drive_ctrl], np.clip(command, low, high))
     # Without references of the actor, records have the executed commands.
-    np.testing.assert_array_equal(episode.actions.joints[0, 0], np.clip(command, low, high))
+    np.testing.assert_array_equal(episode.executed_actions.joints[0, 0], np.clip(command, low, high))
 
 
 def _first_held(simulator: Simulator, start: Array) -> int:
@@ -201,9 +207,9 @@ def test_the_goal_has_to_hold_for_its_hold_time(simulator: Simulator, over_plate
     assert first > 1
     episode = open_at(simulator, over_plate)
     episode.run_commands(still(simulator, over_plate, first + HOLD - 1))
-    assert (episode.held_ticks, episode.succeeds) == (HOLD - 1, False)
-    assert episode.status == "the goal holds, and must hold for 0.0 s more"
-    played = episode.finish()
+    assert (episode.held_ticks, episode.has_succeeded) == (HOLD - 1, False)
+    assert episode.goal_status == "the goal holds, and must hold for 0.0 s more"
+    played = episode.end_episode()
     assert played.end == EpisodeEnd(
         EndReason.ACTOR, first + HOLD - 1, FailureCause.GOAL,
         "the goal has held for 0.22 s, but must hold for 0.26 s",
@@ -214,8 +220,8 @@ def test_the_goal_has_to_hold_for_its_hold_time(simulator: Simulator, over_plate
 
     longer = open_at(simulator, over_plate)
     longer.run_commands(still(simulator, over_plate, first + HOLD))
-    assert (longer.held_ticks, longer.succeeds, longer.status) == (HOLD, True, "the goal holds")
-    played = longer.finish()
+    assert (longer.held_ticks, longer.has_succeeded, longer.goal_status) == (HOLD, True, "the goal holds")
+    played = longer.end_episode()
     assert played.success and played.verdict is not None and played.verdict.reached
     assert (played.end, played.held_ticks) == (EpisodeEnd(EndReason.ACTOR, first + HOLD), HOLD)
 
@@ -234,22 +240,22 @@ def test_success_ends_at_the_first_tick_at_which_it_has_held_and_an_actor_goes_o
     at_success = open_at(simulator, over_plate, SUCCESS_RULES)
     at_success.run_commands(still(simulator, over_plate, 40))
     assert at_success.end == EpisodeEnd(EndReason.SUCCESS, first + HOLD)
-    assert at_success.ticks == len(at_success.actions.ctrl) == first + HOLD
+    assert at_success.ticks == len(at_success.executed_actions.ctrl) == first + HOLD
     # Later actions have no effect.
     before = at_success.data.qpos.copy()
     at_success.run_commands(still(simulator, over_plate, 3))
     np.testing.assert_array_equal(at_success.data.qpos, before)
-    assert at_success.finish().end == EpisodeEnd(EndReason.SUCCESS, first + HOLD)
+    assert at_success.end_episode().end == EpisodeEnd(EndReason.SUCCESS, first + HOLD)
 
     by_actor = open_at(simulator, over_plate)
     by_actor.run_commands(still(simulator, over_plate, 40))
     assert by_actor.end is None and by_actor.ticks == 40
-    assert by_actor.finish().end == EpisodeEnd(EndReason.ACTOR, 40)
+    assert by_actor.end_episode().end == EpisodeEnd(EndReason.ACTOR, 40)
 
     # An actor can omit later actions.
     waiting = open_at(simulator, over_plate)
     waiting.run_commands(still(simulator, over_plate, 40), until_success=True)
-    assert (waiting.ticks, waiting.end, waiting.succeeds) == (first + HOLD, None, True)
+    assert (waiting.ticks, waiting.end, waiting.has_succeeded) == (first + HOLD, None, True)
 
 
 @pytest.mark.parametrize("held", [HOLD - 1, HOLD + 5])
@@ -264,7 +270,7 @@ def test_a_success_that_is_undone_counts_only_if_success_ends_the_episode(
         address = simulator.scene.object_qpos["banana"]
         put(simulator, episode.data.qpos, "banana", start[address : address + 3])
         episode.run_commands(still(simulator, over_plate, 4))
-        ends[rules.end] = episode.finish()
+        ends[rules.end] = episode.end_episode()
     taken_back = ends[EndRule.ACTOR]
     assert taken_back.end == EpisodeEnd(
         EndReason.ACTOR, first + held + 4, FailureCause.GOAL, "on(banana, plate): they do not touch"
@@ -320,16 +326,16 @@ def test_a_strict_rule_ends_it_at_the_first_forbidden_contact(simulator: Simulat
     shorter.run_commands(
         ActionSequence(*(part[: strict.end.tick - 1] for part in (actions.ctrl, actions.magnet, actions.joints)))
     )
-    assert shorter.end is None and shorter.finish().collision is None
+    assert shorter.end is None and shorter.end_episode().collision is None
 
     free = open_at(simulator, start, REPLAY_RULES)
     free.run_commands(actions)
-    played = free.finish()
+    played = free.end_episode()
     assert (played.end.reason, played.end.tick, played.collision) == (
         EndReason.ACTOR, len(actions.ctrl), strict.end.detail
     )  # fmt: skip
     # Up to there, both are equal.
-    for one, other in zip(strict.finish().states, played.states, strict=False):
+    for one, other in zip(strict.end_episode().states, played.states, strict=False):
         np.testing.assert_array_equal(one.qpos, other.qpos)
 
 
@@ -343,7 +349,7 @@ def test_a_strict_rule_ends_it_at_an_exceeded_limit(simulator: Simulator, start:
     assert 5 < strict.end.tick < 20
     free = open_at(simulator, start, REPLAY_RULES)
     free.run_commands(actions)
-    margins = free.finish().margins
+    margins = free.end_episode().margins
     assert free.ticks == 20 and margins is not None and max(margins.velocity, margins.torque) >= 1
 
 
@@ -362,15 +368,15 @@ def test_without_a_goal_nobody_succeeds_and_nothing_failed(simulator: Simulator,
         simulator.scene, over_plate, simulator.config.task.timing, ("right",), None, EpisodeRules(EndRule.SUCCESS)
     )
     episode.run_commands(still(simulator, over_plate, 30))
-    assert (episode.verdict, episode.succeeds, episode.status, episode.end) == (None, False, "", None)
-    assert episode.finish().end == EpisodeEnd(EndReason.ACTOR, 30)
+    assert (episode.verdict, episode.has_succeeded, episode.goal_status, episode.end) == (None, False, "", None)
+    assert episode.end_episode().end == EpisodeEnd(EndReason.ACTOR, 30)
 
 
 def test_an_episode_in_which_nothing_acts_has_neither_states_nor_margins(simulator: Simulator, start: Array) -> None:
-    played = open_at(simulator, start).finish()
+    played = open_at(simulator, start).end_episode()
     assert (played.states, played.margins, played.end.tick) == ((), None, 0)
     assert not played.success
 
 
 def test_a_goal_is_said_in_words_for_whoever_acts(simulator: Simulator, start: Array) -> None:
-    assert open_at(simulator, start).status == "not yet: on(banana, plate) (they do not touch)"
+    assert open_at(simulator, start).goal_status == "not yet: on(banana, plate) (they do not touch)"

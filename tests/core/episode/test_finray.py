@@ -13,7 +13,7 @@ from yamsim_cli.core.attempt_data import ArmPosture, Layout
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.session import Session
 from yamsim_cli.core.episode.episode_rules import EXPERT_RULES
-from yamsim_cli.core.episode.execution import run_actions
+from yamsim_cli.core.episode.execution import simulate_actions
 from yamsim_cli.core.episode.simulator import Simulator
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.geometry.se3 import pose
@@ -51,7 +51,7 @@ def test_driven_into_the_table_it_bends_and_comes_back(simulator: Simulator, tic
     start = scene.start_qpos(_ASIDE, [stand])
     scene.reset(data, start)
     table = data.geom("table").xpos[2] + model.geom("table").size[2]
-    shoulder, told = scene.arm.arm_ctrl[1], data.ctrl[scene.arm.arm_ctrl[1]]
+    shoulder, told = scene.first_arm.arm_ctrl[1], data.ctrl[scene.first_arm.arm_ctrl[1]]
     bends, most, lowest = _bends(model), 0.0, np.inf
 
     def go(to: float) -> None:
@@ -79,8 +79,8 @@ def test_driven_into_the_table_it_bends_and_comes_back(simulator: Simulator, tic
 def test_an_attempt_comes_out_the_same_from_its_actions(simulator: Simulator) -> None:
     done = planned(simulator, 7)
     assert done.outcome.success, done.outcome.detail
-    again = run_actions(simulator, done.attempt, all_actions(done.states), EXPERT_RULES)
-    for one, other in zip(done.states, again.states, strict=True):
+    again = simulate_actions(simulator, done.attempt, all_actions(done.recorded_states), EXPERT_RULES)
+    for one, other in zip(done.recorded_states, again.recorded_states, strict=True):
         # Including the fingers' bending joints.
         assert len(one.qpos) == 6 + 2 * (1 + 8) + 2 * 7
         np.testing.assert_array_equal(one.qpos, other.qpos)

@@ -26,7 +26,7 @@ from yamsim_cli.core.episode.grasps import (
     set_weld_pose,
 )
 from yamsim_cli.core.episode.held_objects import SETTLED_TICKS, HeldObjectMonitor
-from yamsim_cli.core.episode.simulator import Simulator, Simulators
+from yamsim_cli.core.episode.simulator import Simulator, SimulatorCache
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.geometry.se3 import Array, pose, quat_from_rotation, rotation_from_vector
 from yamsim_cli.core.scene.compiled import ArmAddresses, CompiledScene
@@ -57,14 +57,14 @@ def at_hand(simulator: Simulator, below: float, thing: str = "banana") -> mujoco
 
 
 def weld_of(scene: CompiledScene) -> tuple[ArmAddresses, int]:
-    assert scene.arm.weld is not None
-    return scene.arm, scene.arm.weld
+    assert scene.first_arm.weld is not None
+    return scene.first_arm, scene.first_arm.weld
 
 
 def test_the_grasp_follows_from_the_scene(simulator: Simulator, friction: Simulator, tmp_path: Path) -> None:
     assert isinstance(make_grasp_simulator(simulator.scene, None), WeldGraspSimulator)
     assert isinstance(make_grasp_simulator(friction.scene, None), FrictionGraspSimulator)
-    with Simulators(session_of(tmp_path, FOLD)) as simulators:
+    with SimulatorCache(session_of(tmp_path, FOLD)) as simulators:
         assert isinstance(make_grasp_simulator(first_attempt(simulators)[0].scene, None), ClothGraspSimulator)
 
 
@@ -122,30 +122,30 @@ def test_a_magnet_has_no_effect_where_friction_holds(friction: Simulator) -> Non
     task, start = friction.config.task, start_of(friction)
     episode = Episode(friction.scene, start, task.timing, ("right",), None)
     for _ in range(3):
-        episode.step(start[friction.scene.arm.recorded_qpos][None], ON)
-    assert not episode.actions.magnet.any() and episode.welds_active == (False,)
+        episode.step(start[friction.scene.first_arm.recorded_qpos][None], ON)
+    assert not episode.executed_actions.magnet.any() and episode.welds_active == (False,)
 
 
 def test_records_say_whether_a_weld_holds_and_not_what_was_commanded(simulator: Simulator) -> None:
     scene, start = simulator.scene, start_of(simulator)
-    command = start[scene.arm.recorded_qpos][None]
+    command = start[scene.first_arm.recorded_qpos][None]
     far = Episode(scene, start, simulator.config.task.timing, ("right",), None, EpisodeRules())
     far.step(command, ON)
     near = Episode(
         scene, at_hand(simulator, 0.03).qpos.copy(), simulator.config.task.timing, ("right",), None, EpisodeRules()
     )
     near.step(command, ON)
-    assert (far.actions.magnet[0, 0], near.actions.magnet[0, 0]) == (False, True)
+    assert (far.executed_actions.magnet[0, 0], near.executed_actions.magnet[0, 0]) == (False, True)
     assert (far.welds_active, near.welds_active) == ((False,), (True,))
     assert near.world.holding_sides("banana") == {"right"}
 
 
 def test_cloth_is_held_by_fingers_that_press_on_it_and_let_go_when_they_open(tmp_path: Path) -> None:
-    with Simulators(session_of(tmp_path, FOLD)) as simulators:
+    with SimulatorCache(session_of(tmp_path, FOLD)) as simulators:
         simulator, attempt = first_attempt(simulators)
         scene, config = simulator.scene, simulator.config
         assert attempt.start is not None
-        start, cloth, arm = attempt.start.copy(), scene.cloths["napkin"], scene.arm
+        start, cloth, arm = attempt.start.copy(), scene.cloths["napkin"], scene.first_arm
         assert arm.fingers is not None
         data = mujoco.MjData(scene.model)
         start[arm.fingers.qpos] = 0.004 * arm.fingers.sign
@@ -165,7 +165,7 @@ def test_cloth_is_held_by_fingers_that_press_on_it_and_let_go_when_they_open(tmp
             command[0, -1] = opening
             for _ in range(ticks):
                 episode.step(command, [False, False])
-            assert bool(episode.actions.magnet[-1, 0]) is holds, opening
+            assert bool(episode.executed_actions.magnet[-1, 0]) is holds, opening
             assert episode.world.holding_sides("napkin") == ({arm_sides(config)[0]} if holds else frozenset())
         # No weld, whatever the hand holds.
         assert episode.welds_active == (False, False)
@@ -192,7 +192,7 @@ class InHand:
         mujoco.mj_kinematics(self.scene.model, self.data)
         mujoco.mj_collision(self.scene.model, self.data)
         for _ in range(ticks):
-            self.things.watch(self.world.holding_sides_by_object())
+            self.things.measure_tick(self.world.holding_sides_by_object())
         return self.things.slip, self.things.tilt
 
 

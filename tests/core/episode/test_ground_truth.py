@@ -11,7 +11,7 @@ from tests.attempts import planned
 from yamsim_cli.core.attempt_data import AttemptJob, AttemptPayload
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.session import Session
-from yamsim_cli.core.dataset.dataset_paths import TRUTH_LABELS, depth_name, segmentation_name, truth_name
+from yamsim_cli.core.dataset.dataset_paths import TRUTH_LABELS_FILE, depth_path, segmentation_path, truth_path
 from yamsim_cli.core.dataset.ground_truth_files import TruthLabels, array_faults, load_depth, load_truth
 from yamsim_cli.core.dataset.lowdim import load_frame
 from yamsim_cli.core.dataset.records import from_json
@@ -43,23 +43,23 @@ def payload(runner: AttemptRunner) -> AttemptPayload:
 
 
 def test_every_image_has_its_depth_and_segmentation(payload: AttemptPayload) -> None:
-    labels = from_json(TruthLabels, payload.files[TRUTH_LABELS], TRUTH_LABELS)
+    labels = from_json(TruthLabels, payload.files[TRUTH_LABELS_FILE], TRUTH_LABELS_FILE)
     known = {label.id for label in labels.labels}
     for camera in CAMERAS:
         for k in range(payload.frames):
-            assert load_depth(payload.files[depth_name(camera, k)]).shape == (48, 64)
-            numbers = decode_labels(payload.files[segmentation_name(camera, k)])
+            assert load_depth(payload.files[depth_path(camera, k)]).shape == (48, 64)
+            numbers = decode_labels(payload.files[segmentation_path(camera, k)])
             assert numbers is not None
             assert numbers.shape == (48, 64)
             assert set(np.unique(numbers)) <= known
-        assert array_faults(load_truth(payload.files[truth_name(camera)]), labels, payload.frames) == []
+        assert array_faults(load_truth(payload.files[truth_path(camera)]), labels, payload.frames) == []
 
 
 def test_truth_agrees_with_lowdim(payload: AttemptPayload) -> None:
-    labels = from_json(TruthLabels, payload.files[TRUTH_LABELS], TRUTH_LABELS)
+    labels = from_json(TruthLabels, payload.files[TRUTH_LABELS_FILE], TRUTH_LABELS_FILE)
     banana = labels.objects.index("banana")
     for camera in CAMERAS:
-        truth = load_truth(payload.files[truth_name(camera)])
+        truth = load_truth(payload.files[truth_path(camera)])
         for k in (0, 20, payload.frames - 1):
             frame = load_frame(payload.files[f"lowdim/{k:06d}.pkl"])
             np.testing.assert_allclose(truth["intrinsics"], frame["intrinsics"][camera], rtol=1e-6)
@@ -69,11 +69,11 @@ def test_truth_agrees_with_lowdim(payload: AttemptPayload) -> None:
 
 
 def test_boxes_and_segmentation_are_of_the_same_frame(payload: AttemptPayload) -> None:
-    labels = from_json(TruthLabels, payload.files[TRUTH_LABELS], TRUTH_LABELS)
+    labels = from_json(TruthLabels, payload.files[TRUTH_LABELS_FILE], TRUTH_LABELS_FILE)
     parts = [label.id for label in labels.labels if label.instance == "arm1"]
-    truth = load_truth(payload.files[truth_name("scene_camera")])
+    truth = load_truth(payload.files[truth_path("scene_camera")])
     for k in range(payload.frames):
-        numbers = decode_labels(payload.files[segmentation_name("scene_camera", k)])
+        numbers = decode_labels(payload.files[segmentation_path("scene_camera", k)])
         assert np.isin(numbers, parts).sum() == truth["pixels"][k, labels.instances.index("arm1")]
 
 
@@ -99,7 +99,7 @@ def test_boards_change_no_physics(
     payload: AttemptPayload, make_config: Callable[..., RecordConfig], locations: Locations
 ) -> None:
     with Simulator(Session(make_config({("boards",): True}), locations)) as simulator:
-        states = planned(simulator, 0).states
+        states = planned(simulator, 0).recorded_states
         assert states
         for k, state in enumerate(states):
             np.testing.assert_array_equal(state.qpos, load_frame(payload.files[f"lowdim/{k:06d}.pkl"])["sim_qpos"])

@@ -15,13 +15,13 @@ from yamsim_cli.core.attempt_data import ActionSequence, Attempt, AttemptJob, Fa
 from yamsim_cli.core.config.session import Session
 from yamsim_cli.core.dataset.checks.context import find_episodes, read_context
 from yamsim_cli.core.dataset.checks.problem import ProblemCollector
-from yamsim_cli.core.dataset.reader import dataset_config, open_episode
+from yamsim_cli.core.dataset.reader import open_episode, read_recording_config
 from yamsim_cli.core.dataset.records import RoleAssignmentRecord, to_json
 from yamsim_cli.core.dataset.writing.directory_claim import OpenMode
 from yamsim_cli.core.episode import sampling
 from yamsim_cli.core.episode.episode_rules import EXPERT_RULES
-from yamsim_cli.core.episode.execution import demonstrate, run_actions
-from yamsim_cli.core.episode.simulator import Simulator, Simulators
+from yamsim_cli.core.episode.execution import simulate_actions, simulate_expert
+from yamsim_cli.core.episode.simulator import Simulator, SimulatorCache
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.images.jpeg import JpegReader
 from yamsim_cli.core.sim.settling import settle_objects
@@ -43,8 +43,8 @@ def session(tmp_path_factory: pytest.TempPathFactory) -> Session:
 
 
 @pytest.fixture(scope="module")
-def simulators(session: Session) -> Iterator[Simulators]:
-    with Simulators(session) as made:
+def simulators(session: Session) -> Iterator[SimulatorCache]:
+    with SimulatorCache(session) as made:
         yield made
 
 
@@ -61,7 +61,7 @@ def dataset(session: Session, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.render
 def test_what_was_recorded_is_made_again_bit_for_bit(dataset: Path, locations: Locations) -> None:
-    session = Session(dataset_config(dataset, locations), locations).without_meshes()
+    session = Session(read_recording_config(dataset, locations), locations).without_meshes()
     with EpisodeVerifier(session, Tolerances(0.0, 0.0)) as verifier:
         verdict = verifier.run((0, dataset / "ep_000000"))
     assert verdict.agrees, verdict
@@ -92,35 +92,35 @@ def test_nothing_is_wrong_with_the_dataset(dataset: Path, locations: Locations) 
     context = read_context(dataset, recorded, locations, problems)
     with JpegReader() as reader:
         facts = check_episode(directory, context, reader)
-    assert not problems.list() and not facts.problems
+    assert not problems.all_problems() and not facts.problems
     assert context.judged_by_goal and facts.outcome is not None and facts.outcome.success
 
 
 @pytest.mark.slow
-def test_actions_in_one_piece_give_what_they_gave_in_many(simulators: Simulators) -> None:
+def test_actions_in_one_piece_give_what_they_gave_in_many(simulators: SimulatorCache) -> None:
     simulator, attempt = first_attempt(simulators, 2)
-    done = demonstrate(simulator, attempt)
+    done = simulate_expert(simulator, attempt)
     assert done.outcome.success, done.outcome
-    acted = [state.actions for state in done.states]
+    acted = [state.actions for state in done.recorded_states]
     whole = ActionSequence(
         *(np.concatenate([getattr(one, part) for one in acted]) for part in ("ctrl", "magnet", "joints"))
     )
-    again = run_actions(simulator, attempt, whole, EXPERT_RULES)
+    again = simulate_actions(simulator, attempt, whole, EXPERT_RULES)
     assert again.outcome == replace(done.outcome, recoveries=())
-    assert all(np.array_equal(a.qpos, b.qpos) for a, b in zip(done.states, again.states, strict=True))
+    assert all(np.array_equal(a.qpos, b.qpos) for a, b in zip(done.recorded_states, again.recorded_states, strict=True))
 
 
-def test_fingers_that_never_close_reach_nothing(simulators: Simulators) -> None:
+def test_fingers_that_never_close_reach_nothing(simulators: SimulatorCache) -> None:
     simulator, attempt = first_attempt(simulators)
-    outcome = demonstrate(simulator, attempt, grips=False).outcome
+    outcome = simulate_expert(simulator, attempt, grips=False).outcome
     assert not outcome.success and outcome.cause in (FailureCause.SLIPPED, FailureCause.DROPPED, FailureCause.GOAL)
 
 
 def test_every_failed_try_for_an_object_out_of_reach_is_recorded(tmp_path: Path) -> None:
     away = changed({("starts", "cube"): {"x": [0.70, 0.72], "y": [0.30, 0.32]}})
-    with Simulators(session_of(tmp_path, away)) as simulators:
+    with SimulatorCache(session_of(tmp_path, away)) as simulators:
         simulator, attempt = first_attempt(simulators)
-        outcome = demonstrate(simulator, attempt).outcome
+        outcome = simulate_expert(simulator, attempt).outcome
     assert outcome.cause is FailureCause.UNREACHABLE
     assert [(one.step, one.skill, one.frame) for one in outcome.recoveries] == [(0, "pick", 0), (0, "pick", 0)]
 
@@ -134,31 +134,31 @@ def test_standing_still_reaches_nothing_and_what_is_said_reaches_the_policy(sess
 
 def test_a_goal_that_holds_at_the_start_is_no_task(tmp_path: Path) -> None:
     met = changed({("goal",): {"on": {"thing": "cube", "surface": "table"}}})
-    with Simulators(session_of(tmp_path, met)) as simulators:
+    with SimulatorCache(session_of(tmp_path, met)) as simulators:
         simulator, attempt = first_attempt(simulators)
-        outcome = demonstrate(simulator, attempt).outcome
+        outcome = simulate_expert(simulator, attempt).outcome
     assert attempt.layout is None and outcome.cause is FailureCause.NO_LAYOUT
     assert "the goal holds already at the start, in each of 20 samples" in outcome.detail
 
 
 def test_an_object_without_room_is_named(tmp_path: Path) -> None:
     tight = changed({("starts", "cube", "x"): [0.40, 0.40], ("starts", "cube", "y"): [-0.15, -0.15]})
-    with Simulators(session_of(tmp_path, tight)) as simulators:
+    with SimulatorCache(session_of(tmp_path, tight)) as simulators:
         simulator, attempt = first_attempt(simulators)
-        outcome = demonstrate(simulator, attempt).outcome
+        outcome = simulate_expert(simulator, attempt).outcome
     assert outcome.detail == "no free place for the cube in its start region"
 
 
 def test_a_program_that_takes_too_long_is_ended(tmp_path: Path) -> None:
-    with Simulators(session_of(tmp_path, changed({("time_limit_s",): 3.0}))) as simulators:
+    with SimulatorCache(session_of(tmp_path, changed({("time_limit_s",): 3.0}))) as simulators:
         simulator, attempt = first_attempt(simulators)
-        done = demonstrate(simulator, attempt)
+        done = simulate_expert(simulator, attempt)
     assert done.outcome.cause is FailureCause.TIME
-    ticks = sum(len(state.actions.ctrl) for state in done.states)
+    ticks = sum(len(state.actions.ctrl) for state in done.recorded_states)
     assert ticks <= 3.0 / 0.032 + 1
 
 
-def test_each_cast_has_a_simulator_of_its_own(simulators: Simulators) -> None:
+def test_each_cast_has_a_simulator_of_its_own(simulators: SimulatorCache) -> None:
     made = [simulators.get(AttemptJob(0, k)) for k in range(8)]
     kinds = {simulator.roles.config_names["cube"] for simulator in made if simulator.roles}
     assert kinds == {"cube_red", "cube_blue"} and len(set(map(id, made))) == 2
@@ -167,7 +167,7 @@ def test_each_cast_has_a_simulator_of_its_own(simulators: Simulators) -> None:
 def test_things_come_in_sizes_that_the_record_tells(tmp_path: Path) -> None:
     task = changed({("things", "cube"): {"of": ["cube_red", "cube_blue"], "sizes": [0.8, 1.2]}})
     edges = set()
-    with Simulators(session_of(tmp_path, task)) as simulators:
+    with SimulatorCache(session_of(tmp_path, task)) as simulators:
         for number in range(6):
             simulator, attempt = first_attempt(simulators, number)
             assert attempt.roles is not None and attempt.layout is not None
@@ -204,14 +204,14 @@ def test_a_thing_starts_with_the_middle_of_what_it_is_when_open(tmp_path: Path) 
             ("expert",): [{"pick": {"thing": "cube"}}, {"place": {"thing": "cube", "on": "cabinet"}}],
         }
     )
-    with Simulators(session_of(tmp_path, task)) as simulators:
+    with SimulatorCache(session_of(tmp_path, task)) as simulators:
         _, attempt = first_attempt(simulators)
     assert attempt.layout is not None
     assert attempt.layout.T_in_world["cabinet"][0, 3] == pytest.approx(0.48 + 0.08, abs=2e-3)
 
 
 def test_a_start_in_which_a_thing_still_moves_is_drawn_again(
-    simulators: Simulators, monkeypatch: pytest.MonkeyPatch
+    simulators: SimulatorCache, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     simulator, calm = first_attempt(simulators)
     speeds = [1.0, 0.0]

@@ -20,10 +20,10 @@ from yamsim_cli.core.config.session import Session
 from yamsim_cli.core.dataset.checks.lowdim import expected_specs, frame_faults
 from yamsim_cli.core.episode.attempt_payload import frame_records
 from yamsim_cli.core.episode.episode_rules import EXPERT_RULES
-from yamsim_cli.core.episode.execution import run_actions
+from yamsim_cli.core.episode.execution import simulate_actions
 from yamsim_cli.core.episode.simulator import Simulator
 from yamsim_cli.core.files.resources import Locations
-from yamsim_cli.core.geometry.se3 import inverse
+from yamsim_cli.core.geometry.se3 import invert_pose
 from yamsim_cli.photos.overlay.photos import episode_photos
 
 OBJECTS = ("banana", "plate")
@@ -40,7 +40,7 @@ def _frames(config: RecordConfig, locations: Locations) -> Frames:
     with Simulator(Session(config, locations)) as simulator:
         done = planned(simulator, config.seed, 1)
         assert done.outcome.success, done.outcome.detail
-        return frame_records(simulator, done.attempt, done.states)
+        return frame_records(simulator, done.attempt, done.recorded_states)
 
 
 @pytest.fixture(scope="module")
@@ -116,7 +116,7 @@ def test_a_frame_of_two_arms_has_the_left_one_first_and_all_poses_in_its_base(le
     np.testing.assert_allclose(first["T_right_base_in_left_base"][:3, 3], (0, -0.7, 0), atol=1e-6)
     np.testing.assert_allclose(first["T_right_base_in_left_base"][:3, :3], np.eye(3), atol=1e-6)
     held = next(frame for frame in left if frame["magnet"][0])
-    assert np.linalg.norm((inverse(held["ee_pose"][0]) @ held["banana_pose"])[:3, 3]) < 0.06
+    assert np.linalg.norm((invert_pose(held["ee_pose"][0]) @ held["banana_pose"])[:3, 3]) < 0.06
     assert held["ee_pose"][1, 1, 3] == pytest.approx(-0.7, abs=0.05)
     looks_from = first["extrinsics"]["left_wrist_camera"][:3, 3] - first["ee_pose"][0, :3, 3]
     assert np.linalg.norm(looks_from) < 0.2
@@ -168,11 +168,11 @@ def test_both_wrists_are_recorded_of_a_hand_over(handed: Frames) -> None:
 def test_arms_that_meet_fail_the_attempt(handover: RecordConfig, locations: Locations) -> None:
     with Simulator(Session(handover, locations)) as simulator:
         done = planned(simulator, handover.seed, 1)
-        actions = all_actions(done.states)
+        actions = all_actions(done.recorded_states)
         # While the hands are together, the left arm turns towards the right one.
         ctrl, (begin, _) = actions.ctrl.copy(), _held(actions.magnet[:, 0])
         ctrl[begin : begin + 25, simulator.scene.arms[0].arm_ctrl[0]] -= np.linspace(0, 0.8, 25)
-        outcome = run_actions(simulator, done.attempt, replace(actions, ctrl=ctrl), EXPERT_RULES).outcome
+        outcome = simulate_actions(simulator, done.attempt, replace(actions, ctrl=ctrl), EXPERT_RULES).outcome
     assert outcome.cause is FailureCause.COLLIDED
     assert "arm2_" in outcome.detail
 
@@ -187,7 +187,7 @@ def dataset(tmp_path_factory: pytest.TempPathFactory, handover: RecordConfig, lo
 def test_a_recorded_camera_is_given_in_the_first_arms_base(dataset: Path, handover: RecordConfig) -> None:
     photo = episode_photos(dataset / "ep_000000", None, handover.rig)[0]
     frame = read_frame(dataset / "ep_000000", 0)
-    T_right_in_cam = inverse(frame["extrinsics"]["scene_camera"]) @ frame["T_right_base_in_left_base"]
+    T_right_in_cam = invert_pose(frame["extrinsics"]["scene_camera"]) @ frame["T_right_base_in_left_base"]
     np.testing.assert_allclose(photo.T_base_in_cam, T_right_in_cam, atol=1e-5)
     assert photo.postures is not None
     stands = [[*stand.joints, stand.opening] for stand in photo.postures]

@@ -14,17 +14,17 @@ from tests.attempts import all_actions, planned
 from yamsim_cli.core.attempt_data import Attempt, AttemptJob
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.session import Session
-from yamsim_cli.core.config.variation import ArmVariation, Variation
+from yamsim_cli.core.config.variation import ArmDynamicsSample, RandomizationSample
 from yamsim_cli.core.dataset.lowdim import load_frame
 from yamsim_cli.core.episode.attempt_payload import frame_records, render_cameras
 from yamsim_cli.core.episode.episode_rules import EXPERT_RULES
-from yamsim_cli.core.episode.execution import demonstrate, run_actions, with_reserved_distractors
+from yamsim_cli.core.episode.execution import simulate_actions, simulate_expert, with_reserved_distractors
 from yamsim_cli.core.episode.runner import AttemptRunner
 from yamsim_cli.core.episode.sampling import sample_attempt
 from yamsim_cli.core.episode.simulator import Simulator
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.geometry.se3 import Array
-from yamsim_cli.core.robots.dynamics import Dynamics
+from yamsim_cli.core.robots.dynamics import MeasuredArmDynamics
 from yamsim_cli.core.sim.encoder_readings import delayed_positions
 
 N = 6
@@ -44,9 +44,9 @@ def test_looks_change_neither_success_nor_joints(visual: Simulator, config: Reco
         for number in range(2):
             one, other = planned(plain, 0, number), planned(visual, 0, number)
             assert one.outcome == other.outcome
-            assert one.attempt.places == other.attempt.places
-            assert one.states
-            for state, same in zip(one.states, other.states, strict=True):
+            assert one.attempt.object_places == other.attempt.object_places
+            assert one.recorded_states
+            for state, same in zip(one.recorded_states, other.recorded_states, strict=True):
                 np.testing.assert_array_equal(state.qpos, same.qpos)
                 np.testing.assert_array_equal(state.actions.ctrl, same.actions.ctrl)
 
@@ -57,14 +57,14 @@ def test_distractors_that_can_be_touched_are_not(visual: Simulator) -> None:
     placed = 0
     for number in range(N):
         done = planned(visual, 0, number)
-        model = visual.set_variation(done.attempt).model
+        model = visual.apply_randomization(done.attempt).model
         distractors = done.attempt.variation.distractors
         placed += len(distractors)
         for name in distractors:
             body = model.body(name).id
             assert model.geom_contype[model.geom_bodyid == body].any()
-        again = run_actions(visual, done.attempt, all_actions(done.states), EXPERT_RULES)
-        for one, two in zip(done.states, again.states, strict=True):
+        again = simulate_actions(visual, done.attempt, all_actions(done.recorded_states), EXPERT_RULES)
+        for one, two in zip(done.recorded_states, again.recorded_states, strict=True):
             np.testing.assert_array_equal(one.qpos, two.qpos)
     assert placed >= 10
 
@@ -76,28 +76,28 @@ def test_distractors_are_no_obstacles_whenever_the_expert_is_made(
     with Simulator(Session(make_config(VISUAL | MANY | SMALL), locations)) as early:
         early.prepare()
         one, other = planned(early, 0), planned(visual, 0)
-    assert one.attempt.places == other.attempt.places
+    assert one.attempt.object_places == other.attempt.object_places
     assert one.outcome == other.outcome
 
 
 def test_distractors_stand_clear_of_everything(visual: Simulator, config: RecordConfig) -> None:
     clearance = 0.03
-    rests = {item.name: item.rest_height for item in visual.config.randomization.extras}
+    rests = {item.name: item.rest_height for item in visual.config.randomization.distractor_configs}
     for number in range(3):
         done = planned(visual, 0, number)
-        model = visual.set_variation(done.attempt).model
+        model = visual.apply_randomization(done.attempt).model
         distractors = done.attempt.variation.distractors
         assert distractors
         assert set(distractors) <= set(rests)
         data = mujoco.MjData(model)
-        data.qpos[:] = done.states[0].qpos
+        data.qpos[:] = done.recorded_states[0].qpos
         mujoco.mj_kinematics(model, data)
         solid = [g for g in range(model.ngeom) if model.geom_contype[g]]
         for name, (x, y, z, _) in distractors.items():
             body = model.body(name).id
             np.testing.assert_allclose(data.xpos[body], (x, y, z))
-            assert abs(x - config.table.position[0]) < config.table.half_size[0]
-            assert z == config.table.top + rests[name]
+            assert abs(x - config.widened_table.position[0]) < config.widened_table.half_size[0]
+            assert z == config.widened_table.top_height + rests[name]
             own = [g for g in solid if model.geom_bodyid[g] == body]
             others = [
                 g for g in solid
@@ -123,18 +123,18 @@ def test_masses_and_friction_change_physics(make_config: Callable[..., RecordCon
     with Simulator(Session(config, locations)) as simulator:
         heavy = planned(simulator, 0)
         assert 2.0 <= heavy.attempt.variation.mass["banana"] <= 3.0
-        actions, plain = all_actions(heavy.states), replace(heavy.attempt, variation=Variation())
-        light = run_actions(simulator, plain, actions, EXPERT_RULES)
-        assert not np.array_equal(light.states[-1].qpos, heavy.states[-1].qpos)
-        again = run_actions(simulator, heavy.attempt, actions, EXPERT_RULES)
-        np.testing.assert_array_equal(again.states[-1].qpos, heavy.states[-1].qpos)
+        actions, plain = all_actions(heavy.recorded_states), replace(heavy.attempt, variation=RandomizationSample())
+        light = simulate_actions(simulator, plain, actions, EXPERT_RULES)
+        assert not np.array_equal(light.recorded_states[-1].qpos, heavy.recorded_states[-1].qpos)
+        again = simulate_actions(simulator, heavy.attempt, actions, EXPERT_RULES)
+        np.testing.assert_array_equal(again.recorded_states[-1].qpos, heavy.recorded_states[-1].qpos)
 
 
 def test_what_is_sampled_is_never_changed(visual: Simulator) -> None:
     """A distractor changes with another sampled value, and the rest of the attempt stays."""
     attempt = sample_attempt(visual, AttemptJob(0, 0))
     before = deepcopy(asdict(attempt))
-    done = demonstrate(visual, attempt)
+    done = simulate_expert(visual, attempt)
     assert not attempt.variation.distractors
     assert done.attempt.variation.distractors
     after = asdict(attempt)
@@ -175,15 +175,15 @@ def test_arms_that_act_late_and_are_read_wrongly_do_the_same_again_whatever_was_
     config = make_config({("randomization",): "arms"} | SMALL)
     with Simulator(Session(config, locations)) as simulator:
         one, other = planned(simulator, 0, 0), planned(simulator, 0, 1)
-        seen = frame_records(simulator, one.attempt, one.states)
+        seen = frame_records(simulator, one.attempt, one.recorded_states)
         # The scene is varied for the second attempt; the first one is reproduced from its record.
-        again = run_actions(simulator, one.attempt, all_actions(one.states), EXPERT_RULES)
-        told = frame_records(simulator, one.attempt, again.states)
+        again = simulate_actions(simulator, one.attempt, all_actions(one.recorded_states), EXPERT_RULES)
+        told = frame_records(simulator, one.attempt, again.recorded_states)
     with Simulator(Session(config, locations)) as fresh:
         alone = planned(fresh, 0, 1)
 
-    assert other.states and alone.states
-    for state, same in zip(other.states, alone.states, strict=True):
+    assert other.recorded_states and alone.recorded_states
+    for state, same in zip(other.recorded_states, alone.recorded_states, strict=True):
         np.testing.assert_array_equal(state.qpos, same.qpos)
     for frame, same_frame in zip(seen, told, strict=True):
         np.testing.assert_array_equal(frame["joints"], same_frame["joints"])
@@ -202,23 +202,23 @@ def test_an_arms_draw_is_added_to_its_own_delays(
         config = make_config(
             {("randomization", "arm_dynamics"): {"command_delay_ms": [0, most], "sensor_delay_ms": [0, most]}} | SMALL
         )
-        dynamics = Dynamics(revision="mine", base=config.rig.arms[0].model.name, command_delay_ms=own)
+        dynamics = MeasuredArmDynamics(revision="mine", base=config.rig.arms[0].model.name, command_delay_ms=own)
         arm = config.rig.arms[0].model_copy(update={"dynamics": dynamics})
         config = config.model_copy(update={"rig": config.rig.model_copy(update={"arms": (arm,)})})
         with Simulator(Session(config, locations)) as simulator:
             attempt = sample_attempt(simulator, AttemptJob(0, 0))
-            by = (ArmVariation(drawn, drawn, 0.0, 0.0, (0.0,) * 6),)
-            scene = simulator.set_variation(replace(attempt, variation=Variation(arm_dynamics=by)))
+            by = (ArmDynamicsSample(drawn, drawn, 0.0, 0.0, (0.0,) * 6),)
+            scene = simulator.apply_randomization(replace(attempt, variation=RandomizationSample(arm_dynamics=by)))
             data = mujoco.MjData(scene.model)
             assert attempt.start is not None
             scene.reset(data, attempt.start)
-            data.ctrl[scene.arm.arm_ctrl[0]] += 0.1
+            data.ctrl[scene.first_arm.arm_ctrl[0]] += 0.1
             found = []
             for _ in range(30):
                 scene.step(data)
                 read = delayed_positions(scene, data)
                 assert read is not None
-                found.append([float(data.qpos[scene.arm.joint_qpos[0]]), float(read[0, 0])])
+                found.append([float(data.qpos[scene.first_arm.joint_qpos[0]]), float(read[0, 0])])
             return np.array(found)
 
     both, drawn, none = told(8.0, 6.0, 20.0), told(0.0, 14.0, 30.0), told(0.0, 0.0, 30.0)
@@ -234,13 +234,13 @@ def test_an_arms_draw_is_added_to_its_own_delays(
 
 def test_a_distractor_is_seen_where_it_was_put(visual: Simulator, config: RecordConfig) -> None:
     done = planned(visual, 0)
-    qpos, images = done.states[0].qpos, []
+    qpos, images = done.recorded_states[0].qpos, []
     model = visual.scene.model
     for y in (-0.25, 0.25):
-        place = (0.6, y, config.table.top, 0.0)
+        place = (0.6, y, config.widened_table.top_height, 0.0)
         moved = replace(done.attempt, variation=replace(done.attempt.variation, distractors={"apple": place}))
         images.append(render_cameras(visual, moved, qpos, ["scene_camera"])["scene_camera"].astype(int))
-        numbers = visual.renderer.segment(visual.state_replay.data, "scene_camera")
+        numbers = visual.renderer.render_geom_ids(visual.state_replay.data, "scene_camera")
         columns = np.nonzero(np.isin(numbers, np.flatnonzero(model.geom_bodyid == model.body("apple").id)))[1]
         # The camera looks back at the arm, so that +y is on its right.
         assert len(columns) > 10
@@ -270,7 +270,7 @@ def test_pictures_of_the_same_states_differ(make_config: Callable[..., RecordCon
         attempts = [sample_attempt(simulator, AttemptJob(0, k)) for k in range(4)]
         start = attempts[0].start
         images = [seen(simulator, attempt) for attempt in attempts]
-        plain = seen(simulator, replace(attempts[0], variation=Variation()))
+        plain = seen(simulator, replace(attempts[0], variation=RandomizationSample()))
         np.testing.assert_array_equal(seen(simulator, attempts[1]), images[1])
     for k, image in enumerate(images):
         assert np.abs(image - plain).mean() > 5

@@ -3,7 +3,7 @@ from pathlib import Path
 
 import pytest
 
-from yamsim_cli.core.errors import ConfigError, ResourceError, suggest
+from yamsim_cli.core.errors import ConfigError, ResourceError, suggest_similar
 from yamsim_cli.core.files.resources import Locations
 
 AN_ARM_TOO = "; or an arm and its gripper, such as yam_pro+linear_4310"
@@ -67,14 +67,14 @@ def test_a_missing_file_names_every_root_and_the_fix(two_roots):
 
 
 def test_the_shipped_data_is_always_among_the_roots(repository):
-    found = Locations.find({"HOME": "/home/someone"})
+    found = Locations.from_environment({"HOME": "/home/someone"})
     assert found.data == (repository,)
-    assert found.file("configs/rigs/single.yaml").is_file()
+    assert found.find_data_file("configs/rigs/single.yaml").is_file()
 
 
 def test_the_users_own_folder_comes_first():
-    assert Locations.find({"HOME": "/h", "YAMSIM_DATA_DIR": "/mine"}).data[0] == Path("/mine")
-    assert len(Locations.find({"HOME": "/h", "YAMSIM_DATA_DIR": ""}).data) == 1
+    assert Locations.from_environment({"HOME": "/h", "YAMSIM_DATA_DIR": "/mine"}).data[0] == Path("/mine")
+    assert len(Locations.from_environment({"HOME": "/h", "YAMSIM_DATA_DIR": ""}).data) == 1
 
 
 @pytest.mark.parametrize(
@@ -86,8 +86,8 @@ def test_the_users_own_folder_comes_first():
     ],
 )
 def test_meshes_are_kept_where_the_environment_says(environment, assets):
-    assert Locations.find(environment).assets == Path(assets)
-    assert Locations.find({}).assets == Path.home() / ".cache/yamsim/assets"
+    assert Locations.from_environment(environment).assets == Path(assets)
+    assert Locations.from_environment({}).assets == Path.home() / ".cache/yamsim/assets"
 
 
 @pytest.mark.parametrize(
@@ -99,12 +99,12 @@ def test_meshes_are_kept_where_the_environment_says(environment, assets):
     ],
 )
 def test_a_suggestion_lists_what_is_valid(value, valid, text):
-    assert suggest(value, valid) == text
+    assert suggest_similar(value, valid) == text
 
 
 @pytest.mark.parametrize("stands_for", ["balanced", "high"])
 def test_auto_names_the_quality_that_was_chosen(repository, stands_for):
-    found = replace(Locations.find({"HOME": "/h"}), auto_quality=stands_for)
+    found = replace(Locations.from_environment({"HOME": "/h"}), auto_quality=stands_for)
     assert found.config_file("quality", "auto") == repository / f"configs/quality/{stands_for}.yaml"
     assert found.config_names("quality") == ["auto", "balanced", "fast", "high"]
     assert "auto" not in found.config_names("rigs")

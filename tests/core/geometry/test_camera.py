@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from yamsim_cli.core.geometry.camera import Intrinsics, opencv_from_mujoco, project
+from yamsim_cli.core.geometry.camera import Intrinsics, opencv_from_mujoco, project_points
 from yamsim_cli.core.geometry.se3 import pose_from_quat
 
 cameras = st.builds(
@@ -29,17 +29,17 @@ def test_the_edges_of_the_image_lie_on_the_field_of_view(width, height):
     fovy = math.radians(52)
     camera = Intrinsics.from_fovy(width, height, fovy)
     edge = math.tan(fovy / 2)
-    assert project(camera.K, [0, -edge, 1])[0, 1] == pytest.approx(-0.5)
-    assert project(camera.K, [0, edge, 1])[0, 1] == pytest.approx(height - 0.5)
+    assert project_points(camera.K, [0, -edge, 1])[0, 1] == pytest.approx(-0.5)
+    assert project_points(camera.K, [0, edge, 1])[0, 1] == pytest.approx(height - 0.5)
     side = edge * width / height
-    assert project(camera.K, [-side, 0, 1])[0, 0] == pytest.approx(-0.5)
-    assert project(camera.K, [side, 0, 1])[0, 0] == pytest.approx(width - 0.5)
+    assert project_points(camera.K, [-side, 0, 1])[0, 0] == pytest.approx(-0.5)
+    assert project_points(camera.K, [side, 0, 1])[0, 0] == pytest.approx(width - 0.5)
 
 
 @given(cameras, points_in_front)
 def test_projection_agrees_with_opencv(camera, points):
     expected, _ = cv2.projectPoints(points.reshape(-1, 1, 3), np.zeros(3), np.zeros(3), camera.K, None)
-    assert np.allclose(project(camera.K, points), expected.reshape(-1, 2), rtol=1e-9, atol=1e-6)
+    assert np.allclose(project_points(camera.K, points), expected.reshape(-1, 2), rtol=1e-9, atol=1e-6)
 
 
 def test_a_mujoco_camera_looks_along_its_own_minus_z_with_y_up():

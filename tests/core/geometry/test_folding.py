@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from yamsim_cli.core.geometry.cloth_folding import Fold, fold_plans, outline_area, sheet_area
+from yamsim_cli.core.geometry.cloth_folding import ClothFoldKind, fold_plans, outline_area, sheet_area
 
 
-def _exactly(how: Fold, side: int) -> np.ndarray:
+def _exactly(how: ClothFoldKind, side: int) -> np.ndarray:
     """A square sheet (side, side, 3), folded exactly."""
     u, v = np.meshgrid(np.linspace(0, 1, side), np.linspace(0, 1, side))
     match how:
@@ -25,7 +25,7 @@ def _exactly(how: Fold, side: int) -> np.ndarray:
 @pytest.mark.parametrize(
     ("how", "covered", "least"), [("half", 1 / 2, 0.3), ("diagonal", 1 / 2, 0.3), ("thirds", 3 / 8, 0.1)]
 )
-def test_what_lies_on_each_other_does_and_covers_its_share(how: Fold, covered: float, least: float) -> None:
+def test_what_lies_on_each_other_does_and_covers_its_share(how: ClothFoldKind, covered: float, least: float) -> None:
     sheet, apart = _exactly(how, 9), []
     for way in fold_plans(how, 9, 9):
         places = [[sheet[layer[:, 0], layer[:, 1]] for layer in pair] for pair in way.layers]
@@ -38,7 +38,7 @@ def test_what_lies_on_each_other_does_and_covers_its_share(how: Fold, covered: f
 
 
 @pytest.mark.parametrize("how", ["half", "diagonal", "thirds"])
-def test_what_is_moved_comes_to_lie_where_its_way_says(how: Fold) -> None:
+def test_what_is_moved_comes_to_lie_where_its_way_says(how: ClothFoldKind) -> None:
     sheet = _exactly(how, 9)
     apart = [
         max(float(np.abs(sheet[one] - sheet[other]).max()) for move in way.moves for one, other in move)

@@ -25,7 +25,7 @@ class Linear:
         return cost
 
     @property
-    def normal(self) -> Array:
+    def normal_matrix(self) -> Array:
         normal: Array = np.swapaxes(self.slope, -1, -2) @ self.slope
         return normal
 

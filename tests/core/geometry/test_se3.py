@@ -7,14 +7,14 @@ from hypothesis import strategies as st
 
 from yamsim_cli.core.geometry.se3 import (
     interpolate_rotation,
-    inverse,
+    invert_pose,
     pose,
     pose_from_quat,
     quat_from_rotation,
     rotation_from_vector,
     rotation_vector,
     rotation_z,
-    tilt,
+    tilt_angle,
     yaw,
 )
 
@@ -48,12 +48,12 @@ def test_poses_compose_as_their_names_say():
     T_hand_in_base = pose((0.3, 0, 1.0))
     T_hand_in_world = T_base_in_world @ T_hand_in_base
     assert np.allclose(T_hand_in_world @ [0.1, 0, 0, 1], [2, 0.4, 1, 1], atol=SMALL)
-    assert np.allclose(inverse(T_base_in_world) @ T_hand_in_world, T_hand_in_base, atol=SMALL)
+    assert np.allclose(invert_pose(T_base_in_world) @ T_hand_in_world, T_hand_in_base, atol=SMALL)
 
 
 @given(poses)
 def test_the_inverse_undoes_a_pose_from_both_sides(T):
-    assert np.allclose(inverse(T), np.linalg.inv(T), atol=1e-9)
+    assert np.allclose(invert_pose(T), np.linalg.inv(T), atol=1e-9)
 
 
 @given(quaternions, st.floats(0.01, 100))
@@ -113,12 +113,12 @@ def test_interpolation_covers_the_given_part_of_the_shortest_arc(start, axis, an
 @given(st.floats(0, math.pi), st.floats(-math.pi, math.pi))
 def test_tilt_is_the_angle_from_upright_whatever_the_heading(angle, heading):
     leaning = rotation_z(heading) @ rodrigues(np.array([1.0, 0, 0]), angle)
-    assert tilt(leaning) == pytest.approx(angle, abs=1e-7)
+    assert tilt_angle(leaning) == pytest.approx(angle, abs=1e-7)
 
 
 def test_tilt_bears_a_cosine_just_outside_its_range():
-    assert tilt(np.diag([1, 1, 1 + 1e-15])) == 0
-    assert tilt(np.diag([1, -1, -1 - 1e-15])) == math.pi
+    assert tilt_angle(np.diag([1, 1, 1 + 1e-15])) == 0
+    assert tilt_angle(np.diag([1, -1, -1 - 1e-15])) == math.pi
 
 
 @given(st.floats(-3.14, 3.14), positions)

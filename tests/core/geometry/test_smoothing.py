@@ -5,7 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from yamsim_cli.core.geometry.cloth_flattening import candidate_pulls, fit_flat_places, max_displacement, unevenness
+from yamsim_cli.core.geometry.cloth_flattening import (
+    candidate_pulls,
+    fit_flat_places,
+    max_displacement,
+    sheet_unevenness,
+)
 from yamsim_cli.core.geometry.se3 import Array, rotation_z
 
 _THICK, _SPACING = 0.005, 0.025
@@ -35,7 +40,7 @@ def _folded(over: Array) -> Array:
 def test_a_flat_sheet_is_even_whichever_side_is_up() -> None:
     for side in (1.0, -1.0):
         points = _placed(_rest() * [1.0, side, 1.0])
-        assert unevenness(points, _rest(), _THICK) == pytest.approx(0.0, abs=1e-9)
+        assert sheet_unevenness(points, _rest(), _THICK) == pytest.approx(0.0, abs=1e-9)
         assert np.allclose(fit_flat_places(points, _rest(), _THICK), points[..., :2])
         assert not any(pull.arch_ratio for pull in candidate_pulls(points, _rest(), _THICK, _SPACING))
 
@@ -44,7 +49,7 @@ def test_a_folded_corner_is_brought_to_where_it_belongs() -> None:
     flat, points = _placed(_rest()), _placed(_folded(_rest()))
     # The corner's displacement is twice its distance from the crease.
     assert max_displacement(points, _rest(), _THICK) == pytest.approx(0.1 * np.sqrt(2), abs=2e-3)
-    assert unevenness(points, _rest(), _THICK) > 0.02
+    assert sheet_unevenness(points, _rest(), _THICK) > 0.02
     unfolding = [
         pull
         for pull in candidate_pulls(points, _rest(), _THICK, _SPACING)

@@ -7,7 +7,12 @@ import math
 import numpy as np
 import pytest
 
-from yamsim_cli.core.geometry.closed_surface import depth_in_hull, open_edges, spread_points, uniform_mass_properties
+from yamsim_cli.core.geometry.closed_surface import (
+    count_open_edges,
+    depth_in_hull,
+    spread_points,
+    uniform_mass_properties,
+)
 from yamsim_cli.core.geometry.height_map import compute_height_map, water_level
 from yamsim_cli.core.geometry.loft import (
     loft,
@@ -27,7 +32,7 @@ def block(x: float, y: float, z: float) -> tuple[np.ndarray, np.ndarray]:
 def test_a_block_has_the_volume_centre_and_inertia_of_a_block() -> None:
     surface = transform_surface(block(0.2, 0.1, 0.3), (0.5, -0.2, 0.1))
     found = uniform_mass_properties(*surface)
-    assert open_edges(surface[1]) == 0
+    assert count_open_edges(surface[1]) == 0
     assert found.volume == pytest.approx(0.006)
     assert found.centre == pytest.approx([0.5, -0.2, 0.25])
     expected = np.diag([0.1**2 + 0.3**2, 0.2**2 + 0.3**2, 0.2**2 + 0.1**2]) * 0.006 / 12
@@ -37,7 +42,7 @@ def test_a_block_has_the_volume_centre_and_inertia_of_a_block() -> None:
 def test_a_shell_is_closed_and_as_thick_as_it_was_told() -> None:
     inside = np.array([[0, 0.004], [0.04, 0.004], [0.042, 0.006], [0.042, 0.1]])
     surface = revolve(shell_profile(inside, 0.004), 96)
-    assert open_edges(surface[1]) == 0
+    assert count_open_edges(surface[1]) == 0
     wall, floor = math.pi * (0.046**2 - 0.042**2) * 0.1, math.pi * 0.042**2 * 0.004
     assert uniform_mass_properties(*surface).volume == pytest.approx(wall + floor, rel=0.03)
 
@@ -49,14 +54,14 @@ def test_a_tube_and_a_ring_are_closed() -> None:
              for r, z in ((0.02, 0.0), (0.03, 0.0), (0.03, 0.05), (0.02, 0.05))]  # fmt: skip
     hoop = loft_closed(loops)
     for surface in (rod, hoop):
-        assert open_edges(surface[1]) == 0
+        assert count_open_edges(surface[1]) == 0
         assert uniform_mass_properties(*surface).volume > 0
 
 
 @pytest.mark.parametrize("missing", [1, 5])
 def test_holes_are_counted(missing: int) -> None:
     _, faces = block(0.1, 0.1, 0.1)
-    assert open_edges(faces[missing:]) >= 3
+    assert count_open_edges(faces[missing:]) >= 3
 
 
 def test_depth_in_a_hull() -> None:

@@ -51,13 +51,13 @@ def test_a_header_behind_comments_and_fill_bytes() -> None:
 def test_zeros_behind_the_end_are_no_damage() -> None:
     data = encode_jpeg(noise(20, 30), 85) + bytes(7)
     assert jpeg_header(data) is not None
-    assert JpegReader().measure(data) is not None
+    assert JpegReader().compute_stats(data) is not None
 
 
 @pytest.mark.parametrize("data", [b"", b"\xff\xd8\xff\xd9", b"\x89PNG", b"\xff\xd8" + b"\xff" * 100 + b"\xff\xd9"])
 def test_a_file_that_is_not_a_jpeg_has_no_header(data: bytes) -> None:
     assert jpeg_header(data) is None
-    assert JpegReader().measure(data + b"x") is None
+    assert JpegReader().compute_stats(data + b"x") is None
 
 
 def test_every_cut_is_seen_before_decoding() -> None:
@@ -76,7 +76,7 @@ def test_a_jpeg_reads_as_opencv_reads_it() -> None:
 def test_brightness_and_contrast_are_those_of_the_picture() -> None:
     half = np.zeros((64, 64, 3), np.uint8)
     half[:, 32:] = 200
-    look = JpegReader().measure(encode_jpeg(half, 95))
+    look = JpegReader().compute_stats(encode_jpeg(half, 95))
     assert look.brightness == pytest.approx(100, abs=2)
     assert look.contrast == pytest.approx(100, abs=4)
 
@@ -85,7 +85,7 @@ def test_noise_alone_is_no_contrast() -> None:
     grey = np.clip(np.random.default_rng(0).normal(90, 4, (480, 640, 3)), 0, 255).astype(np.uint8)
     specks = np.random.default_rng(1).random((480, 640)) < 0.003
     grey[specks] = 255
-    look = JpegReader().measure(encode_jpeg(grey, 85))
+    look = JpegReader().compute_stats(encode_jpeg(grey, 85))
     assert look.contrast < 2
 
 
@@ -93,7 +93,7 @@ def test_equal_pictures_have_equal_fingerprints() -> None:
     image, other = noise(48, 64), noise(48, 64)
     other[30, 30] ^= 0xFF
     reader = JpegReader()
-    looks = [reader.measure(encode_jpeg(picture, 95)) for picture in (image, image, other)]
+    looks = [reader.compute_stats(encode_jpeg(picture, 95)) for picture in (image, image, other)]
     assert looks[0].fingerprint == looks[1].fingerprint != looks[2].fingerprint
 
 
@@ -103,9 +103,9 @@ def test_what_the_decoder_makes_up_is_heard_and_nothing_reaches_stderr(capfd: py
     assert decode_jpeg(cut) is not None
     assert "Corrupt JPEG data" in capfd.readouterr().err
     with JpegReader() as reader:
-        assert "Corrupt JPEG data" in reader.measure(cut).decoder_warning
-        assert reader.measure(whole).decoder_warning == ""
-        assert "Corrupt JPEG data" in reader.measure(cut).decoder_warning
+        assert "Corrupt JPEG data" in reader.compute_stats(cut).decoder_warning
+        assert reader.compute_stats(whole).decoder_warning == ""
+        assert "Corrupt JPEG data" in reader.compute_stats(cut).decoder_warning
     os.write(2, b"heard again\n")
     assert capfd.readouterr().err == "heard again\n"
 

@@ -48,7 +48,7 @@ def test_every_frame_is_there_at_its_exact_time(
     tmp_path: Path, given: float | Fraction, exact: Fraction | None
 ) -> None:
     video = film(tmp_path / "a.mp4", 20, given)
-    assert video.frames == 20
+    assert video.frame_count == 20
     with av.open(str(tmp_path / "a.mp4")) as container:
         stream = container.streams.video[0]
         assert (stream.codec_context.name, stream.pix_fmt, stream.frames) == ("h264", "yuv420p", 20)

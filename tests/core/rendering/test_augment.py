@@ -5,8 +5,8 @@ import pytest
 
 from yamsim_cli.core.attempt_data import AttemptJob
 from yamsim_cli.core.config.randomization import PictureRanges
-from yamsim_cli.core.config.variation import Variation
-from yamsim_cli.core.rendering.image_augmentation import PictureAugmenter
+from yamsim_cli.core.config.variation import RandomizationSample
+from yamsim_cli.core.rendering.image_augmentation import ImageAugmenter
 
 SIZE = (160, 120)
 GREY = np.full((120, 160, 3), 128, np.uint8)
@@ -14,7 +14,7 @@ GREY = np.full((120, 160, 3), 128, np.uint8)
 
 def augmented(ranges: PictureRanges, frame: int = 0, camera: int = 0, attempt: int = 0, **drawn: float) -> np.ndarray:
     image = GREY.copy()
-    PictureAugmenter(ranges, Variation(**drawn), AttemptJob(0, attempt), SIZE).apply(image, frame, camera)
+    ImageAugmenter(ranges, RandomizationSample(**drawn), AttemptJob(0, attempt), SIZE).apply(image, frame, camera)
     return image
 
 
@@ -25,7 +25,7 @@ def test_without_any_range_a_picture_stays_as_it_is() -> None:
 def test_a_picture_follows_from_its_numbers_alone() -> None:
     """Earlier changes have no effect."""
     ranges = PictureRanges(brightness=(-0.1, 0.1), contrast=(0.8, 1.2), noise=(4, 4), salt_pepper=(0.01, 0.01))
-    worker = PictureAugmenter(ranges, Variation(noise=4.0, salt_pepper=0.01), AttemptJob(0, 0), SIZE)
+    worker = ImageAugmenter(ranges, RandomizationSample(noise=4.0, salt_pepper=0.01), AttemptJob(0, 0), SIZE)
     for frame in (5, 3, 4):
         image = GREY.copy()
         worker.apply(image, frame, 1)
@@ -45,7 +45,7 @@ def test_noise_is_as_strong_as_drawn() -> None:
 def test_noise_at_the_ends_is_cut_and_does_not_wrap() -> None:
     for level in (0, 255):
         image = np.full((120, 160, 3), level, np.uint8)
-        PictureAugmenter(PictureRanges(), Variation(noise=4.0), AttemptJob(0, 0), SIZE).apply(image, 0, 0)
+        ImageAugmenter(PictureRanges(), RandomizationSample(noise=4.0), AttemptJob(0, 0), SIZE).apply(image, 0, 0)
         assert np.abs(image.astype(int) - level).max() < 30
 
 
@@ -61,7 +61,7 @@ def test_brightness_and_contrast_are_about_the_middle() -> None:
     assert (augmented(PictureRanges(brightness=(0.1, 0.1))) == 154).all()
     assert (augmented(PictureRanges(contrast=(1.5, 1.5))) == 128).all()
     image = np.full((120, 160, 3), 28, np.uint8)
-    PictureAugmenter(PictureRanges(contrast=(0.5, 0.5)), Variation(), AttemptJob(0, 0), SIZE).apply(image, 0, 0)
+    ImageAugmenter(PictureRanges(contrast=(0.5, 0.5)), RandomizationSample(), AttemptJob(0, 0), SIZE).apply(image, 0, 0)
     assert (image == 78).all()
 
 

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from tests.programs import FOLD, first_attempt, session_of
-from yamsim_cli.core.dataset.dataset_paths import TRUTH_LABELS, truth_name
+from yamsim_cli.core.dataset.dataset_paths import TRUTH_LABELS_FILE, truth_path
 from yamsim_cli.core.dataset.ground_truth_files import TruthLabels, Visibility, array_faults, load_truth
 from yamsim_cli.core.dataset.records import from_json
 from yamsim_cli.core.episode.attempt_payload import GroundTruthCollector
-from yamsim_cli.core.episode.simulator import Simulator, Simulators
+from yamsim_cli.core.episode.simulator import Simulator, SimulatorCache
 from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.core.rendering.frame_truth import FrameTruth, measure_frame, rendered_sides
 from yamsim_cli.core.scene.cloth import grid_triangles
@@ -61,9 +61,9 @@ class NapkinScene:
 def stage(tmp_path_factory: pytest.TempPathFactory, request: pytest.FixtureRequest) -> Iterator[NapkinScene]:
     """A pixel is 2.4 mm wide at the napkin, or 10 mm, more than a layer's thickness."""
     session = session_of(tmp_path_factory.mktemp("cloth"), FOLD, truth=True, size=request.param)
-    with Simulators(session) as simulators:
+    with SimulatorCache(session) as simulators:
         simulator, attempt = first_attempt(simulators)
-        simulator.set_variation(attempt)
+        simulator.apply_randomization(attempt)
         yield NapkinScene(simulator, attempt.start)
 
 
@@ -96,15 +96,15 @@ def test_files_hold_what_their_labels_say(stage: NapkinScene) -> None:
     simulator.state_replay.set_state(stage.start)
     for _ in range(2):
         truth.add(simulator.state_replay.data, CAMERA, simulator.renderer)
-    labels = from_json(TruthLabels, truth.files[TRUTH_LABELS], TRUTH_LABELS)
-    arrays = load_truth(truth.files[truth_name(CAMERA)])
+    labels = from_json(TruthLabels, truth.files[TRUTH_LABELS_FILE], TRUTH_LABELS_FILE)
+    arrays = load_truth(truth.files[truth_path(CAMERA)])
     assert not array_faults(arrays, labels, 2)
     assert array_faults(arrays | {"napkin_visible": arrays["napkin_visible"][:, :80]}, labels, 2)
     assert arrays["napkin_visible"].dtype == bool
 
 
 def test_of_a_napkin_in_half_the_lower_layer_is_hidden(stage: NapkinScene) -> None:
-    points, radius = stage.points, stage.simulator.scene.cloths["napkin"].radius
+    points, radius = stage.points, stage.simulator.scene.cloths["napkin"].half_thickness
     # The upper layer reaches over the edges of the lower one, which would otherwise be seen from the side.
     fold = points[4, 4]
     points[:, 5:] = fold + 1.15 * (points[:, 3::-1] - fold) + (0, 0, 2 * radius)
@@ -145,5 +145,5 @@ def test_the_drawn_sides_are_those_that_the_renderer_draws(stage: NapkinScene) -
     data = stage.simulator.state_replay.data
     mujoco.mjv_updateScene(model, data, mujoco.MjvOption(), None, mujoco.MjvCamera(), everything, scene)
     drawn = np.array(scene.flexface[: 9 * scene.flexfaceused[0]]).reshape(-1, 3)
-    for side in rendered_sides(cloth.points(qpos), grid_triangles(*cloth.grid), cloth.radius):
+    for side in rendered_sides(cloth.points(qpos), grid_triangles(*cloth.grid), cloth.half_thickness):
         assert np.abs(drawn[None] - side[:, None]).max(axis=2).min(axis=1).max() < 1e-6

@@ -16,12 +16,12 @@ from yamsim_cli.core.config.session import Session
 from yamsim_cli.core.dataset.ground_truth_files import KeypointRecord, Visibility
 from yamsim_cli.core.episode.simulator import Simulator
 from yamsim_cli.core.files.resources import Locations
-from yamsim_cli.core.geometry.camera import opencv_from_mujoco, project
-from yamsim_cli.core.geometry.se3 import Array, inverse, pose
+from yamsim_cli.core.geometry.camera import opencv_from_mujoco, project_points
+from yamsim_cli.core.geometry.se3 import Array, invert_pose, pose
 from yamsim_cli.core.images.png import decode_labels, encode_labels
 from yamsim_cli.core.rendering.frame_truth import FrameTruth, instance_boxes, is_visible, measure_frame
 from yamsim_cli.core.rendering.renderer import SceneRenderer
-from yamsim_cli.core.rendering.scene_labels import LabelledKeypoint, SceneLabels, scene_labels
+from yamsim_cli.core.rendering.scene_labels import LabelledKeypoint, SceneLabels, make_scene_labels
 from yamsim_cli.core.sim.state_replay import StateReplay
 
 pytestmark = pytest.mark.render
@@ -43,7 +43,7 @@ class TruthScene:
     start: Array
 
     def pose(self, joints: list[float]) -> None:
-        qpos, arm = self.start.copy(), self.replica.scene.arm
+        qpos, arm = self.start.copy(), self.replica.scene.first_arm
         qpos[arm.joint_qpos] = joints
         qpos[arm.fingers.qpos] = 0.0375 * arm.fingers.sign
         self.replica.set_state(qpos)
@@ -80,7 +80,7 @@ def stage(make_config: Callable[..., RecordConfig], locations: Locations) -> Ite
     config = make_config({("wrist",): True, ("boards",): True, ("image", "size_px"): SIZE, ("render",): "fast"})
     simulator = Simulator(Session(config, locations))
     model = simulator.scene.model
-    labels = scene_labels(model, config.rig, ("banana", "plate"), boards=True)
+    labels = make_scene_labels(model, config.rig, ("banana", "plate"), boards=True)
     with SceneRenderer(model, SIZE) as renderer:
         stage = TruthScene(simulator.state_replay, renderer, labels, config, start_of(simulator))
         stage.pose(POSES[0])
@@ -109,7 +109,9 @@ def test_labels_name_what_is_seen(stage: TruthScene) -> None:
         body = model.body(name)
         middle = stage.replica.data.body(name).xpos if name != "base_board" else stage.replica.data.geom(name).xpos
         assert body.id
-        u, v = project(stage.renderer.intrinsics(CAMERA).K, transform(inverse(stage.T_cam_in_world()), middle))[0]
+        u, v = project_points(
+            stage.renderer.intrinsics(CAMERA).K, transform(invert_pose(stage.T_cam_in_world()), middle)
+        )[0]
         assert truth.labels[round(v), round(u)] == stage.number(name), name
 
 
@@ -118,7 +120,7 @@ def transform(T: Array, point: Array) -> Array:
 
 
 def test_labels_are_those_of_the_geoms(stage: TruthScene) -> None:
-    ids = stage.renderer.segment(stage.replica.data, CAMERA)
+    ids = stage.renderer.render_geom_ids(stage.replica.data, CAMERA)
     expected = np.append(stage.labels.of_geom, 0)[ids]
     np.testing.assert_array_equal(stage.truth().labels, expected)
 
@@ -128,9 +130,11 @@ def test_depth_of_the_table_lies_on_its_plane(stage: TruthScene) -> None:
     inside = cv2.erode((truth.labels == stage.number("table")).astype(np.uint8), np.ones((3, 3), np.uint8))
     rows, columns = np.nonzero(inside)
     points = stage.points_in_world(truth, np.column_stack([columns, rows]))
-    top = stage.config.table.top
+    top = stage.config.widened_table.top_height
     # The table's front edge is seen as well.
-    upper = points[points[:, 0] < stage.config.table.position[0] + stage.config.table.half_size[0] - 0.003]
+    upper = points[
+        points[:, 0] < stage.config.widened_table.position[0] + stage.config.widened_table.half_size[0] - 0.003
+    ]
     assert len(upper) > 50_000
     assert np.abs(upper[:, 2] - top).max() < 0.001
 
@@ -145,19 +149,19 @@ def test_depth_of_the_board_lies_on_its_plane(stage: TruthScene) -> None:
     points = stage.points_in_world(truth, np.column_stack([columns, rows]))
     in_board = (points - T[:3, 3]) @ T[:3, :3]
     assert np.abs(in_board[:, 2]).max() < 0.001
-    assert (np.abs(in_board[:, 0]) < board.board.width / 2).all()
+    assert (np.abs(in_board[:, 0]) < board.board_in_metres.width / 2).all()
 
 
 def test_nothing_is_0_mm_away(stage: TruthScene) -> None:
     stage.pose(POSES[0])
     truth = stage.truth(WRIST)
     model, data = stage.replica.scene.model, stage.replica.data
-    sky = stage.renderer.segment(data, WRIST) == -1
+    sky = stage.renderer.render_geom_ids(data, WRIST) == -1
     assert truth.depth_mm.dtype == np.uint16
     if sky.any():
         assert (truth.depth_mm[sky] == 0).all()
     assert (truth.depth_mm[~sky] > 0).all()
-    assert model.geom("safety_plane").id in stage.renderer.segment(data, CAMERA)
+    assert model.geom("safety_plane").id in stage.renderer.render_geom_ids(data, CAMERA)
 
 
 @pytest.mark.parametrize("joints", POSES)
@@ -308,7 +312,7 @@ def test_the_same_body_in_front_of_a_point_hides_it(nearer_mm: int, slant: float
     rays = np.stack([(u - 15.5) / 100, (v - 11.5) / 100, np.ones(u.shape)], axis=-1)
     depth = np.rint(1000 * (normal @ p) / (rays @ normal)) - nearer_mm
     point = LabelledKeypoint(KeypointRecord(name="point", body="link", kind="axis"), 1, np.zeros(3), normal, (7,))
-    pixel = tuple(np.rint(project(K, p)[0]).astype(int).tolist())
+    pixel = tuple(np.rint(project_points(K, p)[0]).astype(int).tolist())
     labels = np.full((24, 32), 7, np.uint8)
     assert is_visible(point, p, normal, K, pixel, labels, depth.astype(np.uint16)) == seen
     assert not is_visible(point, p, -normal, K, pixel, labels, depth.astype(np.uint16))

@@ -18,8 +18,8 @@ from yamsim_cli.core.config.session import Session
 from yamsim_cli.core.episode.simulator import Simulator
 from yamsim_cli.core.errors import ResourceError
 from yamsim_cli.core.files.resources import Locations
-from yamsim_cli.core.geometry.camera import project
-from yamsim_cli.core.geometry.se3 import inverse
+from yamsim_cli.core.geometry.camera import project_points
+from yamsim_cli.core.geometry.se3 import invert_pose
 from yamsim_cli.core.rendering.renderer import SceneRenderer
 from yamsim_cli.core.scene.assets import AssetStore, load_lock
 from yamsim_cli.core.scene.build import build_scene
@@ -79,7 +79,7 @@ def test_cameras_are_where_the_record_says(renderer: SceneRenderer, replica: Sta
     T_cam_in_base = replica.T_cam_in_base("scene_camera")
     for point in ([0.4, 0.1, 0.25], [0.5, -0.2, 0.15], [0.3, 0.25, 0.3]):
         seen = _ball_centroid(model, replica.data, renderer, np.array(point))
-        (expected,) = project(K, (inverse(T_cam_in_base) @ [*point, 1])[None, :3])
+        (expected,) = project_points(K, (invert_pose(T_cam_in_base) @ [*point, 1])[None, :3])
         np.testing.assert_allclose(seen, expected, atol=0.1)
 
 
@@ -90,7 +90,7 @@ def _ball_centroid(
     scene = renderer._scene
     images = []
     for with_ball in (False, True):
-        renderer._update(data, "scene_camera")
+        renderer._update_scene(data, "scene_camera")
         if with_ball:
             geom = scene.geoms[scene.ngeom]
             mujoco.mjv_initGeom(
@@ -104,7 +104,7 @@ def _ball_centroid(
             geom.emission = 1.0
             geom.castshadow = 0
             scene.ngeom += 1
-        images.append(renderer._colours(None).astype(int))
+        images.append(renderer._read_rgb_pixels(None).astype(int))
     rows, columns = np.nonzero(np.abs(images[1] - images[0]).max(axis=2) > 30)
     assert len(rows) > 50
     return np.array([columns.mean(), rows.mean()])
@@ -112,10 +112,10 @@ def _ball_centroid(
 
 def test_wrist_camera_sees_both_fingers(renderer: SceneRenderer, replica: StateReplay) -> None:
     K = renderer.intrinsics("right_wrist_camera").K
-    T_base_in_cam = inverse(replica.T_cam_in_base("right_wrist_camera"))
+    T_base_in_cam = invert_pose(replica.T_cam_in_base("right_wrist_camera"))
     for side in ("left", "right"):
         tip = replica.data.geom(f"{side}_finger_tip_b1").xpos
-        ((u, v),) = project(K, (T_base_in_cam @ [*tip, 1])[None, :3])
+        ((u, v),) = project_points(K, (T_base_in_cam @ [*tip, 1])[None, :3])
         assert 0 < u < 640
         assert 0 < v < 480
 
@@ -149,8 +149,8 @@ def test_a_fine_picture_shows_the_same_at_the_same_place(
     for fine in (None, config.render.fine_size(size)):
         with SceneRenderer(replica.scene.model, size, fine) as renderer:
             pictures.append(renderer.render(replica.data, "scene_camera").astype(float))
-            ids.append(renderer.segment(replica.data, "scene_camera"))
-            depths.append(renderer.depth(replica.data, "scene_camera"))
+            ids.append(renderer.render_geom_ids(replica.data, "scene_camera"))
+            depths.append(renderer.render_depth(replica.data, "scene_camera"))
     plain, averaged = pictures
     assert plain.shape == averaged.shape == (size[1], size[0], 3)
     assert 0 < np.abs(plain - averaged).mean() < 2
@@ -172,15 +172,15 @@ def test_an_image_is_written_where_it_is_wanted(renderer: SceneRenderer, replica
 
 def test_depth_is_that_of_the_table(renderer: SceneRenderer, replica: StateReplay, config: RecordConfig) -> None:
     """On the table, each pixel's ray reaches the top's plane at the measured depth."""
-    seen = renderer.segment(replica.data, "scene_camera") == replica.scene.model.geom("table").id
+    seen = renderer.render_geom_ids(replica.data, "scene_camera") == replica.scene.model.geom("table").id
     rows, columns = np.nonzero(seen)
-    depth = renderer.depth(replica.data, "scene_camera")[rows, columns]
+    depth = renderer.render_depth(replica.data, "scene_camera")[rows, columns]
     K = renderer.intrinsics("scene_camera").K
     rays = np.column_stack([columns, rows, np.ones(len(rows))]) @ np.linalg.inv(K).T
     points = replica.T_cam_in_base("scene_camera")[:3] @ np.column_stack([rays * depth[:, None], np.ones(len(rows))]).T
     heights = points[2] + replica.scene.T_base_in_world[2, 3]
     # Except for the few pixels of its edge.
-    assert np.quantile(np.abs(heights - config.table.top), 0.9) < 2e-4
+    assert np.quantile(np.abs(heights - config.widened_table.top_height), 0.9) < 2e-4
 
 
 def test_a_buffer_that_is_too_small_is_refused(scene: CompiledScene) -> None:
@@ -214,7 +214,7 @@ def shadows_on(
         replica = replica_of(simulator)
         with SceneRenderer(model, SIZE, render.fine_size(SIZE)) as renderer:
             pictures.append(renderer.render(replica.data, "scene_camera").astype(int))
-            ids = renderer.segment(replica.data, "scene_camera")
+            ids = renderer.render_geom_ids(replica.data, "scene_camera")
     geoms = [model.geom(name).id for name in names]
     inside = cv2.erode(np.isin(ids, geoms).astype(np.uint8), np.ones((3, 3), np.uint8))
     dark = ((pictures[1] - pictures[0]).mean(axis=2) > 10) & np.isin(ids, geoms)
@@ -243,7 +243,7 @@ def test_acne_would_be_seen(make_config: Callable[..., RecordConfig], locations:
 @pytest.fixture(scope="module")
 def scans(locations: Locations) -> dict[str, Path | None]:
     """The folder of YCB's scans."""
-    folder = AssetStore(locations.assets).resolve(load_lock(locations).sets["ycb"])
+    folder = AssetStore(locations.assets).find_verified_folder(load_lock(locations).sets["ycb"])
     if folder is None:
         pytest.skip("the scans are not here: yamsim assets fetch")
     return {"ycb": folder}

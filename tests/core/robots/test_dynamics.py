@@ -16,7 +16,7 @@ from yamsim_cli.core.files.documents.yaml_document import dump_yaml
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.scene.arm_model import arm_spec, kinematic_model
 
-WHERE = Locations.find({})
+WHERE = Locations.from_environment({})
 MINE = """
 base: i2rt_yam
 revision: mine

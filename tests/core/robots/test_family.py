@@ -16,9 +16,9 @@ import pytest
 from tests.core.robots.makers_models import ARMS, GRIPPERS, MakersModel, ReferencePose, stored
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.files.resources import Locations
-from yamsim_cli.core.geometry.se3 import Array, inverse, pose
+from yamsim_cli.core.geometry.se3 import Array, invert_pose, pose
 from yamsim_cli.core.robots.models import ArmModel, Gripper
-from yamsim_cli.core.robots.robot import Robot, assemble
+from yamsim_cli.core.robots.robot import Robot, assemble_robot
 
 REFERENCE = Path(__file__).parents[2] / "data" / "family_reference.json"
 PAIRS = list(itertools.product(ARMS, GRIPPERS))
@@ -29,7 +29,7 @@ _OTHER_AXES = 1.2e-5
 
 
 def _robot(arm: str, gripper: str, locations: Locations) -> Robot:
-    return assemble(
+    return assemble_robot(
         load_config(ArmModel, "robots", arm, locations), load_config(Gripper, "grippers", gripper, locations)
     )
 
@@ -57,7 +57,7 @@ def _farthest(robot: Robot, model: mujoco.MjModel, sample: ReferencePose) -> tup
     data.qpos[[joint.qposadr[0] for joint in joints]] = sample.q
     mujoco.mj_forward(model, data)
     T_base = _pose(data, robot.base)
-    apart = max(float(np.abs(inverse(T_base) @ _pose(data, name) - T).max()) for name, T in sample.bodies.items())
+    apart = max(float(np.abs(invert_pose(T_base) @ _pose(data, name) - T).max()) for name, T in sample.bodies.items())
     full = np.zeros((model.nv, model.nv))
     mujoco.mj_fullM(model, data, full)
     dof = [joint.dofadr[0] for joint in joints]

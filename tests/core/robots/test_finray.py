@@ -13,8 +13,8 @@ from tests.hands import GripResult, finger, grip, hand
 from tests.meshes import volume
 from tests.plane_frame import PlaneFrame, bent, compliance
 from yamsim_cli.core.files.writing import sha256_bytes
-from yamsim_cli.core.geometry.stl import read_stl
-from yamsim_cli.core.robots.finray.finger import couplings, hinge_stiffness, slip_jacobian, slip_stiffness
+from yamsim_cli.core.geometry.stl import decode_stl
+from yamsim_cli.core.robots.finray.finger import hinge_coupling_springs, hinge_stiffness, slip_jacobian, slip_stiffness
 from yamsim_cli.core.robots.finray.finger_meshes import finger_mesh_files
 
 # m, heights of contact: from the middle to the last rib
@@ -26,7 +26,7 @@ def test_the_springs_give_way_as_an_elastic_frame_does(height: float) -> None:
     far, tip, turn = PlaneFrame(finger()).pushed(height, 1.0)
     assert compliance(finger(), height) == pytest.approx(far, rel=0.07)
     angles = bent(finger(), height, 1.0)
-    assert (finger().length - finger().stations) @ -angles == pytest.approx(tip, rel=0.08)
+    assert (finger().length - finger().hinge_heights) @ -angles == pytest.approx(tip, rel=0.08)
     assert angles.sum() == pytest.approx(turn, rel=0.09)
 
 
@@ -36,19 +36,19 @@ def test_the_springs_give_way_as_an_elastic_frame_does(height: float) -> None:
 def test_and_so_do_other_fingers(changes: dict[str, float]) -> None:
     other = finger(**changes)
     frame = PlaneFrame(other)
-    for station in other.stations[other.segments // 2 : -1]:
+    for station in other.hinge_heights[other.segment_count // 2 : -1]:
         assert compliance(other, station) == pytest.approx(frame.pushed(station, 1.0)[0], rel=0.15)
 
 
 @pytest.mark.parametrize("height", HELD)
 def test_pushed_in_the_tip_turns_towards_what_pushes_and_without_its_back_wall_away(height: float) -> None:
     assert bent(finger(), height, 1.0).sum() > 0
-    lever = np.maximum(height - finger().stations, 0)
+    lever = np.maximum(height - finger().hinge_heights, 0)
     assert (-lever / hinge_stiffness(finger())).sum() < 0
 
 
 def test_couplings_are_the_slips_springs() -> None:
-    rows, arms = couplings(finger()), slip_jacobian(finger())
+    rows, arms = hinge_coupling_springs(finger()), slip_jacobian(finger())
     np.testing.assert_allclose(rows.T @ rows, arms.T @ slip_stiffness(finger()) @ arms, rtol=1e-9, atol=1e-12)
 
 
@@ -61,8 +61,8 @@ def pushed(height: float, force: float) -> tuple[float, float]:
         spec.delete(spec.joint(joint))
     for what in (*spec.equalities, *spec.actuators):
         spec.delete(what)
-    k = int(height / soft.bay)
-    spec.body(f"left_foot_segment_{k + 1}").add_site(name="pushed", pos=(height - soft.stations[k], 0, 0))
+    k = int(height / soft.rib_spacing)
+    spec.body(f"left_foot_segment_{k + 1}").add_site(name="pushed", pos=(height - soft.hinge_heights[k], 0, 0))
     model = spec.compile()
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
@@ -76,7 +76,7 @@ def pushed(height: float, force: float) -> tuple[float, float]:
         mujoco.mj_applyFT(model, data, force * away, np.zeros(3), data.site("pushed").xpos, body, data.qfrc_applied)
         mujoco.mj_step(model, data)
     assert np.abs(data.qvel).max() < 1e-6
-    bends = [data.joint(f"left_foot_bend_{n + 1}").qpos[0] for n in range(soft.segments)]
+    bends = [data.joint(f"left_foot_bend_{n + 1}").qpos[0] for n in range(soft.segment_count)]
     return float((data.site("pushed").xpos - start) @ away), float(np.sum(bends))
 
 
@@ -139,7 +139,7 @@ def test_at_15_newtons_it_stands_still() -> None:
 
 def test_meshes_are_closed_and_look_outwards() -> None:
     for name, data in finger_mesh_files(finger()).items():
-        vertices, faces = read_stl(data)
+        vertices, faces = decode_stl(data)
         edges = Counter((int(face[k]), int(face[(k + 1) % 3])) for face in faces for k in range(3))
         assert all(count == 1 and edges[b, a] == 1 for (a, b), count in edges.items()), name
         assert volume((vertices, faces)) > 0, name
@@ -149,8 +149,8 @@ def test_meshes_fill_what_the_boxes_weigh() -> None:
     """Walls that overlap at the stations count twice in the meshes."""
     model = hand("finray").compile()
     weighed = model.body_subtreemass[model.body("left_foot").id] / finger().density_kg_m3
-    filled = sum(volume(read_stl(data)) for data in finger_mesh_files(finger()).values())
-    overlapping = (2 * finger().segments - 2) * 0.0025 * finger().wall * finger().width
+    filled = sum(volume(decode_stl(data)) for data in finger_mesh_files(finger()).values())
+    overlapping = (2 * finger().segment_count - 2) * 0.0025 * finger().wall_thickness * finger().width
     assert filled - overlapping == pytest.approx(weighed, rel=0.1)
 
 

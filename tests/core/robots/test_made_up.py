@@ -23,7 +23,7 @@ def locations(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Locations:
     """With the robot in a data folder that the environment names."""
     write_robot(tmp_path / "data")
     monkeypatch.setenv("YAMSIM_DATA_DIR", str(tmp_path / "data"))
-    return Locations.find(os.environ)
+    return Locations.from_environment(os.environ)
 
 
 def report(*words: Any) -> dict[str, Any]:

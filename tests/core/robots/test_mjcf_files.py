@@ -45,7 +45,7 @@ def checked(said: str, path: Path) -> None:
 
 
 def test_an_arm_with_includes_is_the_arm_in_one_file(folder: Path) -> None:
-    whole = load_config(RigConfig, "rigs", RIG, Locations.find(os.environ)).arms[0].robot
+    whole = load_config(RigConfig, "rigs", RIG, Locations.from_environment(os.environ)).arms[0].robot
     taken_out(folder, "<default>\n    <default", "</default>\n  </default>", "classes.xml")
     taken_out(folder, "<actuator>", "</actuator>", "parts/drives.xml")
     taken_out(folder, '<body name="wrist_roll"', "</body>", "parts/wrist.xml")
@@ -54,7 +54,7 @@ def test_an_arm_with_includes_is_the_arm_in_one_file(folder: Path) -> None:
     main.write_text(main.read_text().replace("</mujoco>", "<actuator/></mujoco>"))
     wrist.rename(folder / "parts" / "roll.xml")
     wrist.write_text('<mujoco><include file="roll.xml"/></mujoco>')
-    found = load_config(RigConfig, "rigs", RIG, Locations.find(os.environ)).arms[0].robot
+    found = load_config(RigConfig, "rigs", RIG, Locations.from_environment(os.environ)).arms[0].robot
     assert (found.joint_drives, found.joints, found.home) == (whole.joint_drives, whole.joints, whole.home)
     done = yamsim("robots", "check", ARM)
     assert done.code == 0, done.err

@@ -16,16 +16,18 @@ from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.session import Session
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.robots.models import ArmModel, Gripper
-from yamsim_cli.core.robots.robot import Robot, assemble
+from yamsim_cli.core.robots.robot import Robot, assemble_robot
 from yamsim_cli.core.scene.assets import load_lock
 from yamsim_cli.core.scene.build import build_scene
 
 KEPT = json.loads((Path(__file__).parents[2] / "data" / "robot_models.json").read_text())
-WHERE = Locations.find({})
+WHERE = Locations.from_environment({})
 
 
 def shipped(model: str, gripper: str) -> Robot:
-    return assemble(load_config(ArmModel, "robots", model, WHERE), load_config(Gripper, "grippers", gripper, WHERE))
+    return assemble_robot(
+        load_config(ArmModel, "robots", model, WHERE), load_config(Gripper, "grippers", gripper, WHERE)
+    )
 
 
 def _pairs() -> list[tuple[str, str]]:
@@ -61,7 +63,7 @@ def test_every_pair_that_fits_is_a_model_with_the_stops_of_its_files(model: str,
     if robot.fingers:
         for name, sign in zip(robot.fingers.joints, robot.finger_signs, strict=True):
             assert joints[name] == tuple(sorted(sign * end for end in robot.fingers.range))
-    assert {actuator.name for actuator in spec.actuators} == set(robot.drives)
+    assert {actuator.name for actuator in spec.actuators} == set(robot.drive_names)
     sites = {site.name for site in spec.sites}
     assert {"grasp_site", "pinch_site"} <= sites or robot.fingers is None
 

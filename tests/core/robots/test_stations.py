@@ -14,7 +14,7 @@ from yamsim_cli.core.config.session import Session
 from yamsim_cli.core.errors import ConfigError
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.geometry.camera import opencv_from_mujoco
-from yamsim_cli.core.geometry.se3 import Array, inverse, pose, pose_from_quat, rotation_vector
+from yamsim_cli.core.geometry.se3 import Array, invert_pose, pose, pose_from_quat, rotation_vector
 from yamsim_cli.core.scene.build import build_scene
 from yamsim_cli.core.scene.compiled import CompiledScene
 
@@ -51,12 +51,14 @@ def test_cameras_look_from_where_the_maker_says(station: str, locations: Locatio
     mujoco.mj_forward(scene.model, data)
     top, wrist = (pose_from_quat(*camera) for camera in STATIONS[station])
     left, right = scene.arms
-    _close(inverse(left.T_base_in_world) @ _camera(data, "top"), top)
+    _close(invert_pose(left.T_base_in_world) @ _camera(data, "top"), top)
     for arm, name in ((left, "left"), (right, "right")):
         flange = data.body(arm.flange)
         T_flange = pose(flange.xpos, flange.xmat.reshape(3, 3)) @ _T_FLANGE
-        _close(inverse(T_flange) @ _camera(data, name), wrist)
-    np.testing.assert_allclose((inverse(left.T_base_in_world) @ right.T_base_in_world)[:3, 3], (0, -0.61, 0), atol=1e-9)
+        _close(invert_pose(T_flange) @ _camera(data, name), wrist)
+    np.testing.assert_allclose(
+        (invert_pose(left.T_base_in_world) @ right.T_base_in_world)[:3, 3], (0, -0.61, 0), atol=1e-9
+    )
 
 
 def _camera(data: mujoco.MjData, name: str) -> Array:

@@ -13,8 +13,8 @@ from yamsim_cli.core.episode.simulator import Simulator
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.scene.blueprint import task_blueprint
 from yamsim_cli.core.scene.compiled import CompiledScene
-from yamsim_cli.core.scene.compose import WELD, visual_mesh_sets
-from yamsim_cli.core.sim.settling import AT_REST
+from yamsim_cli.core.scene.compose import WELD_NAME, visual_mesh_sets
+from yamsim_cli.core.sim.settling import MAX_REST_SPEED
 
 
 @pytest.fixture(scope="module")
@@ -34,15 +34,15 @@ def _start(simulator: Simulator, seed: int) -> mujoco.MjData:
 
 
 def test_weld_starts_inactive(simulator: Simulator, scene: CompiledScene) -> None:
-    assert not _start(simulator, 0).eq_active[scene.arm.weld]
-    assert scene.model.equality(WELD).id == scene.arm.weld
+    assert not _start(simulator, 0).eq_active[scene.first_arm.weld]
+    assert scene.model.equality(WELD_NAME).id == scene.first_arm.weld
 
 
 @pytest.mark.parametrize("seed", range(20))
 def test_only_things_and_table_touch_at_the_start(simulator: Simulator, scene: CompiledScene, seed: int) -> None:
     data = _start(simulator, seed)
     assert data.ncon > 0
-    assert not scene.forbidden(data.contact.geom).any()
+    assert not scene.mask_forbidden_contacts(data.contact.geom).any()
     bodies = {scene.model.body(scene.model.geom_bodyid[geom]).name for geom in data.contact.geom.ravel()}
     assert bodies == {"world", "banana", "plate"}
     table = scene.model.geom("table").id
@@ -56,7 +56,7 @@ def test_settles_without_moving(simulator: Simulator, scene: CompiledScene, seed
     mujoco.mj_step(scene.model, data, 1000)
     assert data.ncon > 0
     np.testing.assert_allclose(data.qpos, before, atol=1e-3)
-    assert np.abs(data.qvel).max() < AT_REST
+    assert np.abs(data.qvel).max() < MAX_REST_SPEED
 
 
 def test_reset_leaves_no_trace_of_what_was_before(simulator: Simulator, scene: CompiledScene) -> None:

@@ -15,7 +15,7 @@ from yamsim_cli.core.attempt_data import AttemptJob
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.scene import Table
 from yamsim_cli.core.config.session import Session
-from yamsim_cli.core.geometry.se3 import Array, tilt
+from yamsim_cli.core.geometry.se3 import Array, tilt_angle
 from yamsim_cli.core.scene.start_sampling import (
     ObjectPlacement,
     footprint_distance,
@@ -44,7 +44,7 @@ def three(tmp_path_factory: pytest.TempPathFactory) -> Session:
 def _places(session: Session, job: AttemptJob) -> dict[str, ObjectPlacement]:
     task = session.config.task
     cast = sample_roles(task, job)
-    found = sample_placements(task, cast, lambda name, opened: BLOCK, session.config.table, job)
+    found = sample_placements(task, cast, lambda name, opened: BLOCK, session.config.widened_table, job)
     assert isinstance(found, dict)
     return found
 
@@ -105,7 +105,7 @@ def test_an_object_without_room_is_named(tmp_path_factory: pytest.TempPathFactor
     session = session_of(tmp_path_factory.mktemp("task"), tight)
     task, job = session.config.task, AttemptJob(0, 0)
     cast = sample_roles(task, job)
-    found = sample_placements(task, cast, lambda name, opened: BLOCK, session.config.table, job)
+    found = sample_placements(task, cast, lambda name, opened: BLOCK, session.config.widened_table, job)
     assert found in ("cube_2", "cube_3")
 
 
@@ -117,7 +117,7 @@ def test_things_lie_as_they_are_said_to(
     one = {("things", "cube", "count"): 1, ("starts", "cube"): start, ("expert",): [{"pick": {"thing": "cube"}}]}
     session = session_of(tmp_path_factory.mktemp("task"), changed(one, THREE))
     placed = _places(session, AttemptJob(0, 0))
-    assert tilt(placed["cube"].T[:3, :3]) == pytest.approx(leans, abs=1e-6)
+    assert tilt_angle(placed["cube"].T[:3, :3]) == pytest.approx(leans, abs=1e-6)
 
 
 def test_what_starts_on_another_thing_moves_with_it(tmp_path_factory: pytest.TempPathFactory) -> None:
@@ -125,7 +125,7 @@ def test_what_starts_on_another_thing_moves_with_it(tmp_path_factory: pytest.Tem
     session = session_of(
         tmp_path_factory.mktemp("task"), on_it | {"goal": {"on": {"thing": "cube", "surface": "table"}}}
     )
-    task, job, table = session.config.task, AttemptJob(0, 3), session.config.table
+    task, job, table = session.config.task, AttemptJob(0, 3), session.config.widened_table
     assert isinstance(table, Table)
     placed = sample_placements(task, sample_roles(task, job), lambda name, opened: BLOCK, table, job)
     assert isinstance(placed, dict) and placed["cube"].on == "plate"
@@ -138,11 +138,11 @@ def test_places_fill_their_regions_evenly_although_things_need_room(config: Reco
     """Sampling again for lack of room does not bias the object towards the region's edge."""
     halves = {"banana": (0.10, 0.03, 0.02), "plate": (0.13, 0.13, 0.01)}
     blocks = {name: np.array([[-x, -y, -z], [x, y, z]]) for name, (x, y, z) in halves.items()}
-    task = config.task.model_copy(update={"starts": config.starts})
+    task = config.task.model_copy(update={"starts": config.start_regions_in_world})
     drawn: dict[str, list[Array]] = {name: [] for name in blocks}
     for number in range(1000):
         found = sample_placements(
-            task, task.typical_roles, lambda name, opened: blocks[name], config.table, AttemptJob(5, number)
+            task, task.typical_roles, lambda name, opened: blocks[name], config.widened_table, AttemptJob(5, number)
         )
         assert isinstance(found, dict)
         for name, placed in found.items():

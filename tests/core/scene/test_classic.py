@@ -90,7 +90,7 @@ def test_it_does_with_meshes_too(
     scene_of: tuple[str, str, str], composed: Callable[..., Composed], locations: Locations
 ) -> None:
     lock, store = load_lock(locations), AssetStore(locations.assets)
-    meshes = {assets.name: store.resolve(assets) for assets in lock.sets.values()}
+    meshes = {assets.name: store.find_verified_folder(assets) for assets in lock.sets.values()}
     if None in meshes.values():
         pytest.skip("not all meshes are here: `yamsim assets fetch`")
     spec, model = composed(*scene_of, meshes)

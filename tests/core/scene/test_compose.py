@@ -207,7 +207,7 @@ def test_the_background_can_be_left_out_and_a_tasks_table_stays(
 
 
 def test_a_users_rig_from_any_file(locations: Locations, studio: SceneConfig, tmp_path: Path) -> None:
-    text = locations.file("configs/rigs/bimanual.yaml").read_text().replace("margin: 0.7", "margin: 0.5")
+    text = locations.find_data_file("configs/rigs/bimanual.yaml").read_text().replace("margin: 0.7", "margin: 0.5")
     (tmp_path / "mine.yaml").write_text(text)
     rig = load_config(RigConfig, "rigs", str(tmp_path / "mine.yaml"), locations)
     assert rig.name == "mine"
@@ -230,7 +230,7 @@ def test_a_users_rig_from_any_file(locations: Locations, studio: SceneConfig, tm
     ],
 )
 def test_loading_refuses_a_rig_that_cannot_be(change: tuple[str, str], message: str, locations: Locations) -> None:
-    text = locations.file("configs/rigs/bimanual.yaml").read_text()
+    text = locations.find_data_file("configs/rigs/bimanual.yaml").read_text()
     assert change[0] in text
     with pytest.raises(ConfigError, match=message):
         parse_config(RigConfig, "name: mine\n" + text.replace(*change), "mine.yaml", locations)

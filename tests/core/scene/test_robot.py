@@ -131,7 +131,7 @@ def test_physics_does_not_depend_on_the_meshes(config: RecordConfig, locations: 
     """Primitives, full meshes and reduced ones: the same bits after a second."""
     lock, store = load_lock(locations), AssetStore(locations.assets)
     assets = lock.sets["i2rt_yam_crank"]
-    meshes = store.resolve(assets)
+    meshes = store.find_verified_folder(assets)
     if meshes is None:
         pytest.skip("the meshes are not here: yamsim assets fetch")
     reduced = make_reduced(store, assets, meshes, lock.notices[assets.notice])

@@ -12,11 +12,11 @@ import pytest
 from yamsim_cli.core.attempt_data import AttemptJob, Outcome
 from yamsim_cli.core.config.randomization import SurfaceRanges
 from yamsim_cli.core.config.recording import RecordConfig
-from yamsim_cli.core.config.variation import Variation
+from yamsim_cli.core.config.variation import RandomizationSample
 from yamsim_cli.core.dataset.records import AttemptRecord, OutcomeRecord, from_json, to_json
 from yamsim_cli.core.scene import randomization_sampling as sampled_variation
 from yamsim_cli.core.scene.random_streams import Stream, random_generator
-from yamsim_cli.core.scene.randomization_sampling import sample_variation
+from yamsim_cli.core.scene.randomization_sampling import sample_randomization
 
 JOB = AttemptJob(3, 5)
 # Part -> sampled values that it alone uses; distractors' places are sampled elsewhere.
@@ -47,15 +47,15 @@ def randomized(make_config: Callable[..., RecordConfig]) -> RecordConfig:
     return make_config({("randomization",): "default", ("randomization", "arm_dynamics"): ARMS})
 
 
-def sampled(config: RecordConfig, job: AttemptJob = JOB, **changes: Any) -> Variation:
+def sampled(config: RecordConfig, job: AttemptJob = JOB, **changes: Any) -> RandomizationSample:
     ranges = config.randomization.model_copy(update=changes)
-    return sample_variation(ranges, job, len(config.scene.lights), config.task.objects, (6,))
+    return sample_randomization(ranges, job, len(config.scene.lights), config.task.objects, (6,))
 
 
 def test_nothing_is_drawn_of_what_is_left_out(config: RecordConfig, randomized: RecordConfig) -> None:
-    assert set(randomized.randomization.parts) == {*OWN, "distractors"}
-    assert config.randomization.parts == ()
-    assert sampled(config) == Variation()
+    assert set(randomized.randomization.varied_parts) == {*OWN, "distractors"}
+    assert config.randomization.varied_parts == ()
+    assert sampled(config) == RandomizationSample()
 
 
 def test_the_same_attempt_draws_the_same(randomized: RecordConfig) -> None:
@@ -142,11 +142,11 @@ def test_streams_differ_whatever_splits_them() -> None:
 @pytest.mark.parametrize("not_drawn", ["", "arm_dynamics", "randomized"])
 def test_the_ledger_keeps_draws_and_states_what_was_not_drawn(randomized: RecordConfig, not_drawn: str) -> None:
     without_arms = {"arm_dynamics": None} if not_drawn == "arm_dynamics" else {}
-    drawn = Variation() if not_drawn == "randomized" else sampled(randomized, **without_arms)
+    drawn = RandomizationSample() if not_drawn == "randomized" else sampled(randomized, **without_arms)
     record = AttemptRecord(
         attempt=5, seed=3, episode=None, outcome=OutcomeRecord.from_outcome(Outcome(False)), layout={}, randomized=drawn
     )
     text = to_json(record)
-    assert set(json.loads(text)["randomized"]) == {field.name for field in fields(Variation)}
+    assert set(json.loads(text)["randomized"]) == {field.name for field in fields(RandomizationSample)}
     assert bool(json.loads(text)["randomized"]["arm_dynamics"]) == (not not_drawn)
     assert from_json(AttemptRecord, text, "ledger").randomized == drawn

@@ -61,16 +61,16 @@ def load(name: str, locations: Locations) -> ObjectConfig:
 @pytest.mark.parametrize("name", FITS)
 def test_primitives_fit_their_scan(name: str, locations: Locations) -> None:
     item = load(name, locations)
-    folder = AssetStore(locations.assets).resolve(load_lock(locations).sets[item.mesh.set])
+    folder = AssetStore(locations.assets).find_verified_folder(load_lock(locations).sets[item.mesh.set])
     if folder is None:
         pytest.skip(f"the meshes of {item.mesh.set} are not here: yamsim assets fetch")
-    points = Scan.read((folder / item.mesh.file).read_bytes()).points - item.mesh.origin
+    points = Scan.from_stl((folder / item.mesh.file).read_bytes()).points - item.mesh.origin
     assert abs(points[:, 2].min() + item.rest_height) < 0.002
     clean = np.hypot(points[:, 0], points[:, 1]) >= NOISE.get(name, 0.0)
     assert np.percentile(signed_distance(item.collision, points[clean]), 99) < FITS[name]
     low, high = points.min(axis=0), points.max(axis=0)
     parts = [part for part in item.collision if part.type != "box"]
-    for x, y, radius in item.model_copy(update={"collision": tuple(parts)}).footprint:
+    for x, y, radius in item.model_copy(update={"collision": tuple(parts)}).footprint_discs:
         assert (np.array([x, y]) - radius > low[:2] - FITS[name]).all()
         assert (np.array([x, y]) + radius < high[:2] + FITS[name]).all()
 
@@ -82,7 +82,7 @@ def test_every_object_is_tested(locations: Locations) -> None:
 
 def test_every_distractor_is_one_of_them(locations: Locations) -> None:
     config = load_config(RecordConfig, "record", "default", locations, {("randomization",): ("test", "default")})
-    assert {item.mesh.file.removesuffix(".stl") for item in config.randomization.extras} <= FITS.keys()
+    assert {item.mesh.file.removesuffix(".stl") for item in config.randomization.distractor_configs} <= FITS.keys()
 
 
 @pytest.mark.parametrize("name", sorted(FITS.keys() | OTHERS))

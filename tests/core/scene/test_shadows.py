@@ -17,7 +17,7 @@ from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.core.rendering.renderer import SceneRenderer
 from yamsim_cli.core.scene.blueprint import recording_blueprint
 from yamsim_cli.core.scene.compilation import compile_spec
-from yamsim_cli.core.scene.compose import compose
+from yamsim_cli.core.scene.compose import compose_scene
 from yamsim_cli.session_opener import SessionOpener
 
 SIZE = (160, 120)
@@ -37,15 +37,17 @@ CHANGED = 4
 def scene(rig: str, quality: str) -> tuple[mujoco.MjModel, RecordConfig, Array]:
     """The scene of a recording with a movable box, and the box's place above the table."""
     opener = SessionOpener({**os.environ, "YAMSIM_ASSETS": os.devnull}, lambda line: None, str)
-    where = opener.locations()
-    config = opener.config("default", where, rig=rig, quality=quality, size=f"{SIZE[0]}x{SIZE[1]}", wrist=True)
-    spec = compose(recording_blueprint(config), where)
-    table, light = config.surroundings.table, np.array(config.surroundings.lights[0].direction)
+    where = opener.find_locations()
+    config = opener.load_record_config(
+        "default", where, rig=rig, quality=quality, size=f"{SIZE[0]}x{SIZE[1]}", wrist=True
+    )
+    spec = compose_scene(recording_blueprint(config), where)
+    table, light = config.widened_scene.table, np.array(config.widened_scene.lights[0].direction)
     assert table is not None
-    place = np.array([*table.position[:2], table.top + HEIGHT])
+    place = np.array([*table.position[:2], table.top_height + HEIGHT])
     spec.worldbody.add_body(name="box", mocap=True, pos=place).add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=HALF)
-    landing = place + light * (place[2] - config.surroundings.safety_plane) / -light[2]
-    eye = np.array([landing[0], landing[1], table.top - 2 * table.half_size[2] - 0.02])
+    landing = place + light * (place[2] - config.widened_scene.safety_plane) / -light[2]
+    eye = np.array([landing[0], landing[1], table.top_height - 2 * table.half_size[2] - 0.02])
     spec.worldbody.add_camera(name=BELOW, pos=eye, fovy=70)
     return compile_spec(spec), config, place
 
@@ -57,7 +59,10 @@ def pictures(model: mujoco.MjModel, config: RecordConfig, at: Array) -> dict[str
     mujoco.mj_forward(model, data)
     names = [model.camera(k).name for k in range(model.ncam)]
     with SceneRenderer(model, SIZE, config.render.fine_size(SIZE)) as renderer:
-        return {name: (renderer.render(data, name).astype(int), renderer.segment(data, name).copy()) for name in names}
+        return {
+            name: (renderer.render(data, name).astype(int), renderer.render_geom_ids(data, name).copy())
+            for name in names
+        }
 
 
 def inside(geoms: np.ndarray, wanted: list[int]) -> np.ndarray:

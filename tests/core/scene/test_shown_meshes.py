@@ -16,7 +16,7 @@ from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.session import Session
 from yamsim_cli.core.errors import ResourceError
 from yamsim_cli.core.files.resources import Locations
-from yamsim_cli.core.geometry.stl import stl_bytes
+from yamsim_cli.core.geometry.stl import encode_stl
 from yamsim_cli.core.scene.build import build_scene, with_mesh_descriptions
 
 Make = Callable[..., RecordConfig]
@@ -42,7 +42,7 @@ def test_content_decides_and_not_where_it_lies(
     assert one == drawn(config, stand_ins(tmp_path / "b", locations, ARM, YCB))
     other = stand_ins(tmp_path / "c", locations, ARM, YCB)
     assert other[YCB]
-    (other[YCB] / "011_banana.stl").write_bytes(stl_bytes(*box(0.021, cuts=1)))
+    (other[YCB] / "011_banana.stl").write_bytes(encode_stl(*box(0.021, cuts=1)))
     assert [text.split(":")[0] for text in mesh_differences(one, drawn(config, other))] == [YCB]
 
 
@@ -93,7 +93,7 @@ def test_a_mount_of_ones_own_counts_where_it_is_seen(
     make_config: Make, drawn: Callable[..., dict[str, str]], tmp_path: Path
 ) -> None:
     def mounted(edge: float, boards: bool) -> dict[str, str]:
-        (tmp_path / "mine.stl").write_bytes(stl_bytes(*box(edge, cuts=1)))
+        (tmp_path / "mine.stl").write_bytes(encode_stl(*box(edge, cuts=1)))
         config = make_config({("boards",): boards})
         arm = config.rig.arms[0]
         assert arm.mount

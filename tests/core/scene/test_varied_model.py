@@ -10,12 +10,12 @@ import pytest
 from yamsim_cli.core.attempt_data import AttemptJob
 from yamsim_cli.core.config.recording import SCENE_CAMERA, RecordConfig
 from yamsim_cli.core.config.session import Session
-from yamsim_cli.core.config.variation import SurfaceVariation, Variation
-from yamsim_cli.core.episode.simulator import Simulators
+from yamsim_cli.core.config.variation import RandomizationSample, SurfaceSample
+from yamsim_cli.core.episode.simulator import SimulatorCache
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.geometry.se3 import quat_from_rotation, rotation_z
 from yamsim_cli.core.scene.build import build_scene
-from yamsim_cli.core.scene.randomization_sampling import sample_variation
+from yamsim_cli.core.scene.randomization_sampling import sample_randomization
 from yamsim_cli.core.scene.randomized_model import RandomizedModel, scale_masses, texture_image
 from yamsim_cli.session_opener import SessionOpener
 
@@ -42,7 +42,7 @@ def only(model: mujoco.MjModel, config: RecordConfig) -> RandomizedModel:
 
 @pytest.fixture
 def varied(only: RandomizedModel) -> RandomizedModel:
-    only.apply(Variation())
+    only.apply_randomization(RandomizationSample())
     return only
 
 
@@ -61,10 +61,12 @@ def changed(before: dict[str, np.ndarray], after: dict[str, np.ndarray]) -> set[
 def test_nothing_stays_of_an_attempt(model: mujoco.MjModel, varied: RandomizedModel, config: RecordConfig) -> None:
     before = numbers(model)
     for k in range(5):
-        varied.apply(sample_variation(config.randomization, AttemptJob(0, k), 2, config.task.objects, ()))
+        varied.apply_randomization(
+            sample_randomization(config.randomization, AttemptJob(0, k), 2, config.task.objects, ())
+        )
         varied.place_distractor("mug", (0.6, 0.2, 0.0, 1.0))
         assert changed(before, numbers(model))
-    varied.apply(Variation())
+    varied.apply_randomization(RandomizationSample())
     assert changed(before, numbers(model)) == set()
 
 
@@ -73,7 +75,7 @@ def test_only_mass_and_friction_touch_physics(
 ) -> None:
     before = numbers(model)
     ranges = config.randomization.model_copy(update={"mass": None, "friction": None})
-    varied.apply(sample_variation(ranges, AttemptJob(0, 0), 2, config.task.objects, ()))
+    varied.apply_randomization(sample_randomization(ranges, AttemptJob(0, 0), 2, config.task.objects, ()))
     looks = ("light_", "mat_", "cam_", "geom_matid", "geom_group", "ambient", "diffuse")
     assert all(name.startswith(looks) for name in changed(before, numbers(model)))
 
@@ -86,9 +88,9 @@ def drawers() -> mujoco.MjModel:
 
 def scene_of(task: str) -> mujoco.MjModel:
     opener = SessionOpener(os.environ, lambda text: None, lambda setting: f"--{setting}")
-    where = opener.locations()
-    session = Session(opener.config("default", where, task=task, quality="fast"), where).without_meshes()
-    with Simulators(session) as simulators:
+    where = opener.find_locations()
+    session = Session(opener.load_record_config("default", where, task=task, quality="fast"), where).without_meshes()
+    with SimulatorCache(session) as simulators:
         return simulators.get(AttemptJob(0, 0)).scene.model
 
 
@@ -126,7 +128,7 @@ def test_all_bodies_of_a_thing_get_heavier_alike(drawers: mujoco.MjModel, factor
 
 def test_friction_is_that_of_all_of_an_objects_surface(model: mujoco.MjModel, varied: RandomizedModel) -> None:
     before = model.geom_friction.copy()
-    varied.apply(Variation(friction={"banana": 0.5, "table": 2.0}))
+    varied.apply_randomization(RandomizationSample(friction={"banana": 0.5, "table": 2.0}))
     for geom in range(model.ngeom):
         body, name = model.body(int(model.geom_bodyid[geom])).name, model.geom(geom).name
         factor = 0.5 if body == "banana" else 2.0 if name == "table" else 1.0
@@ -136,7 +138,7 @@ def test_friction_is_that_of_all_of_an_objects_surface(model: mujoco.MjModel, va
 def test_the_camera_moves_and_turns_about_the_worlds_axes(model: mujoco.MjModel, varied: RandomizedModel) -> None:
     camera = model.cam(SCENE_CAMERA)
     before, quat, fovy = camera.pos.copy(), camera.quat.copy(), float(camera.fovy[0])
-    varied.apply(Variation(lens_deg=2.0, camera=(0.1, 0.0, -0.2, 0.0, 0.0, 0.3)))
+    varied.apply_randomization(RandomizationSample(lens_deg=2.0, camera=(0.1, 0.0, -0.2, 0.0, 0.0, 0.3)))
     np.testing.assert_allclose(camera.pos - before, (0.1, 0.0, -0.2))
     assert float(camera.fovy[0]) == fovy + 2.0
     expected = np.empty(4)
@@ -145,7 +147,7 @@ def test_the_camera_moves_and_turns_about_the_worlds_axes(model: mujoco.MjModel,
 
 
 def test_a_plain_surface_needs_no_texture(model: mujoco.MjModel, varied: RandomizedModel) -> None:
-    varied.apply(Variation(table=SurfaceVariation("plain", (RED, RED), 3, 0)))
+    varied.apply_randomization(RandomizationSample(table=SurfaceSample("plain", (RED, RED), 3, 0)))
     assert varied.textures == []
     material = model.material(int(model.geom("table").matid[0]))
     assert material.name == "table"
@@ -153,8 +155,8 @@ def test_a_plain_surface_needs_no_texture(model: mujoco.MjModel, varied: Randomi
 
 
 def test_a_texture_is_in_the_model_and_named(model: mujoco.MjModel, varied: RandomizedModel) -> None:
-    surface = SurfaceVariation("noise", (GREY, RED), 3, 7)
-    varied.apply(Variation(table=surface, floor=surface))
+    surface = SurfaceSample("noise", (GREY, RED), 3, 7)
+    varied.apply_randomization(RandomizationSample(table=surface, floor=surface))
     assert varied.textures == [model.texture("table_textured").id, model.texture("floor_textured").id]
     assert model.material(int(model.geom("table").matid[0])).name == "table_textured"
     start, image = int(model.tex_adr[varied.textures[0]]), texture_image(surface)
@@ -163,7 +165,7 @@ def test_a_texture_is_in_the_model_and_named(model: mujoco.MjModel, varied: Rand
 
 
 def test_a_checkered_floor_is_its_tiles(model: mujoco.MjModel, varied: RandomizedModel) -> None:
-    varied.apply(Variation(floor=SurfaceVariation("checker", (GREY, RED), 3, 0)))
+    varied.apply_randomization(RandomizationSample(floor=SurfaceSample("checker", (GREY, RED), 3, 0)))
     assert varied.textures == []
     np.testing.assert_allclose(model.material("floor").rgba[:3], GREY, atol=1e-6)
     np.testing.assert_allclose(model.material("floor_tiles").rgba[:3], RED, atol=1e-6)
@@ -191,7 +193,7 @@ def test_an_absent_distractor_is_nowhere(model: mujoco.MjModel, varied: Randomiz
 
 @pytest.mark.parametrize("texture", ["plain", "checker", "gradient", "noise"])
 def test_patterns_are_made_of_their_two_colours(texture: str) -> None:
-    image = texture_image(SurfaceVariation(texture, ((0.2, 0.2, 0.2), (0.8, 0.4, 0.2)), 3, 5), 64).astype(int)
+    image = texture_image(SurfaceSample(texture, ((0.2, 0.2, 0.2), (0.8, 0.4, 0.2)), 3, 5), 64).astype(int)
     assert image.shape == (64, 64, 3)
     low, high = (51, 51, 51), ((51, 51, 51) if texture == "plain" else (204, 102, 51))
     assert (image.reshape(-1, 3).min(0) >= np.minimum(low, high)).all()
@@ -200,12 +202,12 @@ def test_patterns_are_made_of_their_two_colours(texture: str) -> None:
 
 
 def test_a_checkerboard_repeats_as_often_as_it_says() -> None:
-    image = texture_image(SurfaceVariation("checker", ((0, 0, 0), (1, 1, 1)), 4, 5), 64)
+    image = texture_image(SurfaceSample("checker", ((0, 0, 0), (1, 1, 1)), 4, 5), 64)
     assert (np.diff(image[0, :, 0].astype(int)) != 0).sum() == 2 * 4 - 1
 
 
 def test_noise_can_be_repeated_without_a_seam() -> None:
-    image = texture_image(SurfaceVariation("noise", ((0, 0, 0), (1, 1, 1)), 3, 5)).astype(int)[..., 0]
+    image = texture_image(SurfaceSample("noise", ((0, 0, 0), (1, 1, 1)), 3, 5)).astype(int)[..., 0]
     inside = np.abs(np.diff(image, axis=0)).max()
     assert np.abs(image[0] - image[-1]).max() <= inside + 2
     assert np.abs(image[:, 0] - image[:, -1]).max() <= inside + 2

@@ -15,21 +15,21 @@ from yamsim_cli.core.attempt_data import ActionSequence, FailureCause
 from yamsim_cli.core.dataset.checks.lowdim import expected_specs, frame_faults
 from yamsim_cli.core.episode.attempt_payload import frame_records
 from yamsim_cli.core.episode.episode_rules import EXPERT_RULES, REPLAY_RULES
-from yamsim_cli.core.episode.execution import demonstrate, run_actions
+from yamsim_cli.core.episode.execution import simulate_actions, simulate_expert
 from yamsim_cli.core.episode.expert import arm_sides
-from yamsim_cli.core.episode.simulator import Simulators
+from yamsim_cli.core.episode.simulator import SimulatorCache
 from yamsim_cli.core.errors import ConfigError, UsageError
 from yamsim_cli.core.geometry.cloth_contacts import count_self_intersections
 from yamsim_cli.core.geometry.cloth_folding import outline_area
 from yamsim_cli.core.scene.cloth import grid_edges, grid_triangles
 from yamsim_cli.core.sim import cloth as crumple
-from yamsim_cli.core.sim.cloth import moving_points, simulated_pull
+from yamsim_cli.core.sim.cloth import moving_points, simulate_pull
 from yamsim_cli.core.sim.geom_shapes import geom_aabb
 from yamsim_cli.core.sim.sim_world import make_sim_world
 
 
 def test_cloth_starts_flat_and_turned_on_the_table_and_at_rest(tmp_path: Path) -> None:
-    with Simulators(session_of(tmp_path, FOLD)) as simulators:
+    with SimulatorCache(session_of(tmp_path, FOLD)) as simulators:
         simulator, attempt, data = started(simulators)
         scene = simulator.scene
         assert attempt.layout is not None
@@ -38,7 +38,7 @@ def test_cloth_starts_flat_and_turned_on_the_table_and_at_rest(tmp_path: Path) -
         assert points.shape == (9, 9, 3)
         assert world.are_touching("napkin", "table") and not world.holding_sides("napkin")
         # It sinks in by less than a tenth of its thickness.
-        assert np.allclose(points[..., 2], simulator.config.table.top + 0.0025, atol=5e-4)
+        assert np.allclose(points[..., 2], simulator.config.widened_table.top_height + 0.0025, atol=5e-4)
         along = points[0, -1] - points[0, 0]
         assert np.linalg.norm(along) == pytest.approx(0.2, rel=1e-3)
         T = attempt.layout.T_in_world["napkin"]
@@ -49,7 +49,7 @@ def test_cloth_starts_flat_and_turned_on_the_table_and_at_rest(tmp_path: Path) -
 
 def test_crumpled_cloth_starts_at_rest_and_differs_by_seed_alone(tmp_path: Path) -> None:
     crumpled = changed({("starts", "napkin", "crumpled"): [0.3, 0.6]}, FOLD)
-    with Simulators(session_of(tmp_path, crumpled)) as simulators:
+    with SimulatorCache(session_of(tmp_path, crumpled)) as simulators:
         starts = []
         # Regression: dropped this way, cloth went through itself, or was flat.
         for number in (0, 1, 0):
@@ -59,7 +59,7 @@ def test_crumpled_cloth_starts_at_rest_and_differs_by_seed_alone(tmp_path: Path)
             points = simulator.scene.cloths["napkin"].points(attempt.start)
             # Flat, it is 200 mm wide, and no higher than a layer.
             assert np.ptp(points[:, 2]) > 0.015
-            assert points[:, 2].min() > simulator.config.table.top
+            assert points[:, 2].min() > simulator.config.widened_table.top_height
             grid = simulator.scene.cloths["napkin"].grid
             assert not count_self_intersections(points, grid_edges(*grid), grid_triangles(*grid))
         assert np.array_equal(starts[0], starts[2])
@@ -67,7 +67,7 @@ def test_crumpled_cloth_starts_at_rest_and_differs_by_seed_alone(tmp_path: Path)
 
 
 def test_cloth_that_fell_into_the_table_is_taken_anew(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    with Simulators(session_of(tmp_path, FOLD)) as simulators:
+    with SimulatorCache(session_of(tmp_path, FOLD)) as simulators:
         simulator, attempt, _ = started(simulators)
         assert attempt.start is not None
         height = simulator.scene.cloths["napkin"].qpos[0, 2]
@@ -77,14 +77,14 @@ def test_cloth_that_fell_into_the_table_is_taken_anew(tmp_path: Path, monkeypatc
         falls = iter([sunk, standing])
         monkeypatch.setattr(crumple, "drop_cloth", lambda *given: next(falls))
         rng = np.random.default_rng(0)
-        again = crumple.crumple(
+        again = crumple.crumple_cloth(
             simulator.scene, attempt.start, "napkin", rng, 0.3, simulator.config.task.timing.timestep
         )
         assert np.array_equal(again, standing)
 
 
 def test_a_finger_under_cloth_would_lift_it_and_one_on_it_would_not(tmp_path: Path) -> None:
-    with Simulators(session_of(tmp_path, FOLD)) as simulators:
+    with SimulatorCache(session_of(tmp_path, FOLD)) as simulators:
         simulator, _, data = started(simulators)
         scene, model = simulator.scene, simulator.scene.model
         world = make_sim_world(scene, data, arm_sides(simulator.config))
@@ -101,13 +101,13 @@ def test_a_finger_under_cloth_would_lift_it_and_one_on_it_would_not(tmp_path: Pa
 
 
 def test_what_a_pull_would_lead_to_changes_nothing(tmp_path: Path) -> None:
-    with Simulators(session_of(tmp_path, FOLD)) as simulators:
+    with SimulatorCache(session_of(tmp_path, FOLD)) as simulators:
         simulator, _, data = started(simulators)
         scene = simulator.scene
         cloth, before = scene.cloths["napkin"], data.qpos.copy()
         points = cloth.points(before).reshape(9, 9, 3)
         inwards = points[4, 4] - points[0, 0]
-        after = simulated_pull(data, scene.model, cloth, [np.array([0])], [0.5 * inwards], arch=0.4, seconds=0.8)
+        after = simulate_pull(data, scene.model, cloth, [np.array([0])], [0.5 * inwards], arch=0.4, seconds=0.8)
         assert np.array_equal(data.qpos, before) and data.time == 0.0
         # The corner lies on the rest where it was brought; the opposite corner stays.
         assert np.allclose(after[0, 0, :2], (points[0, 0] + 0.5 * inwards)[:2], atol=0.01)
@@ -116,7 +116,7 @@ def test_what_a_pull_would_lead_to_changes_nothing(tmp_path: Path) -> None:
 
 
 def test_a_point_that_is_led_takes_the_cloth_along(tmp_path: Path) -> None:
-    with Simulators(session_of(tmp_path, FOLD)) as simulators:
+    with SimulatorCache(session_of(tmp_path, FOLD)) as simulators:
         simulator, _, data = started(simulators)
         model, cloth = simulator.scene.model, simulator.scene.cloths["napkin"]
         masses, inertias = model.body_mass.copy(), model.dof_M0.copy()
@@ -145,13 +145,13 @@ def test_crumpled_cloth_is_spread_out_by_hands_that_close_on_it(tmp_path: Path) 
         },
         FOLD,
     )
-    with Simulators(session_of(tmp_path, spread)) as simulators:
+    with SimulatorCache(session_of(tmp_path, spread)) as simulators:
         simulator, attempt = first_attempt(simulators)
         cloth = simulator.scene.cloths["napkin"]
         assert attempt.start is not None and np.ptp(cloth.points(attempt.start)[:, 2]) > 0.015
-        done = demonstrate(simulator, attempt)
+        done = simulate_expert(simulator, attempt)
         assert done.outcome.success, done.outcome
-        states = [cloth.points(state.qpos) for state in done.states]
+        states = [cloth.points(state.qpos) for state in done.recorded_states]
         assert any(np.ptp(points[:, 2]) < 0.01 and _area(points) > 0.95 * 0.2**2 for points in states)
 
 
@@ -167,11 +167,11 @@ ONTO: dict[str, Any] = changed(
 
 
 def test_what_is_put_onto_cloth_lies_on_it_as_high_as_it_is_thick(tmp_path: Path) -> None:
-    with Simulators(session_of(tmp_path, ONTO)) as simulators:
+    with SimulatorCache(session_of(tmp_path, ONTO)) as simulators:
         simulator, attempt = first_attempt(simulators)
-        done = demonstrate(simulator, attempt)
+        done = simulate_expert(simulator, attempt)
         assert done.outcome.success, done.outcome
-        ended = done.states[-1].qpos
+        ended = done.recorded_states[-1].qpos
         assert attempt.start is not None
         address = simulator.scene.model.joint("cube").qposadr[0]
         higher = ended[address + 2] - attempt.start[address + 2]
@@ -189,25 +189,25 @@ def test_thirds_lie_on_each_other_and_what_is_folded_in_part_is_folded_on(tmp_pa
         },
         FOLD,
     )
-    with Simulators(session_of(tmp_path, thirds)) as simulators:
+    with SimulatorCache(session_of(tmp_path, thirds)) as simulators:
         simulator, attempt = first_attempt(simulators)
-        done = demonstrate(simulator, attempt)
+        done = simulate_expert(simulator, attempt)
         assert done.outcome.success, done.outcome
-        assert len(done.states) > 100
+        assert len(done.recorded_states) > 100
         cloth = simulator.scene.cloths["napkin"]
         # The first third, two cells of 25 mm, was folded alone; from there, the last third is folded.
         halfway = next(
             state.qpos
-            for state in done.states[40:]
+            for state in done.recorded_states[40:]
             if np.ptp(cloth.points(state.qpos)[:, 2]) < 0.007
             and not state.actions.magnet.any()
             and _area(cloth.points(state.qpos)) < 0.8 * _area(cloth.points(attempt.start))
         )
         start = attempt.start.copy()
         start[cloth.qpos] = halfway[cloth.qpos]
-        on = demonstrate(simulator, replace(attempt, start=start))
+        on = simulate_expert(simulator, replace(attempt, start=start))
         assert on.outcome.success, on.outcome
-        assert len(on.states) < 0.7 * len(done.states)
+        assert len(on.recorded_states) < 0.7 * len(done.recorded_states)
 
 
 def _area(points: np.ndarray) -> float:
@@ -216,11 +216,11 @@ def _area(points: np.ndarray) -> float:
 
 @pytest.mark.slow
 def test_hands_hold_cloth_only_while_they_close_on_it(tmp_path: Path) -> None:
-    with Simulators(session_of(tmp_path, FOLD)) as simulators:
+    with SimulatorCache(session_of(tmp_path, FOLD)) as simulators:
         simulator, attempt = first_attempt(simulators)
-        done = demonstrate(simulator, attempt)
+        done = simulate_expert(simulator, attempt)
         assert done.outcome.success, done.outcome
-        states = done.states
+        states = done.recorded_states
         acting = ActionSequence(
             *(np.concatenate([getattr(state.actions, key) for state in states]) for key in ("ctrl", "magnet", "joints"))
         )
@@ -228,8 +228,8 @@ def test_hands_hold_cloth_only_while_they_close_on_it(tmp_path: Path) -> None:
         assert held[0] > 0 and held[-1] < len(acting.magnet) - 1
         assert not acting.magnet[[0, -1]].any()
 
-        again = run_actions(simulator, attempt, replace(acting, magnet=np.zeros_like(acting.magnet)), EXPERT_RULES)
-        for one, other in zip(states, again.states, strict=True):
+        again = simulate_actions(simulator, attempt, replace(acting, magnet=np.zeros_like(acting.magnet)), EXPERT_RULES)
+        for one, other in zip(states, again.recorded_states, strict=True):
             assert np.array_equal(one.qpos, other.qpos)
             assert np.array_equal(one.actions.magnet, other.actions.magnet)
 
@@ -242,9 +242,9 @@ def test_hands_hold_cloth_only_while_they_close_on_it(tmp_path: Path) -> None:
         for arm in simulator.scene.arms:
             assert arm.fingers is not None
             ctrl[(held[0] + held[-1]) // 2 :, arm.fingers.ctrl] = arm.fingers.ctrl_range[1]
-        dropped = run_actions(simulator, attempt, replace(acting, ctrl=ctrl), REPLAY_RULES)
+        dropped = simulate_actions(simulator, attempt, replace(acting, ctrl=ctrl), REPLAY_RULES)
         assert not dropped.outcome.success
-        assert demonstrate(simulator, attempt, grips=False).outcome.cause is FailureCause.SLIPPED
+        assert simulate_expert(simulator, attempt, grips=False).outcome.cause is FailureCause.SLIPPED
 
 
 @pytest.mark.parametrize(

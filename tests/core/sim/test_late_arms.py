@@ -11,16 +11,16 @@ from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.config.scene import SceneConfig
 from yamsim_cli.core.files.resources import Locations
-from yamsim_cli.core.robots.dynamics import Dynamics, JointDynamics
+from yamsim_cli.core.robots.dynamics import JointDynamics, MeasuredArmDynamics
 from yamsim_cli.core.scene.build import build_rig_scene
 from yamsim_cli.core.scene.compiled import CompiledScene
 from yamsim_cli.core.sim.encoder_readings import delayed_positions, encoder_readings
 
-WHERE = Locations.find({})
+WHERE = Locations.from_environment({})
 STEP = 0.002
 
 
-def _scene(dynamics: Dynamics | None, timestep: float = STEP) -> CompiledScene:
+def _scene(dynamics: MeasuredArmDynamics | None, timestep: float = STEP) -> CompiledScene:
     rig = load_config(RigConfig, "rigs", "single", WHERE)
     arm = rig.arms[0].model_copy(update={"dynamics": dynamics})
     scene = load_config(SceneConfig, "scenes", "studio", WHERE)
@@ -30,7 +30,7 @@ def _scene(dynamics: Dynamics | None, timestep: float = STEP) -> CompiledScene:
 def _started(scene: CompiledScene) -> mujoco.MjData:
     data = mujoco.MjData(scene.model)
     qpos = scene.model.qpos0.copy()
-    qpos[scene.arm.joint_qpos] = 0.0, 1.4, 1.5, -0.3, 0.0, 0.0
+    qpos[scene.first_arm.joint_qpos] = 0.0, 1.4, 1.5, -0.3, 0.0, 0.0
     scene.reset(data, qpos)
     return data
 
@@ -38,17 +38,17 @@ def _started(scene: CompiledScene) -> mujoco.MjData:
 def _answers(scene: CompiledScene, steps: int = 40) -> np.ndarray:
     """Return joint 1 (steps,) after a command of 0.1 rad."""
     data = _started(scene)
-    data.ctrl[scene.arm.arm_ctrl[0]] += 0.1
+    data.ctrl[scene.first_arm.arm_ctrl[0]] += 0.1
     places = []
     for _ in range(steps):
         scene.step(data)
-        places.append(float(data.qpos[scene.arm.joint_qpos[0]]))
+        places.append(float(data.qpos[scene.first_arm.joint_qpos[0]]))
     return np.array(places)
 
 
 @pytest.mark.parametrize("steps", [1, 12])
 def test_a_command_acts_late_by_whole_steps_and_nothing_moves_before(steps: int) -> None:
-    late = _answers(_scene(Dynamics(revision="late", base="i2rt_yam", command_delay_ms=1000 * STEP * steps)))
+    late = _answers(_scene(MeasuredArmDynamics(revision="late", base="i2rt_yam", command_delay_ms=1000 * STEP * steps)))
 
     assert np.allclose(late[steps:], _answers(_scene(None))[:-steps], atol=1e-5)
     assert np.abs(late[:steps]).max() < 1e-6
@@ -56,7 +56,7 @@ def test_a_command_acts_late_by_whole_steps_and_nothing_moves_before(steps: int)
 
 def test_between_two_steps_a_delay_is_between() -> None:
     found = [
-        _answers(_scene(Dynamics(revision="late", base="i2rt_yam", command_delay_ms=delay)))[-1]
+        _answers(_scene(MeasuredArmDynamics(revision="late", base="i2rt_yam", command_delay_ms=delay)))[-1]
         for delay in (8.0, 9.0, 10.0)
     ]
 
@@ -66,36 +66,36 @@ def test_between_two_steps_a_delay_is_between() -> None:
 
 def test_an_arm_sags_by_what_its_gravity_compensation_lacks() -> None:
     joints = {"joint2": JointDynamics(gravity_factor=0.8, frictionloss=0.0)}
-    scene = _scene(Dynamics(revision="weak", base="i2rt_yam", joints=joints))
+    scene = _scene(MeasuredArmDynamics(revision="weak", base="i2rt_yam", joints=joints))
     data = _started(scene)
-    start = data.qpos[scene.arm.joint_qpos[1]]
+    start = data.qpos[scene.first_arm.joint_qpos[1]]
 
     scene.step(data, 1500)
 
-    weight = data.qfrc_gravcomp[scene.arm.joint_dof[1]]
-    sag = data.qpos[scene.arm.joint_qpos[1]] - start
-    assert sag == pytest.approx(-0.2 * weight / scene.arm.position_gain[1], rel=0.02)
+    weight = data.qfrc_gravcomp[scene.first_arm.joint_dof[1]]
+    sag = data.qpos[scene.first_arm.joint_qpos[1]] - start
+    assert sag == pytest.approx(-0.2 * weight / scene.first_arm.position_gain[1], rel=0.02)
     assert abs(sag) > 0.01
 
 
 def test_encoders_read_where_joints_were_and_begin_at_rest() -> None:
-    scene = _scene(Dynamics(revision="late", base="i2rt_yam", sensor_delay_ms=6.0))
+    scene = _scene(MeasuredArmDynamics(revision="late", base="i2rt_yam", sensor_delay_ms=6.0))
     data = _started(scene)
-    data.ctrl[scene.arm.arm_ctrl[0]] += 0.1
-    seen, were = [], [float(data.qpos[scene.arm.joint_qpos[0]])]
+    data.ctrl[scene.first_arm.arm_ctrl[0]] += 0.1
+    seen, were = [], [float(data.qpos[scene.first_arm.joint_qpos[0]])]
     for _ in range(30):
         scene.step(data)
         now = delayed_positions(scene, data)
         assert now is not None
         seen.append(now[0, 0])
-        were.append(float(data.qpos[scene.arm.joint_qpos[0]]))
+        were.append(float(data.qpos[scene.first_arm.joint_qpos[0]]))
 
     assert np.allclose(seen[3:], were[1:-3], atol=1e-12)
     assert seen[0] == were[0]
 
 
 def test_readings_are_off_by_offsets_come_in_steps_and_their_noise_is_the_attempts() -> None:
-    dynamics = Dynamics(
+    dynamics = MeasuredArmDynamics(
         revision="read",
         base="i2rt_yam",
         joints={"joint2": JointDynamics(offset_rad=0.02)},

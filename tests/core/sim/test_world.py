@@ -13,7 +13,7 @@ from tests.programs import STATION, changed, session_of
 from yamsim_cli.core.attempt_data import AttemptJob
 from yamsim_cli.core.config.goals.role_assignment import RoleAssignment
 from yamsim_cli.core.episode.expert import arm_sides
-from yamsim_cli.core.episode.simulator import Simulator, Simulators
+from yamsim_cli.core.episode.simulator import Simulator, SimulatorCache
 from yamsim_cli.core.expert.planning.arm_solvers import start_postures
 from yamsim_cli.core.expert.skills.hand import Hand
 from yamsim_cli.core.expert.skills.insert import Insert
@@ -99,7 +99,7 @@ def placed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[PlacedScene]:
     goal = {"on": {"thing": "cube", "surface": "tray"}}
     expert = [{"pick": {"thing": "cube"}}, {"place": {"thing": "cube", "on": "tray"}}]
     task = changed({("rig",): STATION, ("things",): things, ("starts",): starts, ("goal",): goal, ("expert",): expert})
-    with Simulators(session_of(tmp_path_factory.mktemp("task"), task)) as simulators:
+    with SimulatorCache(session_of(tmp_path_factory.mktemp("task"), task)) as simulators:
         simulator = simulators.get(AttemptJob(0, 0))
         data = mujoco.MjData(simulator.scene.model)
         yield PlacedScene(simulator, make_sim_world(simulator.scene, data, arm_sides(simulator.config)))
@@ -175,7 +175,7 @@ def test_things_are_put_within_the_walls_of_a_round_container(placed: PlacedScen
     """The corners of the box around a bowl are outside, where the table is lower than the bowl's floor."""
     placed.put("bowl", (0.4, 0.0, 0.0))
     bench = placed.bench()
-    goals = Insert(thing="ball", into="bowl").goals(
+    goals = Insert(thing="ball", into="bowl").goal_poses(
         bench, RoleAssignment({"ball": ("ball",), "bowl": ("bowl",)}, {}), "ball"
     )
     assert goals
@@ -188,10 +188,10 @@ def test_a_thing_goes_beside_another_one_in_a_container(placed: PlacedScene) -> 
     placed.put("cube", (0.4, 0.0, 0.03))
     bench = placed.bench()
     roles = RoleAssignment({"ball": ("ball",), "bin": ("bin",)}, {})
-    goals = Insert(thing="ball", into="bin").goals(bench, roles, "ball")
+    goals = Insert(thing="ball", into="bin").goal_poses(bench, roles, "ball")
     assert goals[0][2, 3] < bench.world.aabb("ball")[1][2] - bench.world.aabb("ball")[0][2]
     placed.put("ball", (0.4, 0.3, 0.1), rotation_from_vector([0.2, 0.0, 0.0]))
-    leaning = Insert(thing="ball", into="bin").goals(bench, roles, "ball")
+    leaning = Insert(thing="ball", into="bin").goal_poses(bench, roles, "ball")
     assert len(leaning) == 2 * len(goals) and leaning[-1][2, 2] == pytest.approx(np.cos(0.2))
 
 
@@ -200,8 +200,8 @@ def test_what_has_no_room_in_a_container_is_not_picked_for_it(placed: PlacedScen
     bench = placed.bench()
     roles = RoleAssignment({"box": ("box",), "bowl": ("bowl",)}, {})
     insert = Insert(thing="box", into="bowl")
-    assert not insert.goals(bench, roles, "box")
-    fault = insert.infeasibility(bench, roles, cast(Hand, None), "box", np.eye(4), np.zeros(6))
+    assert not insert.goal_poses(bench, roles, "box")
+    fault = insert.infeasibility_reason(bench, roles, cast(Hand, None), "box", np.eye(4), np.zeros(6))
     assert fault == "there is no room for it on or in the bowl"
 
 

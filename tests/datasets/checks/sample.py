@@ -16,7 +16,7 @@ from yamsim_cli.core.attempt_data import FullPose
 from yamsim_cli.core.dataset.checks.context import find_episodes, read_context
 from yamsim_cli.core.dataset.checks.problem import ProblemCollector
 from yamsim_cli.core.dataset.dataset_paths import episode_name, image_path, lowdim_path
-from yamsim_cli.core.dataset.lowdim import content_hash, dump_frame, frame_data
+from yamsim_cli.core.dataset.lowdim import content_hash, dump_frame, make_frame
 from yamsim_cli.core.dataset.records import (
     AttemptRecord,
     EpisodeRecord,
@@ -124,7 +124,7 @@ def episode(number: int, frames: int = FRAMES) -> Episode:
         part = k / max(1, frames - 1)
         banana = start * (1 - part) + (plate + np.array([0.002, 0, 0.02])) * part
         data.append(
-            frame_data(
+            make_frame(
                 joints=START_JOINTS + (0.05 * k + 0.01 * number) * np.array([[1, -1, -1, 1, 0.2, 1, -0.02]]),
                 timestamp=k * PERIOD,
                 intrinsics={CAMERA: Intrinsics.from_fovy(WIDTH, HEIGHT, 0.9).K},

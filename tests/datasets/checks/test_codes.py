@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from tests.datasets.checks.sample import CAMERA, HEIGHT, OUTCOME, WIDTH, Episode, SampleDataset, black, encode, picture
-from yamsim_cli.core.dataset.checks.problem import CODES
+from yamsim_cli.core.dataset.checks.problem import PROBLEM_CODES
 from yamsim_cli.core.dataset.lowdim import dump_frame
 from yamsim_cli.core.dataset.records import to_json
 from yamsim_cli.core.files.writing import sha256_bytes
@@ -337,7 +337,7 @@ DAMAGED_FILES: list[tuple[str, Callable[[Path], object], str, str]] = [
 TESTED_BELOW = {"episode.number", "file.unhashed", "frames.none", "dataset.empty"}
 # Codes that are tested in test_truth.py, test_plain.py and test_surveying.py.
 TESTED_ELSEWHERE = {"dataset.plain", "episode.gap", "episode.unchecked"} | {
-    code for code in CODES if code.startswith(("depth.", "segmentation.", "truth."))
+    code for code in PROBLEM_CODES if code.startswith(("depth.", "segmentation.", "truth."))
 }
 
 
@@ -365,7 +365,9 @@ def test_exactly_the_damage_to_files_is_reported(
 
 
 def test_every_code_is_tested() -> None:
-    assert {code for code, *_ in [*DAMAGED_SAMPLES, *DAMAGED_FILES]} | TESTED_BELOW | TESTED_ELSEWHERE == set(CODES)
+    assert {code for code, *_ in [*DAMAGED_SAMPLES, *DAMAGED_FILES]} | TESTED_BELOW | TESTED_ELSEWHERE == set(
+        PROBLEM_CODES
+    )
 
 
 def test_a_whole_dataset_has_no_problems(sample: SampleDataset, path: Path, found: Any) -> None:

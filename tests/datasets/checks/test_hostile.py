@@ -11,7 +11,7 @@ import pytest
 
 from tests.datasets.checks.sample import CAMERA, SampleDataset
 from tests.datasets.checks.test_codes import EP, FRAME, IMAGE, rehash, write
-from yamsim_cli.core.dataset.checks.problem import printable
+from yamsim_cli.core.dataset.checks.problem import printable_line
 from yamsim_cli.core.errors import DatasetError
 
 
@@ -111,7 +111,7 @@ def test_a_disk_that_refuses_is_an_error_of_the_dataset(
 
 
 def test_long_values_are_cut() -> None:
-    assert len(printable("x" * 10_000)) == 200
+    assert len(printable_line("x" * 10_000)) == 200
 
 
 def test_text_in_records_cannot_break_out(sample: SampleDataset, path: Path, survey_of: Any) -> None:

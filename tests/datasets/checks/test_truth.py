@@ -12,7 +12,7 @@ import pytest
 
 from tests.datasets.checks.sample import CAMERA, FRAMES, HEIGHT, WIDTH, SampleDataset
 from tests.datasets.checks.test_codes import EP, cut, remove, write
-from yamsim_cli.core.dataset.dataset_paths import TRUTH_LABELS, depth_name, segmentation_name, truth_name
+from yamsim_cli.core.dataset.dataset_paths import TRUTH_LABELS_FILE, depth_path, segmentation_path, truth_path
 from yamsim_cli.core.dataset.ground_truth_files import (
     KeypointRecord,
     LabelRecord,
@@ -32,19 +32,19 @@ LABELS = TruthLabels(
     objects=["banana"],
     keypoints=[KeypointRecord(name="joint1", body="link_1", kind="joint")],
 )
-DEPTH, SEGMENTATION = depth_name(CAMERA, 2), segmentation_name(CAMERA, 2)
+DEPTH, SEGMENTATION = depth_path(CAMERA, 2), segmentation_path(CAMERA, 2)
 
 
 def truth_files() -> dict[str, bytes]:
     """Ground truth files of one episode, in the right shapes; every frame differs a little."""
-    files = {TRUTH_LABELS: to_json(LABELS)}
+    files = {TRUTH_LABELS_FILE: to_json(LABELS)}
     for k in range(FRAMES):
         image = np.zeros((HEIGHT, WIDTH), np.uint8)
         image[10:30, 5 + k : 40] = 1
-        files[depth_name(CAMERA, k)] = dump_depth(image.astype(np.uint16) * 1000)
-        files[segmentation_name(CAMERA, k)] = encode_labels(image)
+        files[depth_path(CAMERA, k)] = dump_depth(image.astype(np.uint16) * 1000)
+        files[segmentation_path(CAMERA, k)] = encode_labels(image)
     arrays = {key: np.zeros(shape, dtype) for key, (dtype, shape) in array_specs(LABELS, FRAMES).items()}
-    return files | {truth_name(CAMERA): dump_arrays(arrays)}
+    return files | {truth_path(CAMERA): dump_arrays(arrays)}
 
 
 @pytest.fixture
@@ -61,7 +61,7 @@ def put(name: str, data: bytes) -> Callable[[SampleDataset], None]:
 
 
 def changed_arrays(**changes: Any) -> bytes:
-    arrays = load_truth(truth_files()[truth_name(CAMERA)])
+    arrays = load_truth(truth_files()[truth_path(CAMERA)])
     return dump_arrays({key: array for key, array in (arrays | changes).items() if array is not None})
 
 
@@ -78,12 +78,12 @@ BEFORE = [
     ("segmentation.decode", SEGMENTATION, cv2.imencode(".png", np.zeros((48, 64, 3), np.uint8))[1].tobytes(), ""),
     ("segmentation.size", SEGMENTATION, labels_of(10, 20), "20x10; valid: 64x48"),
     ("segmentation.label", SEGMENTATION, labels_of(HEIGHT, WIDTH, 9), "9; valid: 0 to 2"),
-    ("truth.damaged", TRUTH_LABELS, b"{}", "labels: Field required"),
-    ("truth.damaged", truth_name(CAMERA), b"no zip", "not a valid npz"),
-    ("truth.shape", truth_name(CAMERA), changed_arrays(boxes=None), "boxes is missing"),
-    ("truth.shape", truth_name(CAMERA), changed_arrays(boxes=np.zeros((5, 2, 4), np.int32)), "not int32 (6, 2, 4)"),
-    ("truth.shape", truth_name(CAMERA), changed_arrays(visibility=np.zeros((6, 1))), "visibility is float64"),
-    ("truth.shape", truth_name(CAMERA), changed_arrays(intrinsics=np.full((3, 3), np.nan)), "not finite"),
+    ("truth.damaged", TRUTH_LABELS_FILE, b"{}", "labels: Field required"),
+    ("truth.damaged", truth_path(CAMERA), b"no zip", "not a valid npz"),
+    ("truth.shape", truth_path(CAMERA), changed_arrays(boxes=None), "boxes is missing"),
+    ("truth.shape", truth_path(CAMERA), changed_arrays(boxes=np.zeros((5, 2, 4), np.int32)), "not int32 (6, 2, 4)"),
+    ("truth.shape", truth_path(CAMERA), changed_arrays(visibility=np.zeros((6, 1))), "visibility is float64"),
+    ("truth.shape", truth_path(CAMERA), changed_arrays(intrinsics=np.full((3, 3), np.nan)), "not finite"),
 ]
 
 
@@ -103,10 +103,10 @@ def test_exactly_what_was_spoiled_is_told(
     [
         (remove(f"{EP}/{DEPTH}"), "frames.gap", DEPTH),
         (remove(f"{EP}/{SEGMENTATION}"), "frames.gap", SEGMENTATION),
-        (remove(f"{EP}/{depth_name(CAMERA, 5)}"), "frames.count", f"depth/{CAMERA}"),
+        (remove(f"{EP}/{depth_path(CAMERA, 5)}"), "frames.count", f"depth/{CAMERA}"),
         (remove(f"{EP}/segmentation"), "frames.count", f"segmentation/{CAMERA}"),
-        (remove(f"{EP}/{TRUTH_LABELS}"), "file.missing", TRUTH_LABELS),
-        (remove(f"{EP}/{truth_name(CAMERA)}"), "file.missing", truth_name(CAMERA)),
+        (remove(f"{EP}/{TRUTH_LABELS_FILE}"), "file.missing", TRUTH_LABELS_FILE),
+        (remove(f"{EP}/{truth_path(CAMERA)}"), "file.missing", truth_path(CAMERA)),
         (cut(f"{EP}/{DEPTH}", 100), "depth.decode", DEPTH),
         (cut(f"{EP}/{SEGMENTATION}", -4), "segmentation.decode", SEGMENTATION),
         (write(f"{EP}/{SEGMENTATION}", labels_of(HEIGHT, WIDTH)), "file.hash", SEGMENTATION),
@@ -128,13 +128,13 @@ def test_whole_truth_has_no_problems(truthful: SampleDataset, path: Path, found:
 def test_cloth_that_labels_do_not_name_is_told(truthful: SampleDataset, path: Path, survey_of: Any) -> None:
     truthful.episodes[1].over["cloths"] = {"napkin": (9, 8)}
     problems = [p for p in survey_of(truthful.write(path)).problems if p.code.startswith("truth")]
-    assert [(p.code, p.episode, p.file) for p in problems] == [("truth.cloth", EP, TRUTH_LABELS)]
+    assert [(p.code, p.episode, p.file) for p in problems] == [("truth.cloth", EP, TRUTH_LABELS_FILE)]
     assert "no cloth; valid: napkin of 9 x 8 points" in problems[0].text
 
 
 def test_truth_that_was_never_written_is_missing(truthful: SampleDataset, path: Path, found: Any) -> None:
-    del truthful.episodes[1].others[TRUTH_LABELS]
-    assert found(truthful.write(path)) == [("truth.missing", EP, TRUTH_LABELS)]
+    del truthful.episodes[1].others[TRUTH_LABELS_FILE]
+    assert found(truthful.write(path)) == [("truth.missing", EP, TRUTH_LABELS_FILE)]
 
 
 def test_truth_that_the_record_does_not_speak_of_is_unexpected(sample: SampleDataset, path: Path, found: Any) -> None:

@@ -10,7 +10,7 @@ import pytest
 
 from tests.objects.certify.things import SampleObject, flap, pin
 from yamsim_cli.core.files.resources import Locations
-from yamsim_cli.objects.certify.certify import CHECKS, certify
+from yamsim_cli.objects.certify.certify import CHECKS, run_object_checks
 
 BLOCK, CUP, PASTA = "kitchen_distractor", "kitchen_cup", "kitchen_penne"
 
@@ -105,7 +105,7 @@ def found(
 ) -> dict[str, bool | None]:
     thing = SampleObject.of(name, locations)
     spoil(thing)
-    certified = certify(*thing.written(folder, locations), locations)
+    certified = run_object_checks(*thing.written(folder, locations), locations)
     return {code: outcome.ok for code, outcome in certified.outcomes.items()}
 
 
@@ -140,12 +140,15 @@ def test_a_flap_that_moves_freely_passes(tmp_path: Path, locations: Locations) -
 def test_figures_are_the_same_each_time(tmp_path: Path, locations: Locations) -> None:
     thing = SampleObject.of(BLOCK, locations)
     item, meshes = thing.written(tmp_path, locations)
-    assert certify(item, meshes, locations).to_json_data() == certify(item, meshes, locations).to_json_data()
+    assert (
+        run_object_checks(item, meshes, locations).to_json_data()
+        == run_object_checks(item, meshes, locations).to_json_data()
+    )
 
 
 def test_without_meshes_it_says_what_was_not_checked(tmp_path: Path, locations: Locations) -> None:
     item, _ = SampleObject.of(BLOCK, locations).written(tmp_path, locations)
-    certified = certify(item, {}, locations)
+    certified = run_object_checks(item, {}, locations)
     assert certified.ok
     for code in ("mesh.open", "mesh.inverted", "mass.density", "collision.differs", "hollow.filled"):
         assert certified.outcomes[code].ok is None

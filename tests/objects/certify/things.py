@@ -14,7 +14,7 @@ from yamsim_cli.core.config.objects.generated import generated_mesh_files, objec
 from yamsim_cli.core.config.objects.object_config import ObjectConfig
 from yamsim_cli.core.files.documents.yaml_document import dump_yaml, load_yaml
 from yamsim_cli.core.files.resources import Locations
-from yamsim_cli.core.geometry.stl import Faces, read_stl, stl_bytes
+from yamsim_cli.core.geometry.stl import Faces, decode_stl, encode_stl
 
 SET = "own-thing-000000000000"
 
@@ -36,11 +36,11 @@ class SampleObject:
     def of(cls, name: str, locations: Locations) -> SampleObject:
         """A kitchen object of one material."""
         data = load_yaml(locations.config_file("objects", name)).data
-        shape = ObjectConfig.read(locations.config_file("objects", name)).data
+        shape = ObjectConfig.read_document(locations.config_file("objects", name)).data
         config = parse_config(ObjectConfig, dump_yaml(shape), "test", locations)
         assert config.shape is not None
         files = generated_mesh_files(config.name, config.shape)
-        vertices, faces = read_stl(files[config.mesh.file])
+        vertices, faces = decode_stl(files[config.mesh.file])
         made = {"name": data["name"]} | object_from_shape(config.name, config.shape)
         made["mesh"] = {**made["mesh"], "set": SET, "file": "body.stl"}
         made.pop("meshes", None)
@@ -49,7 +49,7 @@ class SampleObject:
 
     def written(self, folder: Path, locations: Locations) -> tuple[ObjectConfig, Mapping[str, Path | None]]:
         """Return its config and its mesh's folder."""
-        (folder / "body.stl").write_bytes(stl_bytes(self.vertices, self.faces))
+        (folder / "body.stl").write_bytes(encode_stl(self.vertices, self.faces))
         return parse_config(ObjectConfig, dump_yaml(self.data), "test", locations), {SET: folder}
 
 

@@ -13,7 +13,7 @@ from tests.malformed import malformed
 from tests.mugs import has_import_extra
 from yamsim_cli.core.errors import ResourceError, YamsimError
 from yamsim_cli.core.files.untrusted.confined_folder import ConfinedFolder
-from yamsim_cli.core.files.untrusted.refusals import CODES, RefusedError
+from yamsim_cli.core.files.untrusted.refusals import REFUSAL_CODES, RefusedError
 from yamsim_cli.objects.readers.object_reader import UnitOptions, read_object
 from yamsim_cli.objects.readers.reader_process import read_file
 
@@ -35,7 +35,7 @@ def test_no_malformed_file_hangs_crashes_or_shows_a_traceback(tmp_path: Path) ->
             said = str(error)
             found = re.search(r"\[([a-z-]+)\]$", said)
             assert found is not None, f"{path.name}: {said}"
-            assert found[1] in CODES and "\n" not in said, f"{path.name}: {said}"
+            assert found[1] in REFUSAL_CODES and "\n" not in said, f"{path.name}: {said}"
             assert found[1] not in ("crashed", "too-slow"), f"{path.name}: {said}"
         assert time.monotonic() - start < LIMIT, path.name
         if code is not None:

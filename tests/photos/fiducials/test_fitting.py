@@ -22,7 +22,7 @@ def picture() -> np.ndarray:
 def test_motion_spreads_a_point_evenly_along_a_line(motion: tuple[float, float]) -> None:
     point = np.zeros((61, 61), np.float32)
     point[30, 30] = 1.0
-    seen = BlurKernel(0.7, motion).apply(point)
+    seen = BlurKernel(0.7, motion).blur_picture(point)
     assert seen.sum() == pytest.approx(1.0, abs=1e-4)
     y, x = np.mgrid[-30:31, -30:31]
     assert (seen * x).sum() == pytest.approx(0.0, abs=1e-3)
@@ -37,7 +37,7 @@ def test_derivatives_by_the_motion_are_those_of_small_steps() -> None:
     slopes = BlurKernel(1.0, (5.0, -3.0)).motion_derivatives(sharp)
     for k in (0, 1):
         by = step * np.eye(2)[k]
-        ahead, back = (BlurKernel(1.0, tuple((motion + sign * by).tolist())).apply(sharp) for sign in (1, -1))
+        ahead, back = (BlurKernel(1.0, tuple((motion + sign * by).tolist())).blur_picture(sharp) for sign in (1, -1))
         numeric = (ahead - back) / (2 * step)
         inner = np.s_[10:-10, 10:-10]
         assert np.corrcoef(numeric[inner].ravel(), slopes[k][inner].ravel())[0, 1] > 0.97
@@ -45,7 +45,7 @@ def test_derivatives_by_the_motion_are_those_of_small_steps() -> None:
 
 def test_a_column_moves_its_own_markers_and_the_size_moves_all_edges() -> None:
     board = Board("wide", 0, 3, 2, "DICT_6X6_250", 0.03, 0.003)
-    corners = board.corners()[..., :2]
+    corners = board.marker_corners()[..., :2]
     for k, marker in enumerate(corners):
         row, column = divmod(k, 3)
         by_x, by_y = placement_modes(board, marker)

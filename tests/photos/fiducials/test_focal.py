@@ -52,12 +52,12 @@ def holds(found: FocalEstimate, focal: float) -> bool:
 
 
 def test_two_boards_from_a_slant() -> None:
-    true = CameraModel.pinhole(*SIZE, 740.0)
+    true = CameraModel.from_focal_length(*SIZE, 740.0)
     photo = photograph(true, [(ONE, facing(0.02, 0.01, 0.4, 0.8, 0.2)), (TWO, facing(-0.14, 0, 0.5, -0.6, 0.3))])
     found = estimate_focal(find_outlines(photo, [ONE, TWO]), SIZE)
     assert found.reason == ""
     assert found.low < 740 < found.high < 1.1 * found.low
-    assert found.low < found.camera.focal < found.high
+    assert found.low < found.camera.mean_focal_length < found.high
     # The interval follows from the sigma, as far as an asymmetric one can.
     assert math.log(found.high / found.low) == pytest.approx(2 * 1.96 * found.camera.focal_sigma, rel=0.25)
 
@@ -66,7 +66,7 @@ def test_two_boards_from_a_slant() -> None:
 @pytest.mark.parametrize("tilt", [0.0, 0.02])
 def test_a_photo_from_the_front_leaves_the_focal_length_open(size: tuple[int, int], focal: float, tilt: float) -> None:
     """Any lens explains such a photo; a long one used to be taken for a usual one, twenty per cent of doubt or not."""
-    camera, distance = CameraModel.pinhole(*size, focal), 0.45 * focal / size[0]
+    camera, distance = CameraModel.from_focal_length(*size, focal), 0.45 * focal / size[0]
     photo = photograph(camera, [(ONE, facing(0.0, 0.0, distance, tilt, 0.01))])
     found = estimate_focal(find_outlines(photo, [ONE]), size)
     assert found.reason.endswith(ADVICE)
@@ -75,7 +75,7 @@ def test_a_photo_from_the_front_leaves_the_focal_length_open(size: tuple[int, in
 
 
 def test_without_a_board_no_focal_length_is_estimated() -> None:
-    found = estimate_focal(find_outlines(photograph(CameraModel.pinhole(*SIZE, 600.0), []), [ONE]), SIZE)
+    found = estimate_focal(find_outlines(photograph(CameraModel.from_focal_length(*SIZE, 600.0), []), [ONE]), SIZE)
     assert (found.low, found.high, found.reason) == (None, None, "no board determines the focal length")
 
 
@@ -91,7 +91,7 @@ def test_without_a_board_no_focal_length_is_estimated() -> None:
 def test_the_reason_names_the_focal_lengths_that_remain_possible(
     focal: float, sigma: float, tilt: float, part: str
 ) -> None:
-    camera, T = CameraModel.pinhole(*SIZE, focal), facing(0.0, 0.0, 0.9 * focal / 600, tilt, 0.0)
+    camera, T = CameraModel.from_focal_length(*SIZE, focal), facing(0.0, 0.0, 0.9 * focal / 600, tilt, 0.0)
     found = estimate_focal(outlines(camera, [T], sigma), SIZE)
     assert part in found.reason
     assert ADVICE in found.reason
@@ -99,7 +99,7 @@ def test_the_reason_names_the_focal_lengths_that_remain_possible(
 
 
 def test_several_photos_tell_more_and_one_from_a_slant_settles_it() -> None:
-    camera = CameraModel.pinhole(*SIZE, 600.0)
+    camera = CameraModel.from_focal_length(*SIZE, 600.0)
     front = [facing(0.05 * k, 0, 0.6, 0.0, 0.02) for k in range(3)]
     slant = facing(0.0, 0.05, 0.6, 0.8, 0.1)
     assert estimate_focal(outlines(camera, front), SIZE).reason.endswith(ADVICE)
@@ -108,7 +108,7 @@ def test_several_photos_tell_more_and_one_from_a_slant_settles_it() -> None:
 
 
 def test_many_photos_never_claim_more_than_lenses_allow() -> None:
-    camera = CameraModel.pinhole(*SIZE, 600.0)
+    camera = CameraModel.from_focal_length(*SIZE, 600.0)
     many = [facing(0.1 * math.cos(k), 0.1 * math.sin(k), 0.5, 0.8 * math.cos(k), 0.8 * math.sin(k)) for k in range(8)]
     found = estimate_focal(outlines(camera, many, 0.005), SIZE)
     assert 0.003 <= found.camera.focal_sigma < 0.006
@@ -117,8 +117,8 @@ def test_many_photos_never_claim_more_than_lenses_allow() -> None:
 
 def test_photos_of_two_lenses_are_not_forced_into_one() -> None:
     slants = [facing(0.0, 0.02, 0.5, 0.9, 0.1), facing(0.03, 0.0, 0.5, -0.8, 0.4)]
-    short = outlines(CameraModel.pinhole(*SIZE, 560.0), slants)
-    long = outlines(CameraModel.pinhole(*SIZE, 900.0), slants)
+    short = outlines(CameraModel.from_focal_length(*SIZE, 560.0), slants)
+    long = outlines(CameraModel.from_focal_length(*SIZE, 900.0), slants)
     assert estimate_focal(short, SIZE).reason == ""
     found = estimate_focal([*short, *long], SIZE)
     assert found.reason.startswith("no single focal length explains the boards")
@@ -126,7 +126,7 @@ def test_photos_of_two_lenses_are_not_forced_into_one() -> None:
 
 
 def test_a_calibrated_cameras_interval_is_its_files() -> None:
-    found = known_focal(CameraModel.pinhole(*SIZE, 600.0, 0.01))
+    found = known_focal(CameraModel.from_focal_length(*SIZE, 600.0, 0.01))
     assert found.reason == ""
     assert (found.low, found.high) == (pytest.approx(600 * math.exp(-0.0196), 1e-4), pytest.approx(611.9, 1e-4))
 
@@ -147,11 +147,13 @@ def test_intervals_hold_the_truth(locations: Locations, photos: int) -> None:
             seen += [outline(camera, board, T, sigma, rng) for board, T in boards]
         found = estimate_focal(seen, (camera.width, camera.height))
         if found.reason:
-            refused_held.append(holds(found, camera.focal))
+            refused_held.append(holds(found, camera.mean_focal_length))
             continue
         good += 1
-        held += holds(found, camera.focal)
-        worst = max(worst, abs(math.log(found.camera.focal / camera.focal)) / found.camera.focal_sigma)
+        held += holds(found, camera.mean_focal_length)
+        worst = max(
+            worst, abs(math.log(found.camera.mean_focal_length / camera.mean_focal_length)) / found.camera.focal_sigma
+        )
     assert good > 0.7 * calls
     # With a coverage of 95 %, fewer hold about once in a hundred runs.
     assert held >= 0.87 * good

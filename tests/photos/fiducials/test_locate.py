@@ -15,14 +15,14 @@ from tools.bench.print_shape import photo_of
 from yamsim_cli.core.errors import ConfigError
 from yamsim_cli.core.geometry.board import Board
 from yamsim_cli.core.geometry.camera import CameraModel
-from yamsim_cli.core.geometry.se3 import Array, inverse, pose, rotation_from_vector, rotation_vector
+from yamsim_cli.core.geometry.se3 import Array, invert_pose, pose, rotation_from_vector, rotation_vector
 from yamsim_cli.photos.fiducials import markers
 from yamsim_cli.photos.fiducials.board_detection import BoardDetection, BoardStatus, PoseLimits
-from yamsim_cli.photos.fiducials.board_localization import locate_boards, locate_together, with_pose
+from yamsim_cli.photos.fiducials.board_localization import locate_boards, locate_boards_together, with_pose
 from yamsim_cli.photos.fiducials.fitting.blur_kernel import BlurKernel
 from yamsim_cli.photos.fiducials.fitting.pose_alignment import align_pose
 from yamsim_cli.photos.fiducials.fitting.print_view import PrintPiece
-from yamsim_cli.photos.fiducials.markers import find_markers, seen_ids
+from yamsim_cli.photos.fiducials.markers import find_markers, sorted_marker_ids
 
 WEBCAM = replace(
     CAMERA, K=((600.0, 0, 330.0), (0, 598.0, 231.0), (0, 0, 1.0)), distortion=(-0.28, 0.09, 1e-3, -1e-3, 0)
@@ -51,7 +51,7 @@ def assert_exact(sighting: BoardDetection, truth: Array) -> None:
 def test_a_located_board_matches_its_true_pose(camera: CameraModel, where: tuple[float, ...]) -> None:
     sighting = seen(photograph(camera, [(ONE, facing(*where))]), camera=camera)
     assert sighting.status is BoardStatus.OK
-    assert sighting.markers == ONE.ids
+    assert sighting.markers == ONE.marker_ids
     assert_exact(sighting, facing(*where))
     assert sighting.reprojection_rms < 0.05
 
@@ -104,7 +104,7 @@ def test_a_board_of_another_dictionary_is_not_found_and_what_was_read_is_told() 
     photo = photograph(CAMERA, [(replace(ONE, dictionary="DICT_4X4_250"), LEFT), (TWO, RIGHT)])
     sightings, markers = locate_boards(photo, CAMERA, [ONE])
     assert (sightings[0].status, sightings[0].markers) == (BoardStatus.NOT_FOUND, ())
-    assert seen_ids(markers) == list(TWO.ids)
+    assert sorted_marker_ids(markers) == list(TWO.marker_ids)
 
 
 def test_a_dictionary_that_opencv_has_not_is_a_config_error() -> None:
@@ -117,7 +117,7 @@ def test_what_is_hidden_makes_it_less_certain(hidden: int) -> None:
     """A hand or a cable: grey over the last markers."""
     photo = photograph(CAMERA, [(ONE, facing(0, 0, 0.4))])
     whole = seen(photo)
-    corners = ONE.corners()[9 - hidden :].reshape(-1, 3)
+    corners = ONE.marker_corners()[9 - hidden :].reshape(-1, 3)
     T = facing(0, 0, 0.4)
     in_cam = corners @ T[:3, :3].T + T[:3, 3]
     pixels = (in_cam[:, :2] / in_cam[:, 2:] * 600 + (319.5, 239.5)).reshape(-1, 4, 2)
@@ -129,7 +129,7 @@ def test_what_is_hidden_makes_it_less_certain(hidden: int) -> None:
         # A single marker may be refused, never guessed.
         assert hidden == 8
         return
-    assert part.markers == ONE.ids[: 9 - hidden]
+    assert part.markers == ONE.marker_ids[: 9 - hidden]
     assert part.rotation_sigma > whole.rotation_sigma * 1.2
     shift, turn = errors(part, T)
     assert shift < 3 * part.position_sigma
@@ -171,7 +171,7 @@ def test_a_longer_lens_moves_the_pose_as_the_uncertainty_says() -> None:
     truth = facing(0.2, 0.1, 0.6)
     photo = photograph(CAMERA, [(ONE, truth)])
     right = seen(photo, camera=replace(CAMERA, focal_sigma=0.01))
-    longer = seen(photo, camera=CameraModel.pinhole(640, 480, 600 * math.exp(0.01)))
+    longer = seen(photo, camera=CameraModel.from_focal_length(640, 480, 600 * math.exp(0.01)))
     shift = longer.T_board_in_cam[:3, 3] - right.T_board_in_cam[:3, 3]
     turn = rotation_vector(longer.T_board_in_cam[:3, :3] @ right.T_board_in_cam[:3, :3].T)
     assert np.abs(shift - right.shared_errors[3:, 0]).max() < 1e-4
@@ -209,10 +209,10 @@ def test_boards_that_lie_so_together_pin_each_other() -> None:
     truth = facing(-0.15, 0.0, 0.8)
     photo = photograph(CAMERA, [(ONE, truth), (TWO, truth @ apart)], noise=4.0)
     alone, _ = locate_boards(photo, CAMERA, [ONE, TWO])
-    joint = locate_together(photo, CAMERA, alone, [np.eye(4), apart])
+    joint = locate_boards_together(photo, CAMERA, alone, [np.eye(4), apart])
     assert_exact(joint[0], truth)
     T_one, T_two = joint[0].T_board_in_cam, joint[1].T_board_in_cam
-    assert inverse(T_one) @ T_two == pytest.approx(apart, abs=1e-12)
+    assert invert_pose(T_one) @ T_two == pytest.approx(apart, abs=1e-12)
     assert joint[0].rotation_sigma is not None
     assert alone[0].rotation_sigma is not None
     # The known distance between the boards reduces the uncertainty of distance from the print's size.
@@ -228,7 +228,7 @@ def test_together_the_prints_size_is_found_rather_than_believed(larger: float) -
     photo = photograph(CAMERA, [(printed[0], truth), (printed[1], truth @ apart)])
     alone, _ = locate_boards(photo, CAMERA, [ONE, TWO])
     assert errors(alone[0], truth)[0] > 1.5e-3
-    joint = locate_together(photo, CAMERA, alone, [np.eye(4), apart])
+    joint = locate_boards_together(photo, CAMERA, alone, [np.eye(4), apart])
     assert_exact(joint[0], truth)
 
 
@@ -237,8 +237,8 @@ def test_boards_that_do_not_lie_as_the_rig_says_have_no_common_pose() -> None:
     truth = facing(-0.12, 0.0, 0.8)
     photo = photograph(CAMERA, [(ONE, truth), (TWO, truth @ pose((0.255, 0.0, 0.0)))])
     alone, _ = locate_boards(photo, CAMERA, [ONE, TWO])
-    assert locate_together(photo, CAMERA, alone, [np.eye(4), pose((0.25, 0.0, 0.0))]) is None
-    assert locate_together(photo, CAMERA, alone, [np.eye(4), pose((0.255, 0.0, 0.0))]) is not None
+    assert locate_boards_together(photo, CAMERA, alone, [np.eye(4), pose((0.25, 0.0, 0.0))]) is None
+    assert locate_boards_together(photo, CAMERA, alone, [np.eye(4), pose((0.255, 0.0, 0.0))]) is not None
 
 
 def test_a_pose_from_elsewhere_gets_its_own_reprojection() -> None:
@@ -305,7 +305,7 @@ def test_what_lies_beside_a_blurred_print_does_not_pull_it() -> None:
     assert np.linalg.norm(fit.T_ref_in_cam[:3, 3] - truth[:3, 3]) < 2e-3
 
 
-LARGE = CameraModel.pinhole(7200, 5400, 6500.0)
+LARGE = CameraModel.from_focal_length(7200, 5400, 6500.0)
 # The first board's markers, 60 px, are about the smallest that the detector reads in a photo of this size.
 LARGE_PLACED = ((ONE, facing(-0.4, 0.3, 3.0, 0.3, 0.2)), (TWO, facing(0.2, 0.0, 1.2, 0.6, -0.2)))
 
@@ -331,8 +331,8 @@ def test_photos_show_the_same_markers_at_a_size_the_detector_needs(
     monkeypatch.setattr(markers, "REDUCED_SIDE", 10**6)
     whole = {one.id: one.corners for one in find_markers(large_photo, ["DICT_6X6_250"])["DICT_6X6_250"]}
     assert sizes == [(3072, 4096), (5400, 7200)]
-    assert set(found) >= set(whole) >= set(TWO.ids)
-    assert set(found) & set(ONE.ids)
+    assert set(found) >= set(whole) >= set(TWO.marker_ids)
+    assert set(found) & set(ONE.marker_ids)
     # Only the start of the search; a pixel there is 1.8 px here.
     assert max(np.abs(found[number] - whole[number]).max() for number in whole) < 4.0
 

@@ -11,16 +11,16 @@ import pytest
 from tests.board_photos import CAMERA, ONE, TWO, facing, photograph, picture, pose_error, with_noise
 from tests.strangers import KINDS, stranger
 from yamsim_cli.core.geometry.board import Board
-from yamsim_cli.core.geometry.se3 import Array, inverse, pose, rotation_from_vector
+from yamsim_cli.core.geometry.se3 import Array, invert_pose, pose, rotation_from_vector
 from yamsim_cli.photos.fiducials.board_detection import BoardStatus
 from yamsim_cli.photos.fiducials.board_localization import locate_boards
 from yamsim_cli.photos.fiducials.fitting.blur_kernel import BlurKernel
 from yamsim_cli.photos.fiducials.fitting.print_view import PrintPiece, print_plane, view_print
 from yamsim_cli.photos.fiducials.recognition.board_candidates import (
     board_quads,
-    candidates,
     dark_quads,
     edge_quads,
+    oriented_candidates,
     refine_candidates,
 )
 from yamsim_cli.photos.fiducials.recognition.marker_bits import marker_bits, measure_evidence, most_significant_markers
@@ -67,7 +67,7 @@ def test_chance_is_bounded_as_it_says() -> None:
 def test_a_dark_patch_on_a_light_table_is_a_suspect(where: tuple[float, ...]) -> None:
     truth = facing(*where)
     photo = photograph(CAMERA, [(ONE, truth)])
-    found = candidates(photo, ONE, dark_quads(photo, whole=True))
+    found = oriented_candidates(photo, ONE, dark_quads(photo, whole=True))
     cell = np.sqrt(cv2.contourArea(corners_of(ONE, truth).astype(np.float32))) / 26
     assert np.abs(found[0].corners - corners_of(ONE, truth)).max() < 2 * cell
     assert found[0].agreement > 6
@@ -81,7 +81,7 @@ def test_on_a_dark_table_the_grid_of_markers_is_one() -> None:
     corners = corners_of(ONE, truth)
     cv2.circle(dark, tuple(np.round(corners[0]).astype(int).tolist()), 16, 90, -1)
     grids = board_quads(dark_quads(dark, whole=False), ONE)
-    found = candidates(dark, ONE, grids)
+    found = oriented_candidates(dark, ONE, grids)
     assert found[0].agreement > 6
     assert np.abs(found[0].corners - corners).max() < 4
     (seen,), _ = locate_boards(dark, CAMERA, [ONE])
@@ -97,8 +97,8 @@ def test_on_ground_that_is_darker_than_its_print_a_board_is_a_patch_full_of_edge
     # Other objects give the photo its range of brightness.
     clean[:, :60], clean[:60] = 20, 230
     photo = with_noise(clean)
-    assert not candidates(photo, ONE, dark_quads(photo, whole=True))
-    assert not candidates(photo, ONE, board_quads(dark_quads(photo, whole=False), ONE))
+    assert not oriented_candidates(photo, ONE, dark_quads(photo, whole=True))
+    assert not oriented_candidates(photo, ONE, board_quads(dark_quads(photo, whole=False), ONE))
     (found, *_) = refine_candidates(photo, ONE, edge_quads(photo))
     assert np.abs(found.corners - corners).max() < 1
     (seen,), _ = locate_boards(photo, CAMERA, [ONE])
@@ -149,7 +149,7 @@ def test_the_same_print_twice_is_refused_even_if_it_cannot_be_read() -> None:
 def test_unknown_prints_are_not_recognized_as_a_board(kind: str) -> None:
     for k in range(2):
         photo = stranger(np.random.default_rng([1, k]), kind, ONE)
-        for seen in locate_boards(photo, CAMERA, [ONE, TWO], [np.eye(4), inverse(pose((0.3, 0, 0)))])[0]:
+        for seen in locate_boards(photo, CAMERA, [ONE, TWO], [np.eye(4), invert_pose(pose((0.3, 0, 0)))])[0]:
             assert seen.T_board_in_cam is None
             assert seen.advice or seen.is_duplicated
 

@@ -11,10 +11,10 @@ import pytest
 
 from tests.board_photos import CAMERA, facing, photograph, picture, with_noise
 from yamsim_cli.core.config.rig import RigConfig
-from yamsim_cli.core.geometry.se3 import Array, inverse, pose
+from yamsim_cli.core.geometry.se3 import Array, invert_pose, pose
 from yamsim_cli.photos.lens_distortion import project_points
 from yamsim_cli.photos.overlay.photo_arm_poses import RigInPhoto, find_arms
-from yamsim_cli.photos.overlay.photo_cameras import PhotoCamera, unknown_lens
+from yamsim_cli.photos.overlay.photo_cameras import PhotoCamera, estimate_camera
 from yamsim_cli.photos.overlay.photos import Photo
 
 # Both boards lie between the arms: the middle of the rig, slightly rotated.
@@ -27,7 +27,7 @@ def boards_of(rig: RigConfig, which: tuple[int, ...] = (0, 1)) -> list:
     placed = []
     for k in which:
         board = rig.arms[k].board
-        placed.append((board.board, T_WORLD_IN_CAM @ rig.T_base_in_world(k) @ rig.arms[k].T_board_in_base))
+        placed.append((board.board_in_metres, T_WORLD_IN_CAM @ rig.T_base_in_world(k) @ rig.arms[k].T_board_in_base))
     return placed
 
 
@@ -58,7 +58,7 @@ def test_each_arm_is_located_by_its_own_board(russet: RigConfig, clean: np.ndarr
     assert max(shift_mm(result, russet, k) for k in (0, 1)) < 1.0
     assert result.ids == tuple(range(217, 235))
     assert result.notes == ()
-    assert set(result.bases) == {0, 1}
+    assert set(result.base_poses) == {0, 1}
 
 
 def test_the_margin_is_measured_with_its_uncertainty(russet: RigConfig, clean: np.ndarray) -> None:
@@ -90,7 +90,7 @@ def test_together_the_arms_stand_as_the_rig_says(russet: RigConfig, clean: np.nd
     grey = with_noise(clean, noise=6.0)
     alone, joint = found(russet, grey), found(russet, grey, trust=True)
     T_one, T_two = joint.arms[0].T_base_in_cam, joint.arms[1].T_base_in_cam
-    assert inverse(T_one) @ T_two == pytest.approx(inverse(base(russet, 0)) @ base(russet, 1), abs=1e-9)
+    assert invert_pose(T_one) @ T_two == pytest.approx(invert_pose(base(russet, 0)) @ base(russet, 1), abs=1e-9)
     # The measured values stay.
     assert (joint.margin, joint.margin_sigma) == (alone.margin, alone.margin_sigma)
     # Each marker may be 0.03 mm off its place on the print, so noise moves a pose 1.5 times as far as for exact prints.
@@ -136,7 +136,7 @@ def test_a_board_is_looked_for_where_the_photo_before_had_it(russet: RigConfig) 
 
 def test_a_photo_without_boards_gives_no_pose(russet: RigConfig) -> None:
     result = found(russet, photograph(CAMERA, []), trust=True)
-    assert (result.bases, result.ids) == ({}, ())
+    assert (result.base_poses, result.ids) == ({}, ())
     assert [arm.status for arm in result.arms] == ["not_found", "not_found"]
 
 
@@ -152,7 +152,7 @@ def test_a_recorded_pose_stands_in_for_a_board_that_is_not_seen(russet: RigConfi
     assert [arm.status for arm in result.arms] == ["recorded", "recorded"]
     apart = np.linalg.inv(russet.T_base_in_world(0)) @ russet.T_base_in_world(1)
     assert result.arms[1].T_base_in_cam == pytest.approx(apart), "where the rig has it beside the first one"
-    assert result.bases[0] == pytest.approx(np.eye(4))
+    assert result.base_poses[0] == pytest.approx(np.eye(4))
     # A visible board is more accurate.
     assert found(russet, with_noise(clean), photo=recorded).arms[0].status == "ok"
 
@@ -166,7 +166,7 @@ def test_a_print_that_is_not_as_the_rig_says_is_told(russet: RigConfig) -> None:
     assert note.startswith("arm1's markers lie ") and "marker_length_mm and gap_mm" in note
     far_off = found(russet, photograph(CAMERA, [(replace(board, gap=2 * board.gap), T), other]))
     assert [arm.status for arm in far_off.arms] == ["uncertain", "ok"]
-    assert set(far_off.bases) == {1}
+    assert set(far_off.base_poses) == {1}
     refused = far_off.arms[0].detection
     assert "marker_length_mm or gap_mm" in refused.reason
     assert far_off.notes == ()
@@ -181,7 +181,7 @@ def test_an_unknown_camera_of_several_photos(russet: RigConfig, clean: np.ndarra
             asked.append(k)
             yield np.dstack([grey] * 3)
 
-    lens = unknown_lens(images(), (480, 640), russet)
+    lens = estimate_camera(images(), (480, 640), russet)
     assert (lens.camera.width, lens.camera.height) == (640, 480)
     assert lens.focal.low < 600 < lens.focal.high < 1.2 * lens.focal.low
     assert asked == [0, 1, 2]
@@ -195,7 +195,7 @@ def test_a_print_of_another_size_is_told_by_the_other_board(russet: RigConfig, s
     grey = with_noise(picture(CAMERA, [(one, T_one), (printed, T_two)]))
     for trust in (False, True):
         result = found(russet, grey, trust)
-        assert result.bases == {}
+        assert result.base_poses == {}
         for arm in result.arms:
             assert arm.status == "poor_fit"
             told = re.search(r"has ([\d.]+) % of its size in the rig", arm.detection.reason)
@@ -209,4 +209,4 @@ def test_arms_that_stand_elsewhere_have_no_print_of_another_size(russet: RigConf
         T_moved = T_two.copy()
         T_moved[:3, 3] += T_two[:3, :3] @ shift
         result = found(russet, with_noise(picture(CAMERA, [(one, T_one), (two, T_moved)])))
-        assert set(result.bases) == {0, 1}
+        assert set(result.base_poses) == {0, 1}

@@ -13,7 +13,7 @@ from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.rendering import RenderConfig
 from yamsim_cli.core.config.scene import SceneConfig
 from yamsim_cli.core.files.resources import Locations
-from yamsim_cli.core.geometry.se3 import Array, inverse, pose, rotation_from_vector
+from yamsim_cli.core.geometry.se3 import Array, invert_pose, pose, rotation_from_vector
 from yamsim_cli.core.images.image_files import to_grey
 from yamsim_cli.photos.lens_distortion import project_points
 from yamsim_cli.photos.overlay.outline_fit import mask_iou, refine_poses, score_outlines
@@ -64,7 +64,7 @@ def test_a_pose_that_is_off_by_pixels_is_brought_back(
     off = {k: moved(russet_shot.T_base_in_cam(k), shift, turn) for k in (0, 1)}
     better = refine_poses(with_poses(russet_shot, off), renderer, russet_shot.stands, grey, together=False)
     for k in (0, 1):
-        before, after = miss_px(russet_shot, k, off[k]), miss_px(russet_shot, k, better.bases[k])
+        before, after = miss_px(russet_shot, k, off[k]), miss_px(russet_shot, k, better.base_poses[k])
         assert before > 3.0
         assert after < before / 5
 
@@ -72,9 +72,9 @@ def test_a_pose_that_is_off_by_pixels_is_brought_back(
 def test_arms_with_a_trusted_margin_are_corrected_by_one_motion(russet_shot: RigPhoto, renderer: ArmRenderer) -> None:
     grey = to_grey(russet_shot.image)
     off = {k: moved(russet_shot.T_base_in_cam(k), (0.008, 0.0, 0.0), (0, 0, 0)) for k in (0, 1)}
-    apart = inverse(off[0]) @ off[1]
-    better = refine_poses(with_poses(russet_shot, off), renderer, russet_shot.stands, grey, together=True).bases
-    assert inverse(better[0]) @ better[1] == pytest.approx(apart, abs=1e-9)
+    apart = invert_pose(off[0]) @ off[1]
+    better = refine_poses(with_poses(russet_shot, off), renderer, russet_shot.stands, grey, together=True).base_poses
+    assert invert_pose(better[0]) @ better[1] == pytest.approx(apart, abs=1e-9)
     for k in (0, 1):
         assert miss_px(russet_shot, k, better[k]) < miss_px(russet_shot, k, off[k]) / 5
 
@@ -82,7 +82,7 @@ def test_arms_with_a_trusted_margin_are_corrected_by_one_motion(russet_shot: Rig
 def test_an_arm_without_a_pose_stays_so(russet_shot: RigPhoto, renderer: ArmRenderer) -> None:
     one = with_poses(russet_shot, {1: russet_shot.T_base_in_cam(1)})
     better = refine_poses(one, renderer, russet_shot.stands, to_grey(russet_shot.image), together=False)
-    assert list(better.bases) == [1]
+    assert list(better.base_poses) == [1]
     assert better.arms[0] == one.arms[0]
 
 
@@ -91,7 +91,7 @@ def test_the_score_says_how_many_pixels_it_is_off(russet_shot: RigPhoto, rendere
     scores = []
     for mm in (0, 4, 8):
         poses = {k: moved(russet_shot.T_base_in_cam(k), (0.001 * mm, 0, 0), (0, 0, 0)) for k in (0, 1)}
-        renderer.pose(poses, russet_shot.stands)
+        renderer.set_poses(poses, russet_shot.stands)
         result = score_outlines(with_poses(russet_shot, poses), renderer, grey)
         scores.append(result.edge_residual)
         assert all(arm.edge_residual is not None for arm in result.arms)
@@ -103,9 +103,9 @@ def test_the_score_says_how_many_pixels_it_is_off(russet_shot: RigPhoto, rendere
 
 def test_an_arm_in_front_of_the_other_is_not_blamed_for_it(russet_shot: RigPhoto, renderer: ArmRenderer) -> None:
     """Labels say which arm is visible, and an outline stops where the other arm covers it."""
-    renderer.pose({k: russet_shot.T_base_in_cam(k) for k in (0, 1)}, russet_shot.stands)
+    renderer.set_poses({k: russet_shot.T_base_in_cam(k) for k in (0, 1)}, russet_shot.stands)
     both = renderer.flat_labels()
-    renderer.pose({0: russet_shot.T_base_in_cam(0)}, russet_shot.stands)
+    renderer.set_poses({0: russet_shot.T_base_in_cam(0)}, russet_shot.stands)
     one = renderer.flat_labels()
     assert set(np.unique(both)) == {0, 1, 2}
     assert set(np.unique(one)) == {0, 1}

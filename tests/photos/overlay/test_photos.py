@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from yamsim_cli.core.config.rig import RigConfig
-from yamsim_cli.core.dataset.lowdim import dump_frame, frame_data
+from yamsim_cli.core.dataset.lowdim import dump_frame, make_frame
 from yamsim_cli.core.errors import ConfigError, DatasetError, ResourceError, UsageError
-from yamsim_cli.core.geometry.se3 import inverse, pose, rotation_z
+from yamsim_cli.core.geometry.se3 import invert_pose, pose, rotation_z
 from yamsim_cli.photos.overlay.photos import episode_photos, find_mask, find_photos
 
 JOINTS = [0.3, 1.2, 1.0, -0.2, 0.1, 0.4, 0.02]
@@ -80,7 +80,7 @@ def test_a_photo_is_not_its_own_mask(tmp_path: Path) -> None:
 
 def frame(**changes: Any) -> dict[str, Any]:
     cameras = ("scene_camera", "right_wrist_camera")
-    data = frame_data(
+    data = make_frame(
         joints=np.array([JOINTS]),
         timestamp=0.0,
         intrinsics=dict.fromkeys(cameras, K),
@@ -114,11 +114,11 @@ def test_an_episode_knows_its_camera_its_pose_and_its_joints(episode: Path, sing
     assert [photo.path.name for photo in photos] == ["000000.jpg", "000001.jpg", "000002.jpg"]
     assert {photo.path.parent.name for photo in photos} == {"scene_camera"}
     last = photos[2]
-    assert (last.camera.width, last.camera.height, last.camera.focal) == (64, 48, 60.0)
+    assert (last.camera.width, last.camera.height, last.camera.mean_focal_length) == (64, 48, 60.0)
     (stand,) = last.postures
     assert [*stand.joints, stand.opening] == pytest.approx(np.array(JOINTS) + 0.02, abs=1e-6)
     assert last.joints_source == "episode"
-    assert last.T_base_in_cam == pytest.approx(inverse(T_CAM), abs=1e-6)
+    assert last.T_base_in_cam == pytest.approx(invert_pose(T_CAM), abs=1e-6)
     assert photos[0].camera == last.camera
 
 

@@ -13,7 +13,7 @@ import pytest
 
 from yamsim_cli.core.errors import UsageError
 from yamsim_cli.datasets.leaderboard_page import leaderboard_page
-from yamsim_cli.policies.evaluate.compare import compare_reports, mcnemar, read_report
+from yamsim_cli.policies.evaluate.compare import compare_reports, mcnemar_p_value, read_report
 
 
 def report(name: str, good: str) -> dict[str, Any]:
@@ -46,9 +46,9 @@ def test_the_p_value_is_that_of_the_exact_sign_test() -> None:
     for n in range(1, 11):
         uneven = np.array([abs(2 * sum(coins) - n) for coins in itertools.product((0, 1), repeat=n)])
         for k in range(n + 1):
-            assert mcnemar(k, n - k) == pytest.approx((uneven >= abs(2 * k - n)).mean())
-    assert mcnemar(0, 0) == 1.0
-    assert mcnemar(3000, 2000) < 1e-40
+            assert mcnemar_p_value(k, n - k) == pytest.approx((uneven >= abs(2 * k - n)).mean())
+    assert mcnemar_p_value(0, 0) == 1.0
+    assert mcnemar_p_value(3000, 2000) < 1e-40
 
 
 def test_trials_are_paired() -> None:

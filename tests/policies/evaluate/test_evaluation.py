@@ -20,7 +20,7 @@ from yamsim_cli.core.dataset.records import OutcomeRecord
 from yamsim_cli.core.episode.attempt_payload import frame_records
 from yamsim_cli.core.episode.episode_rules import EndRule, EpisodeRules
 from yamsim_cli.core.episode.simulator import Simulator, open_episode
-from yamsim_cli.core.episode.trials import run_batch
+from yamsim_cli.core.episode.trials import run_expert_trials
 from yamsim_cli.core.errors import PartialJobError, UsageError
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.policies.evaluate.evaluation import (
@@ -79,7 +79,7 @@ def outcomes(report: dict[str, Any]) -> list[Any]:
 @pytest.mark.slow
 def test_the_scripted_policy_does_exactly_what_the_batch_does(strict: RecordConfig, locations: Locations) -> None:
     """All numbers of every success, and causes of failures, for any number of workers."""
-    batch = run_batch(Session(strict, locations), (0.05,), lambda *_: None)
+    batch = run_expert_trials(Session(strict, locations), (0.05,), lambda *_: None)
     found = evaluate(Session(strict, locations), PolicyChoice("scripted", SAMPLES, end=EndRule.ACTOR), lambda *_: None)
     report = json.loads(json.dumps(evaluation_report(found, strict, (0.05,))))
     batch = json.loads(json.dumps(batch))
@@ -117,12 +117,12 @@ def test_the_closed_loop_is_the_simulation_bit_for_bit(config: RecordConfig, loc
         done = planned(simulator, 0, 3)
         assert done.attempt.start is not None
         episode = open_episode(simulator, done.attempt, EpisodeRules())
-        for state in done.states:
+        for state in done.recorded_states:
             np.testing.assert_array_equal(episode.data.qpos, state.qpos)
             for ctrl, magnet in zip(state.actions.ctrl, state.actions.magnet, strict=True):
-                episode.step(ctrl[simulator.scene.drives], magnet)
-        np.testing.assert_array_equal(episode.actions.magnet, all_actions(done.states).magnet)
-        assert episode.actions.magnet.any()
+                episode.step(ctrl[simulator.scene.recorded_drive_ctrl], magnet)
+        np.testing.assert_array_equal(episode.executed_actions.magnet, all_actions(done.recorded_states).magnet)
+        assert episode.executed_actions.magnet.any()
 
 
 def test_the_weld_does_not_reach_across_the_table(config: RecordConfig, trial: Callable[..., TrialResult]) -> None:
@@ -272,7 +272,7 @@ def test_an_observation_says_where_everything_is(config: RecordConfig, locations
         seen = type(runner.policy).seen[0]  # type: ignore[attr-defined]
     with Simulator(Session(config, locations)) as simulator:
         done = planned(simulator, 0)
-        frame = frame_records(simulator, done.attempt, done.states[:1])[0]
+        frame = frame_records(simulator, done.attempt, done.recorded_states[:1])[0]
         T_base = simulator.scene.T_base_in_world
     np.testing.assert_allclose(seen["joints"], frame["joints"], atol=1e-6)
     np.testing.assert_allclose(seen["gripper"], frame["joints"][6], atol=1e-6)

@@ -44,7 +44,7 @@ class RecordingClient:
         self.answer = answer
         self.asked: list[Mapping[str, Any]] = []
 
-    def begin(self, seed: int) -> None:
+    def begin_trial(self, seed: int) -> None:
         self.seed = seed
 
     def infer(self, message: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -233,7 +233,7 @@ def expert_plans(config: RecordConfig, locations: Locations) -> tuple[list[Trial
             job = AttemptJob(config.seed, attempt)
             results.append(result := runner.run(job))
             assert result.actions is not None
-            told = result.actions.ctrl[:, runner.simulators.get(job).scene.drives].copy()
+            told = result.actions.ctrl[:, runner.simulators.get(job).scene.recorded_drive_ctrl].copy()
             told[:, :, -1] /= np.array(where.openings)
             rows = np.concatenate([told.reshape(len(told), -1), result.actions.magnet], axis=1)
             plans[(job.seed * 1_000_003 + job.attempt) % 2**32] = rows

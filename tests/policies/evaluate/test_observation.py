@@ -99,7 +99,7 @@ def test_the_clock_stands_still_while_a_policy_waits_for_yamsim() -> None:
     caller = PolicyCaller(0.5, SAMPLES)
 
     def look() -> str:
-        with caller.paused():
+        with caller.paused_limit():
             time.sleep(0.8)
         return "seen"
 
@@ -173,7 +173,7 @@ def test_privileged_state_reaches_policies_that_request_it(
         seen = list(type(runner.policy).seen)  # type: ignore[attr-defined]
     with Simulator(Session(config, locations)) as simulator:
         done = planned(simulator, 0)
-        frame = frame_records(simulator, done.attempt, done.states[:1])[0]
+        frame = frame_records(simulator, done.attempt, done.recorded_states[:1])[0]
         T_base = simulator.scene.T_base_in_world
     for key, item in (("T_object_in_world", "banana"), ("T_target_in_world", "plate")):
         np.testing.assert_allclose(seen[0][key], T_base @ frame[f"{item}_pose"], atol=1e-6)
@@ -181,7 +181,7 @@ def test_privileged_state_reaches_policies_that_request_it(
     assert speeds.shape == joints.shape
     np.testing.assert_array_equal(speeds[0], 0)
     # Motion of the joints equals the mean of the speeds at both ends; also of the fingers.
-    moved, said = np.diff(joints, axis=0), (speeds[:-1] + speeds[1:]) / 2 * config.task.timing.tick
+    moved, said = np.diff(joints, axis=0), (speeds[:-1] + speeds[1:]) / 2 * config.task.timing.tick_seconds
     for number in range(joints.shape[1] // 7):
         for joint in (7 * number, 7 * number + 6):
             assert abs(moved[:, joint].sum()) > 0.005

@@ -14,7 +14,7 @@ from yamsim_cli.core.attempt_data import AttemptJob
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.session import Session
 from yamsim_cli.core.episode.episode_rules import EndRule
-from yamsim_cli.core.episode.trials import run_batch
+from yamsim_cli.core.episode.trials import run_expert_trials
 from yamsim_cli.core.errors import UsageError
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.policies.evaluate.evaluation import evaluate, evaluation_report
@@ -63,7 +63,7 @@ def test_the_plans_actions_do_what_the_batch_does(
     name: str, locations: Locations, request: pytest.FixtureRequest
 ) -> None:
     config: RecordConfig = request.getfixturevalue(name)
-    batch = run_batch(Session(config, locations), (0.05,), lambda *_: None)
+    batch = run_expert_trials(Session(config, locations), (0.05,), lambda *_: None)
     found = evaluate(Session(config, locations), PolicyChoice("scripted", HERE, end=EndRule.ACTOR), lambda *_: None)
     report = json.loads(json.dumps(evaluation_report(found, config, (0.05,))))
     assert report["stats"]["n_success"] == 2

@@ -7,13 +7,13 @@ import pytest
 
 from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.real.gap.joint_curves import (
+    GRID_STEP,
     PHASES,
-    STEP,
     estimate_delay,
     find_command_stops,
     joints_at_rest,
     motion_phases,
-    overshoot,
+    overshoot_after_stop,
     smooth_curves,
 )
 
@@ -55,10 +55,12 @@ def test_a_stop_is_found_with_its_direction() -> None:
         commands = smooth_curves(times, sign * trapezoid(times), steps=True)
         (stop,) = find_command_stops(commands, 0)
         assert stop.direction == sign
-        assert stop.begin * STEP == pytest.approx(4.45, abs=0.15)
+        assert stop.begin * GRID_STEP == pytest.approx(4.45, abs=0.15)
         bump = 0.03 * np.exp(-(((commands.times - 4.7) / 0.05) ** 2))
-        assert overshoot(sign * (trapezoid(commands.times)[:, 0] + bump), stop) == pytest.approx(0.03, abs=2e-3)
-        assert overshoot(sign * trapezoid(commands.times)[:, 0], stop) == pytest.approx(0, abs=1e-6)
+        assert overshoot_after_stop(sign * (trapezoid(commands.times)[:, 0] + bump), stop) == pytest.approx(
+            0.03, abs=2e-3
+        )
+        assert overshoot_after_stop(sign * trapezoid(commands.times)[:, 0], stop) == pytest.approx(0, abs=1e-6)
 
 
 def test_a_pause_is_no_stop() -> None:
@@ -90,4 +92,4 @@ def test_motions_that_have_nothing_in_common_have_no_delay() -> None:
 def test_commands_stay_until_the_next_one() -> None:
     times = np.array([0.0, 0.1, 0.2])
     held = smooth_curves(times, np.array([[0.0], [1.0], [2.0]]), steps=True)
-    assert held.values[round(0.09 / STEP), 0] == 0 and held.values[round(0.1 / STEP), 0] == 1
+    assert held.values[round(0.09 / GRID_STEP), 0] == 0 and held.values[round(0.1 / GRID_STEP), 0] == 1

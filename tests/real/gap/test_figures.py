@@ -17,7 +17,7 @@ from yamsim_cli.core.errors import DatasetError
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.core.recorded_motion import RecordedMotion
-from yamsim_cli.core.robots.dynamics import Dynamics
+from yamsim_cli.core.robots.dynamics import MeasuredArmDynamics
 from yamsim_cli.core.scene.build import build_rig_scene
 from yamsim_cli.real.gap.gap_figures import MotionGap, measure_gap
 from yamsim_cli.real.recordings.motion_reading import read_motions
@@ -71,7 +71,7 @@ def test_friction_makes_a_gap_that_grows_with_it() -> None:
     sizes = []
     for factor in (1.2, 2.0):
         rough = new_scene()
-        rough.model.dof_frictionloss[rough.arm.joint_dof] *= factor
+        rough.model.dof_frictionloss[rough.first_arm.joint_dof] *= factor
         found = measure_gap(rig_scene(), plant(rough, TIMES, [swings(TIMES)]))
         sizes.append([joint.error.rms for joint in found.joints])
     assert (np.array(sizes[0]) > 4 * PERFECT).all()
@@ -180,7 +180,7 @@ def test_an_arm_that_acts_late_begins_as_its_episode_did(
     locations: Locations, config: RecordConfig, tmp_path: Path
 ) -> None:
     """An episode's drives hold the start until the first command acts."""
-    dynamics = Dynamics(revision="late", base="i2rt_yam", command_delay_ms=23.8, sensor_delay_ms=4.0)
+    dynamics = MeasuredArmDynamics(revision="late", base="i2rt_yam", command_delay_ms=23.8, sensor_delay_ms=4.0)
     arm = config.rig.arms[0].model_copy(update={"dynamics": dynamics})
     rig = config.rig.model_copy(update={"arms": (arm,)})
     write_dataset(tmp_path / "dataset", config.model_copy(update={"rig": rig}), locations, 1)

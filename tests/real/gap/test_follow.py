@@ -132,7 +132,7 @@ def test_drives_that_act_late_begin_with_the_first_command(made: RecordedMotion)
         model=spec.compile(),
         arms=(
             replace(
-                scene.arm,
+                scene.first_arm,
                 joint_qpos=np.array([0]),
                 joint_dof=np.array([0]),
                 arm_ctrl=np.array([0]),

@@ -12,15 +12,15 @@ from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.config.scene import SceneConfig
 from yamsim_cli.core.files.resources import Locations
-from yamsim_cli.core.robots.dynamics import Dynamics, JointDynamics
+from yamsim_cli.core.robots.dynamics import JointDynamics, MeasuredArmDynamics
 from yamsim_cli.core.scene.build import build_rig_scene
 from yamsim_cli.real.gap.gap_figures import measure_gap
-from yamsim_cli.real.identify.excitation import CollisionSpace, Excitation, commands_csv, excite, log_csv
-from yamsim_cli.real.identify.identification import check_usable
+from yamsim_cli.real.identify.excitation import CollisionSpace, Excitation, commands_csv, generate_excitation, log_csv
+from yamsim_cli.real.identify.identification import check_logs_usable
 from yamsim_cli.real.identify.plant_model import ArmLog, ParametricArm
 from yamsim_cli.real.recordings.csv_file import read_csv
 
-WHERE = Locations.find({})
+WHERE = Locations.from_environment({})
 SCENE = load_config(SceneConfig, "scenes", "tabletop", WHERE)
 
 
@@ -31,7 +31,7 @@ def _rig(name: str) -> RigConfig:
 
 @cache
 def _excitation(name: str, number: int = 0, seed: int = 0) -> Excitation:
-    return excite(_rig(name), number, SCENE, WHERE, 30.0, seed)
+    return generate_excitation(_rig(name), number, SCENE, WHERE, 30.0, seed)
 
 
 @pytest.mark.parametrize(("name", "number"), [("single", 0), ("bimanual", 1), ("yam_pro+linear_4310", 0)])
@@ -57,17 +57,17 @@ def test_touching_poses_are_detected() -> None:
 
 
 def test_every_joint_is_excited_in_every_third_of_it() -> None:
-    found = excite(_rig("single"), 0, SCENE, WHERE, 60.0, 3)
+    found = generate_excitation(_rig("single"), 0, SCENE, WHERE, 60.0, 3)
     log = ArmLog("log", found.times, found.commands, found.commands, None)
 
     for start in (0.0, 20.0, 40.0):
-        check_usable([log.slice_time(start, start + 20)], _rig("single").arms[0].robot.joint_names)
+        check_logs_usable([log.slice_time(start, start + 20)], _rig("single").arms[0].robot.joint_names)
 
 
 def test_a_motion_starts_and_ends_at_rest_in_one_pose_and_follows_from_its_seed() -> None:
     found, again, other = (
         _excitation("single"),
-        excite(_rig("single"), 0, SCENE, WHERE, 30.0, 0),
+        generate_excitation(_rig("single"), 0, SCENE, WHERE, 30.0, 0),
         _excitation("single", 0, 1),
     )
 
@@ -98,7 +98,7 @@ def test_the_files_hold_commands_and_simulated_readings(tmp_path: Path) -> None:
 def test_an_arm_that_is_simulated_by_its_own_revision_has_no_gap(tmp_path: Path) -> None:
     rig, found = _rig("single"), _excitation("single")
     joints = {"joint2": JointDynamics(damping=0.4, offset_rad=0.01, gravity_factor=1.05)}
-    dynamics = Dynamics(
+    dynamics = MeasuredArmDynamics(
         revision="mine", base="i2rt_yam", joints=joints, command_delay_ms=21.3, sensor_delay_ms=3.7, tip_mass_g=50
     )
     mine = rig.model_copy(update={"arms": (rig.arms[0].model_copy(update={"dynamics": dynamics}),)})
@@ -115,6 +115,6 @@ def test_an_arm_that_is_simulated_by_its_own_revision_has_no_gap(tmp_path: Path)
 def test_a_plants_values_are_its_models() -> None:
     plant = ParametricArm(_rig("single").arms[0])
 
-    assert np.allclose(plant.values.armature, [0.032] * 3 + [0.0018] * 3)
-    assert np.allclose(plant.values.friction, 0.1)
-    assert plant.values.delay == 0
+    assert np.allclose(plant.model_values.armature, [0.032] * 3 + [0.0018] * 3)
+    assert np.allclose(plant.model_values.friction, 0.1)
+    assert plant.model_values.delay == 0

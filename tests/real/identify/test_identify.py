@@ -15,16 +15,16 @@ from yamsim_cli.core.errors import DatasetError
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.core.recorded_motion import ArmMotion, RecordedMotion
-from yamsim_cli.core.robots.dynamics import Dynamics, JointDynamics
+from yamsim_cli.core.robots.dynamics import JointDynamics, MeasuredArmDynamics
 from yamsim_cli.real.identify import parameter_fit as fitting
-from yamsim_cli.real.identify.estimates import NAMES, Estimate, estimate_parameters, half_widths
-from yamsim_cli.real.identify.excitation import excite
-from yamsim_cli.real.identify.identification import check_usable, identify, revised_dynamics
+from yamsim_cli.real.identify.estimates import ESTIMATE_NAMES, Estimate, estimate_parameters, interval_half_widths
+from yamsim_cli.real.identify.excitation import generate_excitation
+from yamsim_cli.real.identify.identification import check_logs_usable, identify_arms, revised_dynamics
 from yamsim_cli.real.identify.parameter_fit import FitParameter, all_parameters, fit_parameters
 from yamsim_cli.real.identify.plant_model import ArmLog, LogSimulation, ParametricArm, PlantParameters
 
 JOINTS = tuple(f"joint{k}" for k in range(1, 7))
-WHERE = Locations.find({})
+WHERE = Locations.from_environment({})
 RIG = load_config(RigConfig, "rigs", "single", WHERE)
 ARM = RIG.arms[0]
 
@@ -33,9 +33,9 @@ def _planted(**changes: object) -> TrueParameters:
     plant = ParametricArm(ARM)
     base = TrueParameters(
         delay=0.0,
-        friction=plant.values.friction,
+        friction=plant.model_values.friction,
         damping=np.zeros(6),
-        armature=plant.values.armature,
+        armature=plant.model_values.armature,
         offset=np.zeros(6),
         gravity=np.ones(6),
         law="tanh",
@@ -66,7 +66,7 @@ def test_planted_values_are_found_of_one_joint_with_the_delay(monkeypatch: pytes
     monkeypatch.setattr(fitting, "all_parameters", _some)
     monkeypatch.setattr(fitting, "FINE_TIMESTEP", 0.002)
     friction, damping, offset, gravity = (
-        ParametricArm(ARM).values.friction.copy(),
+        ParametricArm(ARM).model_values.friction.copy(),
         np.zeros(6),
         np.zeros(6),
         np.ones(6),
@@ -93,7 +93,7 @@ def test_poses_tell_an_offset_from_a_gravity_factor(monkeypatch: pytest.MonkeyPa
     for times, commands in (moving, still):
         motion = drive(ARM, _planted(), times, commands, np.random.default_rng(0))
         fitted = fit_parameters(ARM, [ArmLog.from_motion(motion, motion.arms[0])])
-        halves = dict(zip([each.name for each in fitted.parameters], half_widths(fitted), strict=True))
+        halves = dict(zip([each.name for each in fitted.parameters], interval_half_widths(fitted), strict=True))
         widths.append(halves["offset"])
 
     assert widths[0] < 0.1 * widths[1]
@@ -103,9 +103,9 @@ def test_a_simulated_log_is_followed_by_its_own_values() -> None:
     plant = ParametricArm(ARM)
     times, commands = _commands(12.0)
     log = ArmLog("log", times, commands, commands, None)
-    read = LogSimulation(plant, log).simulate(plant.values, plain=True)
+    read = LogSimulation(plant, log).simulate(plant.model_values, plain=True)
 
-    again = LogSimulation(plant, replace(log, joints=read)).simulate(plant.values, plain=True)
+    again = LogSimulation(plant, replace(log, joints=read)).simulate(plant.model_values, plain=True)
 
     # It starts at the measured joints, which are the commanded ones.
     assert np.abs(again - read).max() < 1e-9
@@ -115,9 +115,12 @@ def test_finer_steps_change_little_and_late_commands_act_late() -> None:
     times, commands = _commands(3.0)
     log = ArmLog("log", times, commands, commands, None)
     coarse, fine = ParametricArm(ARM), ParametricArm(ARM, 0.0005)
-    late = replace(coarse.values, delay=0.02)
+    late = replace(coarse.model_values, delay=0.02)
 
-    at_once, finer = LogSimulation(coarse, log).simulate(coarse.values), LogSimulation(fine, log).simulate(fine.values)
+    at_once, finer = (
+        LogSimulation(coarse, log).simulate(coarse.model_values),
+        LogSimulation(fine, log).simulate(fine.model_values),
+    )
     later = LogSimulation(coarse, log).simulate(late)
 
     assert np.abs(at_once - finer).max() < 1e-3
@@ -136,7 +139,7 @@ def test_fingers_follow_the_log_and_are_closed_without_it() -> None:
         log = ArmLog.from_motion(
             motion := RecordedMotion("log.csv", times, (ArmMotion("", commands, commands, **seen),)), motion.arms[0]
         )
-        return LogSimulation(plant, log).simulate(plant.values)
+        return LogSimulation(plant, log).simulate(plant.model_values)
 
     told, measured, unknown = followed(commanded_openings=opened), followed(openings=sparse), followed()
     closed = followed(openings=np.full(len(times), fingers.range[0]))
@@ -148,7 +151,7 @@ def test_fingers_follow_the_log_and_are_closed_without_it() -> None:
 
 
 def test_a_revision_of_a_revision_keeps_parameters_that_no_log_determines() -> None:
-    was = Dynamics(
+    was = MeasuredArmDynamics(
         revision="first",
         base="i2rt_yam",
         joints={"joint2": JointDynamics(kp=35.0, damping=0.2)},
@@ -161,7 +164,7 @@ def test_a_revision_of_a_revision_keeps_parameters_that_no_log_determines() -> N
     told = [
         Estimate(
             "" if each.joint is None else ARM.robot.joint_names[each.joint],
-            NAMES[each.name],
+            ESTIMATE_NAMES[each.name],
             number,
             0,
             0,
@@ -169,13 +172,13 @@ def test_a_revision_of_a_revision_keeps_parameters_that_no_log_determines() -> N
             True,
         )
         for each in all_parameters(plant)
-        if each.name in NAMES
-        for number in [fitting.parameter_value(plant.values, each)]
+        if each.name in ESTIMATE_NAMES
+        for number in [fitting.parameter_value(plant.model_values, each)]
     ]
 
     found = revised_dynamics(plant, was, told)
 
-    assert plant.values.delay == pytest.approx(0.016)
+    assert plant.model_values.delay == pytest.approx(0.016)
     assert (found.command_delay_ms, found.sensor_delay_ms) == (pytest.approx(16.0), 0.0)
     assert (found.tip_mass_g, found.encoder_step_rad) == (80, 0.0004)
     assert found.joint("joint2").kp == 35.0
@@ -186,14 +189,18 @@ def test_intervals_are_wide_where_a_log_says_nothing() -> None:
     plant = ParametricArm(ARM)
     times, commands = _commands(5.0)
     log = ArmLog("log", times, commands, commands, None)
-    joints = LogSimulation(plant, log).simulate(plant.values) + np.random.default_rng(0).normal(0, 1e-4, commands.shape)
+    joints = LogSimulation(plant, log).simulate(plant.model_values) + np.random.default_rng(0).normal(
+        0, 1e-4, commands.shape
+    )
     run = LogSimulation(plant, replace(log, joints=joints))
     problem_parameters = all_parameters(plant)
-    errors = run.simulate(plant.values) - joints
+    errors = run.simulate(plant.model_values) - joints
     slopes = np.stack(
         [
             run.simulate(
-                fitting.replace_value(plant.values, each, fitting.parameter_value(plant.values, each) + each.scale)
+                fitting.replace_value(
+                    plant.model_values, each, fitting.parameter_value(plant.model_values, each) + each.scale
+                )
             )
             - joints
             - errors
@@ -201,7 +208,9 @@ def test_intervals_are_wide_where_a_log_says_nothing() -> None:
         ],
         axis=-1,
     )
-    fitted = fitting.FitResult(plant.values, problem_parameters, errors, slopes, np.full(6, 1e4), times, np.ones(6))
+    fitted = fitting.FitResult(
+        plant.model_values, problem_parameters, errors, slopes, np.full(6, 1e4), times, np.ones(6)
+    )
 
     told = {(each.joint, each.name): each for each in estimate_parameters(plant, fitted)}
 
@@ -218,7 +227,7 @@ def test_a_log_without_commands_and_one_in_degrees_are_refused() -> None:
     times, commands = _commands(12.0)
 
     def identified(arm: ArmMotion) -> None:
-        identify(RIG, [RecordedMotion("log.csv", times, (arm,))], [], "mine")
+        identify_arms(RIG, [RecordedMotion("log.csv", times, (arm,))], [], "mine")
 
     with pytest.raises(DatasetError, match=r"log\.csv: has no commands"):
         identified(ArmMotion("", commands))
@@ -231,20 +240,23 @@ def test_a_joint_that_stands_still_is_named() -> None:
     commands[:, 4] = 0.2
 
     with pytest.raises(DatasetError, match="joint5 hardly moves"):
-        identify(RIG, [RecordedMotion("log.csv", times, (ArmMotion("", commands, commands),))], [], "mine")
+        identify_arms(RIG, [RecordedMotion("log.csv", times, (ArmMotion("", commands, commands),))], [], "mine")
 
 
 @pytest.mark.slow
 def test_an_arm_that_differs_is_identified_and_the_held_out_gap_falls() -> None:
     scene = load_config(SceneConfig, "scenes", "tabletop", WHERE)
-    motion = excite(RIG, 0, scene, WHERE, 40.0, 0)
+    motion = generate_excitation(RIG, 0, scene, WHERE, 40.0, 0)
     plant = ParametricArm(ARM)
     rng = np.random.default_rng(2)
     planted = _planted(
-        delay=0.021, friction=1.5 * plant.values.friction, damping=0.3 * plant.kv, offset=rng.uniform(-0.02, 0.02, 6)
+        delay=0.021,
+        friction=1.5 * plant.model_values.friction,
+        damping=0.3 * plant.kv,
+        offset=rng.uniform(-0.02, 0.02, 6),
     )
 
-    found = identify(RIG, [drive(ARM, planted, motion.times, motion.commands, rng)], [], "mine")[0]
+    found = identify_arms(RIG, [drive(ARM, planted, motion.times, motion.commands, rng)], [], "mine")[0]
 
     by = {(each.joint, each.name): each for each in found.estimates}
     assert by["", "delay_s"].value == pytest.approx(0.021, abs=0.002)
@@ -252,9 +264,9 @@ def test_an_arm_that_differs_is_identified_and_the_held_out_gap_falls() -> None:
         assert by[joint, "friction_nm"].value == pytest.approx(planted.friction[k], rel=0.05)
         assert by[joint, "damping_nms"].value == pytest.approx(planted.damping[k], rel=0.15)
         assert by[joint, "offset_rad"].value == pytest.approx(planted.offset[k], abs=np.radians(0.2))
-    assert found.gap.reduction > 0.8
-    assert found.dynamics == Dynamics.model_validate(found.dynamics.model_dump())
-    assert isinstance(plant.values, PlantParameters)
+    assert found.held_out_error.relative_reduction > 0.8
+    assert found.dynamics == MeasuredArmDynamics.model_validate(found.dynamics.model_dump())
+    assert isinstance(plant.model_values, PlantParameters)
 
 
 def _swinging(seconds: float, seed: int = 0) -> tuple[Array, Array]:
@@ -281,7 +293,7 @@ def test_a_joint_that_is_badly_excited_is_named_with_what_to_record(seed: int) -
     )[kind]
 
     with pytest.raises(DatasetError) as caught:
-        check_usable([_log(times, joints)], JOINTS)
+        check_logs_usable([_log(times, joints)], JOINTS)
 
     assert f"joint{joint + 1} {fault}" in str(caught.value)
     assert remedy in str(caught.value)
@@ -295,12 +307,12 @@ def test_a_joint_that_only_others_shake_is_named() -> None:
     joints[:, 3] = commands[:, 3] + 0.06 * np.sin(20 * times)
 
     with pytest.raises(DatasetError, match="joint4"):
-        check_usable([ArmLog("log.csv", times, commands, joints, None)], JOINTS)
+        check_logs_usable([ArmLog("log.csv", times, commands, joints, None)], JOINTS)
 
 
 @pytest.mark.parametrize("seed", range(5))
 def test_a_log_in_which_all_joints_swing_is_taken(seed: int) -> None:
-    check_usable([_log(*_swinging(30.0, seed))], JOINTS)
+    check_logs_usable([_log(*_swinging(30.0, seed))], JOINTS)
 
 
 def test_logs_complement_each_other() -> None:
@@ -308,7 +320,7 @@ def test_logs_complement_each_other() -> None:
     still = joints.copy()
     still[:, 2] = 0.0
 
-    check_usable([_log(times, still), _log(times, joints)], JOINTS)
+    check_logs_usable([_log(times, still), _log(times, joints)], JOINTS)
 
 
 def test_samples_without_joints_do_not_count() -> None:
@@ -316,12 +328,12 @@ def test_samples_without_joints_do_not_count() -> None:
     measured = joints.copy()
     measured[1::2] = np.nan
 
-    check_usable([ArmLog("log.csv", times, joints, measured, None)], JOINTS)
+    check_logs_usable([ArmLog("log.csv", times, joints, measured, None)], JOINTS)
 
 
 def test_a_short_log_is_refused() -> None:
     with pytest.raises(DatasetError, match=r"6\.0 s are too short; record at least 10 s"):
-        check_usable([_log(*_swinging(6.0))], JOINTS)
+        check_logs_usable([_log(*_swinging(6.0))], JOINTS)
 
 
 def test_the_error_for_one_of_two_arms_names_its_side() -> None:
@@ -329,4 +341,4 @@ def test_the_error_for_one_of_two_arms_names_its_side() -> None:
     joints[:, 3] = 0.1
 
     with pytest.raises(DatasetError, match=r"left joint4 hardly moves"):
-        check_usable([_log(times, joints)], JOINTS, "left")
+        check_logs_usable([_log(times, joints)], JOINTS, "left")

@@ -22,13 +22,13 @@ from tests.real.recordings.making import (
     write_csv,
 )
 from yamsim_cli.core.config.rig import RigConfig
-from yamsim_cli.core.dataset.reader import dataset_config, open_episode, open_recorded, recorded_rig
+from yamsim_cli.core.dataset.reader import open_episode, open_recorded_episode, read_recorded_rig, read_recording_config
 from yamsim_cli.core.dataset.writing.directory_claim import OpenMode
 from yamsim_cli.core.errors import ConfigError, DatasetError, UsageError
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.geometry.se3 import pose
 from yamsim_cli.core.recorded_motion import RecordedMotion
-from yamsim_cli.datasets.check_summary import summarize
+from yamsim_cli.datasets.check_summary import summarize_checks
 from yamsim_cli.datasets.summarize import check_dataset
 from yamsim_cli.photos.overlay.photos import episode_photos
 from yamsim_cli.real.import_recording.importing import Corrections, ImportReport, ImportRequest, import_recordings
@@ -48,7 +48,7 @@ def test_a_csv_becomes_an_episode_and_comes_back(single: RigConfig, locations: L
     assert (record["source"], record["format_version"], record["imported"]["format"]) == ("real", 4, "csv")
     (back,) = read_motions([tmp_path / "real"], single, locations)
     same_motion(back, motion)
-    assert set(open_recorded(tmp_path / "real/ep_000000").frames()[0]) == {"joints", "timestamp", "ctrl"}
+    assert set(open_recorded_episode(tmp_path / "real/ep_000000").frames()[0]) == {"joints", "timestamp", "ctrl"}
 
 
 def test_imported_recordings_cannot_be_simulated_again(single: RigConfig, locations: Locations, tmp_path: Path) -> None:
@@ -57,13 +57,13 @@ def test_imported_recordings_cannot_be_simulated_again(single: RigConfig, locati
     with pytest.raises(DatasetError, match="imported recording"):
         open_episode(tmp_path / "real/ep_000000")
     with pytest.raises(DatasetError, match="not simulated"):
-        dataset_config(tmp_path / "real", locations)
+        read_recording_config(tmp_path / "real", locations)
 
 
 def test_pictures_and_words_come_along(station: RigConfig, locations: Locations, tmp_path: Path) -> None:
     folder = write_lerobot_v2(tmp_path / "two", swinging(station, 0.3), station)
     bring_in(ImportRequest([folder], station, out=tmp_path / "real"), locations)
-    episode = open_recorded(tmp_path / "real/ep_000000")
+    episode = open_recorded_episode(tmp_path / "real/ep_000000")
     assert episode.record.cameras == {"top": (64, 48)}
     frame = episode.frames()[0]
     assert frame["language_prompt"] == PROMPT
@@ -81,7 +81,7 @@ def test_photos_with_a_known_place_are_overlaid_on(single: RigConfig, locations:
         known = {"intrinsics": {"scene_camera": np.diag([30.0, 30.0, 1.0])}, "extrinsics": {"scene_camera": T}}
         file.write_bytes(pickle.dumps(pickle.loads(file.read_bytes()) | known))
     bring_in(ImportRequest([folder], single, out=tmp_path / "real"), locations)
-    rig = recorded_rig(tmp_path / "real", locations)
+    rig = read_recorded_rig(tmp_path / "real", locations)
     photos = episode_photos(tmp_path / "real/ep_000000", None, rig)
     assert (rig.name, len(photos)) == ("single", 10)
     assert photos[3].T_base_in_cam is not None
@@ -101,7 +101,7 @@ def test_a_dataset_of_real_recordings_is_checked(station: RigConfig, locations: 
     out = tmp_path / "real"
     bring_in(ImportRequest([raw], station, out=out), locations)
     assert codes(out, locations) == set()
-    report = summarize(check_dataset(out, locations, 1, lambda done, total: None), (0.05,))
+    report = summarize_checks(check_dataset(out, locations, 1, lambda done, total: None), (0.05,))
     assert (report["real"], report["success_rate"], report["noted_at_import"]) == (True, {}, {})
     (out / "ep_000000/lowdim/000007.pkl").write_bytes((out / "ep_000000/lowdim/000008.pkl").read_bytes())
     (out / "ep_000000/lowdim/000049.pkl").unlink()

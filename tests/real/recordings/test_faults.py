@@ -24,7 +24,7 @@ from tests.real.recordings.making import (
 )
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.rig import RigConfig
-from yamsim_cli.core.dataset.reader import open_recorded
+from yamsim_cli.core.dataset.reader import open_recorded_episode
 from yamsim_cli.core.errors import DatasetError
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.geometry.se3 import Array
@@ -168,7 +168,7 @@ def test_a_fault_is_reported_or_refused(
     else:
         ((problem,),) = bring_in(path, station, locations).problems.values()
         assert line in problem
-        assert open_recorded(tmp_path / "real/ep_000000").record.problems == (problem,)  # type: ignore[union-attr]
+        assert open_recorded_episode(tmp_path / "real/ep_000000").record.problems == (problem,)  # type: ignore[union-attr]
 
 
 @pytest.mark.parametrize("form", list(WRITERS))
@@ -176,7 +176,7 @@ def test_a_good_recording_has_no_problem(form: str, station: RigConfig, location
     path = WRITERS[form][0](tmp_path / "one", swinging(station, 2.0), station)
     (recording,) = format_reader(detect_format(path))(path, station, None, locations)
     assert recording.problems == ()
-    assert find_faults(recording.in_metres(station), station) == []
+    assert find_faults(recording.motion_in_metres(station), station) == []
 
 
 @pytest.mark.parametrize("share", [0.2, 0.6, 0.98])

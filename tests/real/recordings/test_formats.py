@@ -65,7 +65,7 @@ def test_raidens_raw_recordings(
     assert detect_format(folder) == detect_format(folder / "robot_data.npz") == "raiden_raw"
     recording = only(folder, rig, locations)
     assert (recording.gripper, recording.prompt) == ("share", PROMPT)
-    same_motion(recording.in_metres(rig), motion)
+    same_motion(recording.motion_in_metres(rig), motion)
 
 
 def test_a_raw_recording_of_other_arms_is_refused(
@@ -90,7 +90,7 @@ def test_lerobot_version_2_with_its_film(station: RigConfig, locations: Location
     motion = swinging(station, 0.5)
     folder = write_lerobot_v2(tmp_path / "two", motion, station)
     recording = only(folder, station, locations)
-    same_motion(recording.in_metres(station), motion)
+    same_motion(recording.motion_in_metres(station), motion)
     assert recording.prompt == PROMPT
     pictures = [decode_jpeg(data) for data in recording.pictures["top"].read()]
     assert len(pictures) == len(motion.times)
@@ -129,7 +129,7 @@ def test_unknown_names_need_a_mapping(station: RigConfig, locations: Locations, 
     }
     mapping = tmp_path / "mine.yaml"
     mapping.write_text(json.dumps({"name": "mine", "arms": arms}))
-    same_motion(only(folder, station, locations, str(mapping)).in_metres(station), motion)
+    same_motion(only(folder, station, locations, str(mapping)).motion_in_metres(station), motion)
     arms["left"]["joints"][2] = "elbow"
     mapping.write_text(json.dumps({"name": "mine", "arms": arms}))
     with pytest.raises(ConfigError, match="has no 'elbow'"):
@@ -144,7 +144,7 @@ def test_our_own_export_to_lerobot_comes_back(
     assert len(back) == 2
     for number, recording in enumerate(back):
         frames = open_episode(recorded / f"ep_{number:06d}").frames()
-        (arm,) = recording.in_metres(config.rig).arms
+        (arm,) = recording.motion_in_metres(config.rig).arms
         np.testing.assert_allclose(arm.joints, [frame["joints"][:6] for frame in frames], atol=1e-6)
         np.testing.assert_allclose(arm.openings, [frame["joints"][6] for frame in frames], atol=1e-6)  # type: ignore[arg-type]
         np.testing.assert_allclose(arm.commands, [frame["ctrl"][:6] for frame in frames], atol=1e-6)  # type: ignore[arg-type]
@@ -163,7 +163,7 @@ def test_the_layout_of_raidens_converter(
     recording = only(folder, config.rig, locations)
     frames = open_episode(recorded / "ep_000000").frames()
     assert recording.gripper == "share"
-    motion = recording.in_metres(config.rig)
+    motion = recording.motion_in_metres(config.rig)
     (arm,) = motion.arms
     np.testing.assert_allclose(
         motion.times, [frame["timestamp"] - frames[0]["timestamp"] for frame in frames], atol=1e-6
@@ -241,7 +241,7 @@ def test_a_missing_or_wrong_value_is_a_dataset_error(key: str, value: Any) -> No
     if (key, value) in (("video_path", "30"), ("chunks_size", _MISSING)):
         return  # A pattern without fields and the default size are valid.
     with pytest.raises(DatasetError, match=rf"info.json: {key} .*valid: "):
-        VideoPaths(Path("set"), info).check()
+        VideoPaths(Path("set"), info).check_metadata()
 
 
 @pytest.mark.parametrize(
@@ -266,18 +266,18 @@ def test_a_missing_or_wrong_value_is_a_dataset_error(key: str, value: Any) -> No
 def test_a_foreign_pattern_is_refused_before_it_is_formatted(pattern: str) -> None:
     films = VideoPaths(Path("set"), {"fps": 30, "video_path": pattern})
     with pytest.raises(DatasetError, match=r"video_path is .*valid: "):
-        films.locate("observation.images.top", 0, None)
+        films.locate_video("observation.images.top", 0, None)
 
 
 def test_a_row_of_version_3_without_a_place_is_a_dataset_error() -> None:
     pattern = "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4"
     films = VideoPaths(Path("set"), {"fps": 30, "video_path": pattern})
     row = {"videos/k/chunk_index": 0, "videos/k/file_index": 2, "videos/k/from_timestamp": 1.5}
-    assert films.locate("k", 0, row) == (Path("set/videos/k/chunk-000/file-002.mp4").resolve(), 1.5)
+    assert films.locate_video("k", 0, row) == (Path("set/videos/k/chunk-000/file-002.mp4").resolve(), 1.5)
     for key in row:
         for wrong in (None, -1, "0"):
             with pytest.raises(DatasetError, match="episode 0: "):
-                films.locate("k", 0, row | {key: wrong})
+                films.locate_video("k", 0, row | {key: wrong})
 
 
 def test_videos_are_checked_when_a_dataset_is_read(station: RigConfig, locations: Locations, tmp_path: Path) -> None:

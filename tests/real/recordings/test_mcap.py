@@ -35,7 +35,7 @@ def test_a_recording_comes_in_with_its_film(
 ) -> None:
     assert detect_format(file) == "mcap"
     (recording,) = format_reader("mcap")(file, station, None, locations)
-    same_motion(recording.in_metres(station), motion, atol=1e-9)
+    same_motion(recording.motion_in_metres(station), motion, atol=1e-9)
     assert recording.prompt == PROMPT
     pictures = recording.pictures["top_camera"]
     np.testing.assert_array_equal(pictures.samples, np.arange(0, len(motion.times), FILM_EVERY))

@@ -15,7 +15,7 @@ import pytest
 from yamsim_cli.core.errors import ResourceError
 from yamsim_cli.real.motors import can_frames as frames
 from yamsim_cli.real.motors.can_frames import CanFrame
-from yamsim_cli.real.motors.motor import KINDS, Motor
+from yamsim_cli.real.motors.motor import MOTOR_KINDS, Motor
 from yamsim_cli.real.motors.motor_bus import MotorBus
 from yamsim_cli.real.serve import can_bus
 from yamsim_cli.real.serve.can_bus import KernelBus, UnixBus, program_environment
@@ -68,7 +68,7 @@ def test_programs_on_a_bus_hear_each_other(served: UnixBus) -> None:
 
 def test_random_bytes_do_no_harm_and_fill_no_memory(served: UnixBus) -> None:
     """A program that sends 10,000 random messages and never reads; another one is answered all the same."""
-    motors = MotorBus("can0", [Motor(1, KINDS["DM4340"])])
+    motors = MotorBus("can0", [Motor(1, MOTOR_KINDS["DM4340"])])
     noisy, other = join(served), join(served)
     draw = random.Random(5)
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
@@ -179,7 +179,7 @@ def test_an_interface_of_the_kernels_carries_the_same_frames(kernel: list[CanSoc
     can.other.send(ENABLE)
     assert [frame.id for frame in bus.receive({reader})] == [1, 1]
     bus.send(CanFrame(0x11, b"12345678"))
-    assert can.other.recv(64) == frames.to_wire(CanFrame(0x11, b"12345678"))
+    assert can.other.recv(64) == frames.encode_frame(CanFrame(0x11, b"12345678"))
     can.other.close()
     bus.send(CanFrame(0x11, b"12345678"))  # an interface that went down loses frames, and stops nothing
     bus.close()

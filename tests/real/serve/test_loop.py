@@ -56,7 +56,7 @@ def test_a_program_is_answered_at_the_buses_pace(loop: RealtimeLoop, tmp_path: P
 
     beside(loop, 20, ask, tmp_path)
     assert len(got) == 200 and {answer[0] for answer in got} == {0x11}
-    pace = loop.pace
+    pace = loop.timing_stats
     assert pace.frames == 200 and pace.dropped == 0
     # At least that many gaps, less the lag that a late program may catch up.
     assert pace.seconds >= (200 - 8) * 571e-6
@@ -68,6 +68,6 @@ def test_a_flood_fills_no_queue_and_stops_no_physics(loop: RealtimeLoop, tmp_pat
             one.sendall(ENABLE * 200)
 
     beside(loop, 20, flood, tmp_path)
-    assert loop.pace.dropped > 10_000
+    assert loop.timing_stats.dropped > 10_000
     assert len(loop.answers) <= 64
-    assert loop.pace.steps > 0
+    assert loop.timing_stats.steps > 0

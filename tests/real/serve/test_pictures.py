@@ -37,7 +37,7 @@ def served(session: Session) -> ServedArms:
 
 @pytest.fixture
 def source(session: Session, served: ServedArms) -> Iterator[RenderProcess]:
-    made = RenderProcess(session, ("top", "left"), 50.0, served.state, itertools.count(1).__next__)
+    made = RenderProcess(session, ("top", "left"), 50.0, served.scene_state, itertools.count(1).__next__)
     yield made
     made.close()
 
@@ -69,7 +69,7 @@ def test_images_show_the_current_state(source: RenderProcess, served: ServedArms
         served.motor_simulation.step()
     # The next but one was requested after that.
     later = next_shot(source, after=2)
-    assert later.sim_time == pytest.approx(served.motor_simulation.now)
+    assert later.sim_time == pytest.approx(served.motor_simulation.sim_time)
     assert (later.pictures["left"] != before).any()
 
 
@@ -88,7 +88,7 @@ def test_wrists_are_drawn_that_a_recording_leaves_out(
     session = Session(config, locations).without_meshes()
     cameras = served_cameras(config)
     assert config.recorded_cameras == cameras[:1]
-    source = RenderProcess(session, cameras, 50.0, serve_arms(session).state, itertools.count(1).__next__)
+    source = RenderProcess(session, cameras, 50.0, serve_arms(session).scene_state, itertools.count(1).__next__)
     try:
         scene, wrist = next_shot(source).pictures.values()
         assert np.ptp(wrist) > 0 and not np.array_equal(scene, wrist)

@@ -15,7 +15,7 @@ from yamsim_cli.core.errors import UsageError
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.real.motors.can_config import CanConfig, load_can_config
 from yamsim_cli.real.motors.can_frames import MitCommand
-from yamsim_cli.real.motors.motor import Motor, Status
+from yamsim_cli.real.motors.motor import Motor, MotorStatus
 from yamsim_cli.real.motors.motor_bus import BusFault
 from yamsim_cli.real.serve.motor_simulation import MotorSimulation
 from yamsim_cli.real.serve.served_arms import ServedArms, serve_arms
@@ -75,7 +75,7 @@ def test_it_floats_on_the_torques_that_hold_it(serve: Serve) -> None:
 
     def tell() -> None:
         for motor, torque in zip(motors, plant.gravity_torques(0), strict=True):
-            motor.drive(MitCommand(0, 0, 0, 0, torque), plant.now)
+            motor.apply_command(MitCommand(0, 0, 0, 0, torque), plant.sim_time)
 
     run(plant, 2, tell)
     assert np.abs(positions(motors) - before)[:6].max() < 1e-3
@@ -89,7 +89,7 @@ def test_each_motor_follows_its_own_gains(serve: Serve) -> None:
 
     def tell() -> None:
         for motor, position in zip(motors, start, strict=True):
-            motor.drive(MitCommand(float(position), 0, 80.0, 2.0, 0), plant.now)
+            motor.apply_command(MitCommand(float(position), 0, 80.0, 2.0, 0), plant.sim_time)
 
     run(plant, 2, tell)
     held = np.array(plant.gravity_torques(0))[:6]
@@ -105,7 +105,7 @@ def test_a_torque_finds_both_ends_of_the_gripper(serve: Serve) -> None:
     motor = plant.buses[0].motors[-1]
     ends = []
     for torque in (0.5, -0.5):
-        run(plant, 1.0, lambda torque=torque: motor.drive(MitCommand(0, 0, 0, 0, torque), plant.now))  # type: ignore[misc]
+        run(plant, 1.0, lambda torque=torque: motor.apply_command(MitCommand(0, 0, 0, 0, torque), plant.sim_time))  # type: ignore[misc]
         ends.append(motor.position)
     # 95 mm of 96 mm, which are 6.57 rad; forwards closes.
     assert ends == pytest.approx([0.0, -6.5], abs=0.05)
@@ -115,7 +115,7 @@ def test_a_stuck_gripper_stays(serve: Serve) -> None:
     plant = serve(faults=[BusFault("stuck")]).motor_simulation
     motor = plant.buses[0].motors[-1]
     run(plant, 0.1)
-    run(plant, 0.5, lambda: motor.drive(MitCommand(-6.0, 0, 20.0, 0.5, 0), plant.now))
+    run(plant, 0.5, lambda: motor.apply_command(MitCommand(-6.0, 0, 20.0, 0.5, 0), plant.sim_time))
     assert abs(motor.position) < 0.05
     assert abs(motor.torque) == pytest.approx(10.0, abs=0.1)
 
@@ -125,10 +125,10 @@ def test_a_follower_goes_where_it_is_told_and_presses_no_harder_than_it_may(serv
     follower = served.followers[0]
     target = np.array([0.3, 1.2, 1.2, -0.2, 0.1, 0.2, 1.0])
     follower.command_joint_pos(target)
-    run(served.motor_simulation, 3, follower.tick)
+    run(served.motor_simulation, 3, follower.command_motors)
     assert follower.joint_pos() == pytest.approx(target, abs=0.01)
     follower.command_joint_pos(np.append(target[:6], 0.0))
-    run(served.motor_simulation, 3, follower.tick)
+    run(served.motor_simulation, 3, follower.command_motors)
     # Closed without an object: at the limit, with the manufacturer's force limit.
     assert follower.joint_pos()[-1] == pytest.approx(0.0, abs=0.01)
     assert abs(served.motor_simulation.buses[0].motors[-1].torque) < 1.05
@@ -156,13 +156,13 @@ def test_two_arms_are_on_two_buses(serve: Serve) -> None:
 
     def tell() -> None:
         for follower in served.followers:
-            follower.tick()
+            follower.command_motors()
 
     run(served.motor_simulation, 1.5, tell)
     left, right = served.followers
     assert left.joint_pos()[2] == pytest.approx(0.5, abs=0.01)
     assert right.joint_pos()[2] < 0.3
-    assert served.motor_simulation.buses[0].motors[2].status is Status.ENABLED
+    assert served.motor_simulation.buses[0].motors[2].status is MotorStatus.ENABLED
 
 
 @pytest.mark.parametrize(

@@ -33,9 +33,9 @@ class Driven:
 
     def run(self, seconds: float) -> None:
         for _ in range(round(seconds / self.served.motor_simulation.timestep)):
-            self.robot.tick()
+            self.robot.command_next_step()
             for follower in self.served.followers:
-                follower.tick()
+                follower.command_motors()
             self.served.motor_simulation.step()
 
     def row(self) -> np.ndarray:
@@ -63,10 +63,10 @@ def test_it_goes_home_along_joints_and_by_its_hands_poses(driven: Driven) -> Non
     goal = HOME.copy()
     goal[[1, 2, 6, 8, 9]] += 0.6, 0.6, -0.5, 0.4, 0.4
     for share in np.linspace(0.1, 1, 10):
-        driven.robot.act((1 - share) * HOME + share * goal)
+        driven.robot.queue_action((1 - share) * HOME + share * goal)
         driven.run(0.1)
     driven.run(0.5)
-    assert driven.robot.stopped == ""
+    assert driven.robot.stop_reason == ""
     np.testing.assert_allclose(driven.row(), goal, atol=0.02)
     # 3 cm up, with the same hands: ten numbers per arm.
     felt = driven.see()
@@ -74,7 +74,7 @@ def test_it_goes_home_along_joints_and_by_its_hands_poses(driven: Driven) -> Non
     xyz, rows = (np.concatenate([felt[key(side, part)] for side in ("left", "right")]) for part in ("xyz", "rot_6d"))
     up = xyz + np.tile([0, 0, 0.03], 2)
     for share in np.linspace(0.25, 1, 4):
-        driven.robot.act(np.concatenate([(1 - share) * xyz + share * up, rows, [0.3, 0.8]]))
+        driven.robot.queue_action(np.concatenate([(1 - share) * xyz + share * up, rows, [0.3, 0.8]]))
         driven.run(0.1)
     driven.run(0.5)
     felt = driven.see(1)
@@ -87,32 +87,32 @@ def test_it_goes_home_along_joints_and_by_its_hands_poses(driven: Driven) -> Non
 def test_a_jump_stops_the_robot_until_the_next_reset(driven: Driven) -> None:
     far = HOME.copy()
     far[8] = 0.3
-    driven.robot.act(far)
-    assert "joint 2 of the right arm to move by 0.3" in driven.robot.stopped
+    driven.robot.queue_action(far)
+    assert "joint 2 of the right arm to move by 0.3" in driven.robot.stop_reason
     before = driven.row()
-    driven.robot.act(HOME)
+    driven.robot.queue_action(HOME)
     driven.run(0.3)
     np.testing.assert_allclose(driven.row(), before, atol=0.01)
     driven.robot.reset()
-    assert driven.robot.stopped == ""
+    assert driven.robot.stop_reason == ""
     driven.run(2.1)
     far[8] = 0.1
-    driven.robot.act(far)
+    driven.robot.queue_action(far)
     driven.run(0.4)
     assert driven.row()[8] == pytest.approx(0.1, abs=0.02)
 
 
 def test_actions_that_come_too_fast_are_discarded_and_counted(driven: Driven) -> None:
     for _ in range(40):
-        driven.robot.act(HOME)
-    assert driven.robot.discarded == 8
+        driven.robot.queue_action(HOME)
+    assert driven.robot.discarded_actions == 8
 
 
 @pytest.mark.parametrize("numbers", [np.ones(13), np.full(14, np.nan), np.full(20, np.inf), np.zeros(20)])
 def test_invalid_actions_are_refused(driven: Driven, numbers: np.ndarray) -> None:
     with pytest.raises(ValueError, match=r"an action has|give no rotation"):
-        driven.robot.act(numbers)
-    assert driven.robot.stopped == ""
+        driven.robot.queue_action(numbers)
+    assert driven.robot.stop_reason == ""
 
 
 def test_cameras_have_raidens_names_and_squares(driven: Driven, session: Session) -> None:

@@ -19,7 +19,7 @@ from tests.cli.serve_cli import shown
 from tests.unrendered import SIZE, change_frame, change_record, frame_count, read_frame, write_dataset
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.session import Session
-from yamsim_cli.core.dataset.reader import RecordedImages, dataset_config, open_episode
+from yamsim_cli.core.dataset.reader import RecordedImages, open_episode, read_recording_config
 from yamsim_cli.core.episode.simulator import Simulator
 from yamsim_cli.core.errors import DatasetError
 from yamsim_cli.core.files.resources import Locations
@@ -49,7 +49,7 @@ def dataset(original: Path, tmp_path: Path) -> Path:
 
 @pytest.fixture(scope="module")
 def simulator(original: Path, locations: Locations) -> Simulator:
-    return Simulator(session_with_wrist_camera(Session(dataset_config(original, locations), locations)))
+    return Simulator(session_with_wrist_camera(Session(read_recording_config(original, locations), locations)))
 
 
 @pytest.fixture
@@ -172,7 +172,7 @@ def test_without_the_library_the_extra_is_named(original: Path, tmp_path: Path, 
 
 
 def test_actions_are_repeated_where_there_are_any(dataset: Path, locations: Locations) -> None:
-    config = dataset_config(dataset, locations)
+    config = read_recording_config(dataset, locations)
     assert reproduce_episode(open_episode(dataset / "ep_000000"), Session(config, locations)).max_error == 0.0  # type: ignore[union-attr]
     for k in range(frame_count(dataset / "ep_000000")):
         change_frame(dataset / "ep_000000", k, rehash=True, sim_qpos=None, sim_ctrl=None, sim_magnet=None)
@@ -194,31 +194,31 @@ def test_the_player_shows_each_frame_for_its_time_and_begins_again(player: Episo
 
     shown, frames = [], frame_count(original / "ep_000001")
     for k in range(frames + 1):
-        player.advance(10.0 + k * 0.064)
-        shown.append(player.frame)
-        stored = read_frame(original / "ep_000001", player.frame)["sim_qpos"]
+        player.advance_to(10.0 + k * 0.064)
+        shown.append(player.frame_number)
+        stored = read_frame(original / "ep_000001", player.frame_number)["sim_qpos"]
         np.testing.assert_array_equal(player.data.qpos, stored)
     assert shown == [*range(frames), 0]
     start = banana().copy()
     player.seek(frames - 1)
-    assert player.frame == frames - 1
+    assert player.frame_number == frames - 1
     assert np.linalg.norm(banana() - start) > 0.1
     player.reset()
     np.testing.assert_array_equal(banana(), start)
 
 
 def test_a_paused_player_stands_still_and_goes_on_where_it_was(player: EpisodePlayer) -> None:
-    player.advance(0.0)
-    player.advance(0.64)
+    player.advance_to(0.0)
+    player.advance_to(0.64)
     player.paused = True
-    player.advance(5.0)
-    assert player.frame == 10
+    player.advance_to(5.0)
+    assert player.frame_number == 10
     player.seek(20)
-    player.advance(6.0)
-    assert player.frame == 20
+    player.advance_to(6.0)
+    assert player.frame_number == 20
     player.paused = False
-    player.advance(6.064)
-    assert player.frame == 21
+    player.advance_to(6.064)
+    assert player.frame_number == 21
 
 
 def test_a_page_does_not_undo_what_a_user_does_with_its_slider(player: EpisodePlayer, original: Path) -> None:
@@ -237,7 +237,7 @@ def test_a_page_does_not_undo_what_a_user_does_with_its_slider(player: EpisodePl
         assert page.slider.value == 30
         asyncio.run(page.seek(SimpleNamespace(client=object())))
         page.update()
-        assert (player.frame, page.slider.value) == (30, 30)
+        assert (player.frame_number, page.slider.value) == (30, 30)
     finally:
         page.close()
 

@@ -26,13 +26,13 @@ from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.config.scene import SceneConfig
 from yamsim_cli.core.config.session import Session
 from yamsim_cli.core.episode.sampling import sample_attempt
-from yamsim_cli.core.episode.simulator import Simulator, Simulators
+from yamsim_cli.core.episode.simulator import Simulator, SimulatorCache
 from yamsim_cli.core.errors import ResourceError
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.geometry.se3 import quat_from_rotation
 from yamsim_cli.core.scene.blueprint import Blueprint
 from yamsim_cli.viewers.page_address import PageAddress
-from yamsim_cli.viewers.show.viewer import PERIOD, LivePictures, make_live_rig, make_live_task
+from yamsim_cli.viewers.show.viewer import FRAME_PERIOD, LivePictures, make_live_rig, make_live_task
 from yamsim_cli.viewers.viewed_scene import EpisodePlayer, LiveRig
 from yamsim_cli.viewers.viewpoint import FOV_DEG, rig_viewpoint
 
@@ -76,8 +76,8 @@ def message(err: str) -> str:
 
 def run(live: LiveRig, seconds: float, began: float = 0.0) -> None:
     """Advance by pictures, on a clock of the test."""
-    for k in range(round(seconds / PERIOD) + 1):
-        live.advance(began + k * PERIOD)
+    for k in range(round(seconds / FRAME_PERIOD) + 1):
+        live.advance_to(began + k * FRAME_PERIOD)
 
 
 def listeners(port: int) -> list[str]:
@@ -94,31 +94,31 @@ def listeners(port: int) -> list[str]:
 
 def test_physics_keeps_up_with_the_clock(live: LiveRig) -> None:
     run(live, 2.0)
-    assert live.time == pytest.approx(2.0, abs=0.003)
+    assert live.simulated_seconds == pytest.approx(2.0, abs=0.003)
 
 
 def test_a_stall_is_not_made_up_for(live: LiveRig) -> None:
-    live.advance(0.0)
-    live.advance(3600.0)
-    assert live.time == pytest.approx(0.1, abs=0.003)
+    live.advance_to(0.0)
+    live.advance_to(3600.0)
+    assert live.simulated_seconds == pytest.approx(0.1, abs=0.003)
 
 
 def test_a_paused_rig_stands_still_and_goes_on_where_it_was(live: LiveRig) -> None:
     live.paused = True
     run(live, 1.0)
-    assert live.time == 0
+    assert live.simulated_seconds == 0
     live.paused = False
-    live.advance(1.0 + PERIOD)
-    assert live.time == pytest.approx(PERIOD, abs=0.003)
+    live.advance_to(1.0 + FRAME_PERIOD)
+    assert live.simulated_seconds == pytest.approx(FRAME_PERIOD, abs=0.003)
 
 
 def test_a_drive_moves_its_joint_and_no_other_arm(live: LiveRig) -> None:
     drive = next(drive for drive in live.drives if (drive.arm, drive.name) == ("arm2", "joint1"))
-    live.command(drive, 0.5)
+    live.set_command(drive, 0.5)
     run(live, 3.0)
     assert live.data.joint("arm2_joint1").qpos[0] == pytest.approx(0.5, abs=0.05)
     assert live.data.joint("joint1").qpos[0] == pytest.approx(0.0, abs=0.01)
-    live.command(drive, 99.0)
+    live.set_command(drive, 99.0)
     assert live.data.ctrl[drive.actuator] == drive.high, "a command stays in its range"
     live.reset()
     assert np.array_equal(live.data.qpos, live.model.key_qpos[0])
@@ -200,7 +200,7 @@ def test_a_task_that_is_data_stands_as_its_first_attempt(tmp_path: Path) -> None
     }
     session = session_of(tmp_path, ONTO_PLATE | opened)
     live = make_live_task(session)
-    with Simulators(session) as simulators:
+    with SimulatorCache(session) as simulators:
         simulator, attempt = first_attempt(simulators)
     assert attempt.layout is not None and simulator.roles is not None
     positions, quaternions = live.body_poses()
@@ -266,7 +266,7 @@ def test_pictures_are_what_the_cameras_see_now(live: LiveRig, open_page: Callabl
         before = panel.images["right_wrist_camera"].image
         assert before.shape == (240, 320, 3)
         assert before.std() > 5
-        live.command(live.drives[0], 1.0)
+        live.set_command(live.drives[0], 1.0)
         run(live, 2.0)
         panel.request()
         page.update()

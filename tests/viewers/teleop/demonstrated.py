@@ -20,7 +20,7 @@ def planned_lines(config: RecordConfig, locations: Locations, attempt: int, bega
     with Simulator(Session(config, locations)) as simulator:
         done = planned(simulator, config.seed, attempt)
         assert done.outcome.success
-    actions = all_actions(done.states)
+    actions = all_actions(done.recorded_states)
     joints, magnet = actions.joints, actions.magnet.tolist()
     lines: list[dict[str, Any]] = [{"t": began, "event": "start"}]
     for k, (row, holds) in enumerate(zip(joints, magnet, strict=True)):

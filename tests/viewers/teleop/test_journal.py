@@ -46,16 +46,16 @@ def test_what_was_driven_before_a_kill_is_handed_in_as_if_it_had_been_stopped(
     (tmp_path / "other").mkdir()
     living, tray = driven_in(tmp_path / "other", config, locations)
     play(living, lines[:-1], tmp_path)
-    living.stop()
+    living.stop_recording()
     living.settle()
 
-    (left,) = RecordingJournal(tmp_path).unfinished()
+    (left,) = RecordingJournal(tmp_path).unfinished_recordings()
     assert left.stopped is None
     following, taken = driven_in(tmp_path, config, locations)
     following.submit_unfinished(left)
     (stopped,), (found,) = tray.attempts, taken.attempts
     assert found.attempt.job == stopped.attempt.job
-    assert found.attempt.places == stopped.attempt.places
+    assert found.attempt.object_places == stopped.attempt.object_places
     assert np.array_equal(found.attempt.start, stopped.attempt.start)
     n = len(left.ticks)
     assert len(taken.actions.ctrl) == len(tray.actions.ctrl)
@@ -69,11 +69,11 @@ def test_a_recording_killed_while_it_came_to_rest_rests_as_long(
     config: RecordConfig, locations: Locations, tmp_path: Path
 ) -> None:
     killed, _ = driven_in(tmp_path, config, locations)
-    killed.start()
+    killed.start_recording()
     run(killed, 1.0)
-    killed.stop()
+    killed.stop_recording()
     run(killed, 0.32)
-    (left,) = RecordingJournal(tmp_path).unfinished()
+    (left,) = RecordingJournal(tmp_path).unfinished_recordings()
     assert (len(left.ticks), left.stopped) == (41, 31)
     following, tray = driven_in(tmp_path, config, locations)
     following.submit_unfinished(left)
@@ -83,19 +83,19 @@ def test_a_recording_killed_while_it_came_to_rest_rests_as_long(
 def test_the_file_goes_with_its_recording(config: RecordConfig, locations: Locations, tmp_path: Path) -> None:
     driven, _ = driven_in(tmp_path, config, locations)
     run(driven, 0.1)
-    assert RecordingJournal(tmp_path).unfinished() == []
-    driven.start()
+    assert RecordingJournal(tmp_path).unfinished_recordings() == []
+    driven.start_recording()
     run(driven, 0.1)
-    driven.discard()
+    driven.discard_recording()
     assert list(tmp_path.iterdir()) == []
-    driven.start()
+    driven.start_recording()
     run(driven, 0.1)
-    driven.stop()
+    driven.stop_recording()
     driven.settle()
     # Submitted, and not yet in the dataset.
     journal = RecordingJournal(tmp_path)
-    assert len(journal.unfinished()) == 1
-    journal.delete(0)
+    assert len(journal.unfinished_recordings()) == 1
+    journal.delete_recording(0)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -104,31 +104,31 @@ def test_a_file_that_is_cut_off_is_read_as_far_as_it_goes(
     cut: int, ticks: int, config: RecordConfig, locations: Locations, tmp_path: Path
 ) -> None:
     driven, _ = driven_in(tmp_path, config, locations)
-    driven.start()
+    driven.start_recording()
     run(driven, 0.32)
     (file,) = (tmp_path / ".recordings").iterdir()
     file.write_bytes(file.read_bytes()[:-cut])
-    (left,) = RecordingJournal(tmp_path).unfinished()
+    (left,) = RecordingJournal(tmp_path).unfinished_recordings()
     assert len(left.ticks) == ticks
 
 
 def test_a_journal_without_a_beginning_is_removed(tmp_path: Path) -> None:
     (tmp_path / ".recordings").mkdir()
     (tmp_path / ".recordings" / "000000.jsonl").write_bytes(b'{"seed": 0')
-    assert RecordingJournal(tmp_path).unfinished() == []
+    assert RecordingJournal(tmp_path).unfinished_recordings() == []
     assert not list((tmp_path / ".recordings").iterdir())
 
 
 def test_a_recording_ends_at_its_limit(config: RecordConfig, locations: Locations, tmp_path: Path) -> None:
     driven, tray = driven_in(tmp_path, config, locations, time_limit=1.0)
-    driven.start()
+    driven.start_recording()
     run(driven, 0.9)
-    assert driven.recording
+    assert driven.is_recording
     run(driven, 0.2)
     assert "stopped after 1 s" in driven.status.message
     driven.settle()
     assert len(tray.actions.ctrl) == 31 + config.task.timing.settle_ticks + config.task.hold_ticks
-    assert not driven.recording
+    assert not driven.is_recording
 
 
 def test_a_recording_is_paused_when_its_page_is_closed(
@@ -137,7 +137,7 @@ def test_a_recording_is_paused_when_its_page_is_closed(
     driven, _ = driven_in(tmp_path, config, locations)
     driven.pause_unattended()
     assert not driven.paused, "nothing is recorded that could go on unseen"
-    driven.start()
+    driven.start_recording()
     run(driven, 0.32)
     driven.pause_unattended()
     before = driven.status.seconds

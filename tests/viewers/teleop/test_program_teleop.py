@@ -17,8 +17,8 @@ from tests.viewers.teleop.tray import CollectingReceiver
 from yamsim_cli.core.attempt_data import FailureCause
 from yamsim_cli.core.config.session import Session
 from yamsim_cli.core.episode.episode_rules import EndRule
-from yamsim_cli.core.episode.execution import demonstrate
-from yamsim_cli.core.episode.simulator import Simulators
+from yamsim_cli.core.episode.execution import simulate_expert
+from yamsim_cli.core.episode.simulator import SimulatorCache
 from yamsim_cli.core.errors import ConfigError, SimulationError
 from yamsim_cli.viewers.teleop.command_stream import read_stream
 from yamsim_cli.viewers.teleop.teleop_scene import TeleopScene
@@ -34,11 +34,11 @@ def session(tmp_path_factory: pytest.TempPathFactory) -> Session:
 @pytest.fixture(scope="module")
 def lines(session: Session) -> list[dict[str, Any]]:
     """The expert's first attempt as a leader arm would send it, at half its speed."""
-    with Simulators(session) as simulators:
+    with SimulatorCache(session) as simulators:
         simulator, attempt = first_attempt(simulators)
-        done = demonstrate(simulator, attempt)
+        done = simulate_expert(simulator, attempt)
         assert done.outcome.success
-        actions, fingers = all_actions(done.states), simulator.scene.arm.fingers
+        actions, fingers = all_actions(done.recorded_states), simulator.scene.first_arm.fingers
     assert fingers is not None
     said: list[dict[str, Any]] = [{"t": 0.0, "event": "start"}]
     for k, (asked, ctrl) in enumerate(zip(actions.joints[:, 0], actions.ctrl, strict=True)):
@@ -71,12 +71,12 @@ def test_what_is_not_recorded_goes_on_once_the_goal_holds(
     driven = TeleopScene(session, CollectingReceiver(), end=EndRule.SUCCESS)
     play(driven, [line for line in lines if "event" not in line], tmp_path)
     for _ in range(20):
-        driven.tick()
+        driven.advance_tick()
     assert driven.status.goal == "the goal holds"
     joints = driven.data.qpos[:6].copy()
     driven.set_joint_target(joints + 0.2)
     for _ in range(20):
-        driven.tick()
+        driven.advance_tick()
     assert np.abs(driven.data.qpos[:6] - joints).max() > 0.1
 
 
@@ -85,9 +85,9 @@ def test_attempts_have_casts_and_scenes_of_their_own(session: Session) -> None:
     driven = TeleopScene(session, tray)
     models, kinds = {id(driven.model): driven.model}, set[str]()
     for _ in range(4):
-        driven.start()
-        driven.tick()
-        driven.stop()
+        driven.start_recording()
+        driven.advance_tick()
+        driven.stop_recording()
         driven.settle()
         models[id(driven.model)] = driven.model
     for submitted in tray.attempts:
@@ -100,11 +100,11 @@ def test_attempts_have_casts_and_scenes_of_their_own(session: Session) -> None:
 def test_a_stop_lets_nothing_go_and_waits_as_long_as_the_goal_has_to_hold(session: Session) -> None:
     tray = CollectingReceiver()
     driven = TeleopScene(session, tray)
-    driven.start()
+    driven.start_recording()
     driven.set_gripper(0.01)
     for _ in range(20):
-        driven.tick()
-    driven.stop()
+        driven.advance_tick()
+    driven.stop_recording()
     driven.settle()
     actions, task = tray.actions, session.config.task
     assert np.allclose(actions.joints[-1, 0, -1], 0.01)

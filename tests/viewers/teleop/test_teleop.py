@@ -30,7 +30,7 @@ from yamsim_cli.core.dataset.writing.directory_claim import OpenMode
 from yamsim_cli.core.dataset.writing.ledger import Ledger
 from yamsim_cli.core.dataset.writing.writer import DatasetWriter
 from yamsim_cli.core.episode.episode_rules import REPLAY_RULES
-from yamsim_cli.core.episode.execution import SimulatedAttempt, run_actions
+from yamsim_cli.core.episode.execution import SimulatedAttempt, simulate_actions
 from yamsim_cli.core.episode.simulator import Simulator
 from yamsim_cli.core.errors import ConfigError
 from yamsim_cli.core.files.resources import Locations
@@ -60,7 +60,7 @@ def pinch(driven: TeleopScene) -> Array:
 
 def run(driven: TeleopScene, seconds: float) -> None:
     for _ in range(round(seconds / driven.tick_seconds)):
-        driven.tick()
+        driven.advance_tick()
 
 
 def player_of(driven: TeleopScene, lines: list[dict[str, Any]], folder: Path) -> StreamPlayer:
@@ -70,13 +70,13 @@ def player_of(driven: TeleopScene, lines: list[dict[str, Any]], folder: Path) ->
 
 def play(driven: TeleopScene, lines: list[dict[str, Any]], folder: Path) -> None:
     player = player_of(driven, lines, folder)
-    while not player.done:
-        player.act(driven, driven.time)
-        driven.tick()
+    while not player.is_done:
+        player.apply_due_commands(driven, driven.simulated_seconds)
+        driven.advance_tick()
 
 
 def test_the_hand_goes_to_its_target(driven: TeleopScene) -> None:
-    wanted = driven.target
+    wanted = driven.target_pose
     wanted[:3, 3] += (0.08, 0.06, -0.05)
     driven.set_target_pose(wanted)
     run(driven, 2.0)
@@ -89,12 +89,12 @@ def test_the_hand_goes_to_its_target(driven: TeleopScene) -> None:
 def test_no_joint_is_asked_to_move_faster_than_its_motor_can_follow(
     driven: TeleopScene, tray: CollectingReceiver
 ) -> None:
-    driven.start()
-    wanted = driven.target
+    driven.start_recording()
+    wanted = driven.target_pose
     wanted[:3, 3] += (0.1, 0.3, -0.1)
     driven.set_target_pose(wanted)
     run(driven, 2.0)
-    driven.stop()
+    driven.stop_recording()
     driven.settle()
     joints = tray.actions.joints[:, 0, :6]
     speed = np.abs(np.diff(joints, axis=0)).max(axis=0) / driven.tick_seconds
@@ -104,7 +104,7 @@ def test_no_joint_is_asked_to_move_faster_than_its_motor_can_follow(
 
 
 def test_a_target_out_of_reach_is_told_with_its_distance(driven: TeleopScene) -> None:
-    far = driven.target
+    far = driven.target_pose
     far[:3, 3] = (1.2, 0.0, 0.2)
     driven.set_target_pose(far)
     run(driven, 3.0)
@@ -120,12 +120,12 @@ def test_a_joint_at_its_stop_is_named(driven: TeleopScene) -> None:
 
 
 def test_a_target_in_the_table_is_lifted_out_of_it(driven: TeleopScene, config: RecordConfig) -> None:
-    below = driven.target
+    below = driven.target_pose
     below[2, 3] = -0.2
     driven.set_target_pose(below)
-    assert driven.target[2, 3] == pytest.approx(config.table.top + 0.012)
+    assert driven.target_pose[2, 3] == pytest.approx(config.widened_table.top_height + 0.012)
     run(driven, 3.0)
-    assert pinch(driven)[2, 3] > config.table.top
+    assert pinch(driven)[2, 3] > config.widened_table.top_height
 
 
 def test_the_arm_stops_before_the_table_and_says_so(driven: TeleopScene, config: RecordConfig) -> None:
@@ -156,9 +156,9 @@ def test_a_recording_begins_where_its_attempt_does_whatever_was_done_before(driv
     driven.set_joint_target(np.zeros(6))
     run(driven, 1.0)
     assert not np.allclose(driven.data.qpos, start, atol=0.1)
-    driven.start()
+    driven.start_recording()
     assert np.array_equal(driven.data.qpos, start)
-    assert driven.recording
+    assert driven.is_recording
 
 
 def test_discarded_comes_again_and_stopped_comes_next(driven: TeleopScene, tray: CollectingReceiver) -> None:
@@ -167,18 +167,18 @@ def test_discarded_comes_again_and_stopped_comes_next(driven: TeleopScene, tray:
         return place
 
     first = banana()
-    driven.start()
+    driven.start_recording()
     run(driven, 0.2)
-    driven.discard()
-    assert (tray.attempts, driven.recording, driven.discarded) == ([], False, 1)
+    driven.discard_recording()
+    assert (tray.attempts, driven.is_recording, driven.discarded) == ([], False, 1)
     assert np.array_equal(banana(), first)
-    driven.start()
+    driven.start_recording()
     run(driven, 0.2)
-    driven.stop()
+    driven.stop_recording()
     driven.settle()
     assert [submitted.attempt.job.attempt for submitted in tray.attempts] == [0]
     assert not np.allclose(banana(), first)
-    driven.stop()
+    driven.stop_recording()
     assert len(tray.attempts) == 1
     assert driven.message == "nothing was being recorded"
 
@@ -186,19 +186,19 @@ def test_discarded_comes_again_and_stopped_comes_next(driven: TeleopScene, tray:
 def test_a_stop_lets_go_and_waits_whatever_is_asked_meanwhile(
     driven: TeleopScene, tray: CollectingReceiver, config: RecordConfig
 ) -> None:
-    driven.start()
+    driven.start_recording()
     driven.toggle_gripper()
     run(driven, 0.5)
-    driven.stop()
+    driven.stop_recording()
     ticks = config.task.timing.settle_ticks + config.task.hold_ticks
     for k in range(ticks):
-        assert driven.recording, k
+        assert driven.is_recording, k
         assert not tray.attempts
         driven.set_joint_target(np.zeros(6))
         driven.toggle_gripper()
         driven.set_weld(True)
-        driven.tick()
-    assert not driven.recording
+        driven.advance_tick()
+    assert not driven.is_recording
     actions = tray.actions
     assert not actions.magnet.any()
     assert (actions.joints[-ticks:] == actions.joints[-1]).all()
@@ -222,7 +222,7 @@ def test_a_wider_gripper_opens_as_wide_as_it_goes(
     driven = TeleopScene(Session(config, locations), tray)
     driven.set_gripper(0.0475)
     run(driven, 1.0)
-    fingers = driven.attempt_scene.scene.arm.fingers.qpos
+    fingers = driven.attempt_scene.scene.first_arm.fingers.qpos
     assert np.abs(driven.data.qpos[fingers]) == pytest.approx(0.0475, abs=0.001)
     assert driven.status.gripper_open
     for opening, is_open in ((grasp.opening, False), (0.0475, True)):
@@ -253,15 +253,15 @@ def test_distractors_are_out_of_the_way_and_stand_where_nothing_came(
     varied: RecordConfig, locations: Locations, tray: CollectingReceiver, tmp_path: Path
 ) -> None:
     driven = TeleopScene(Session(varied, locations), tray)
-    others = [driven.model.body(item.name).id for item in varied.randomization.extras]
-    wanted = driven.target
+    others = [driven.model.body(item.name).id for item in varied.randomization.distractor_configs]
+    wanted = driven.target_pose
     wanted[:3, 3] += (0.08, 0.06, -0.05)
     driven.set_target_pose(wanted)
     run(driven, 2.0)
     assert np.allclose(pinch(driven)[:3, 3], wanted[:3, 3], atol=0.01), driven.status.obstacle
     assert (driven.data.xpos[others, 2] < -1).all()
 
-    play(driven, planned_lines(varied, locations, 0, began=driven.time), tmp_path)
+    play(driven, planned_lines(varied, locations, 0, began=driven.simulated_seconds), tmp_path)
     driven.settle()
     (submitted,) = tray.attempts
     with TeleopAttemptRenderer(Session(varied, locations), render=False) as runner:
@@ -286,18 +286,18 @@ def test_what_is_recorded_repeats_bit_for_bit(
     driven = TeleopScene(Session(config, locations), tray)
     seen: list[Array] = []
     player = player_of(driven, planned_lines(config, locations, 0), tmp_path)
-    while not player.done:
-        player.act(driven, driven.time)
+    while not player.is_done:
+        player.apply_due_commands(driven, driven.simulated_seconds)
         seen.append(driven.data.qpos.copy())
-        driven.tick()
+        driven.advance_tick()
     driven.settle()
     (submitted,) = tray.attempts
     with Simulator(Session(config, locations)) as simulator:
-        done = run_actions(simulator, submitted.attempt, tray.actions, REPLAY_RULES)
+        done = simulate_actions(simulator, submitted.attempt, tray.actions, REPLAY_RULES)
     assert done.outcome.success, done.outcome.detail
     assert done.outcome == submitted.outcome
     every = config.task.timing.ticks_per_frame
-    for state, qpos in zip(done.states, seen[::every], strict=False):
+    for state, qpos in zip(done.recorded_states, seen[::every], strict=False):
         assert np.array_equal(state.qpos, qpos)
 
 
@@ -308,7 +308,7 @@ def test_an_end_effector_stream_is_the_frames_own_ee_pose(driven: TeleopScene, t
     as_quaternion = {"position": T[:3, 3].tolist(), "quaternion": quat_from_rotation(T[:3, :3]).tolist()}
     for k, ee in enumerate((T.tolist(), as_quaternion)):
         driven.reset()
-        began = driven.time
+        began = driven.simulated_seconds
         play(driven, [{"t": began, "ee": ee}, {"t": began + 2.0}], tmp_path)
         assert np.allclose(driven.data.site("grasp_site").xpos, T[:3, 3], atol=0.01), k
 
@@ -466,7 +466,7 @@ def test_a_damaged_ledger_line_loses_its_attempt_alone(
         out, with_mesh_descriptions(Session(config, locations)).config.data_config(), OpenMode.NEW
     ) as writer:
         for k in range(3):
-            writer.log(failed_attempt(k))
+            writer.log_attempt(failed_attempt(k))
     lines = (out / "attempts.jsonl").read_bytes().splitlines(keepends=True)
     (out / "attempts.jsonl").write_bytes(b"{\n" + b"".join(lines[1:]) + to_json(made(0, 3).attempt))
     said: list[str] = []
@@ -478,7 +478,11 @@ def test_a_damaged_ledger_line_loses_its_attempt_alone(
         "the line of attempt 0 in attempts.jsonl is lost",
         *["ep_000000 is gone, and a demonstration cannot be made again."] * 2,
     ]
-    assert [attempt.outcome.cause for attempt in Ledger(out).known.values()] == ["line_lost", *["off_target"] * 2, None]
+    assert [attempt.outcome.cause for attempt in Ledger(out).known_attempts.values()] == [
+        "line_lost",
+        *["off_target"] * 2,
+        None,
+    ]
 
 
 @pytest.mark.slow

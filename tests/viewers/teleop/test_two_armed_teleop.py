@@ -38,7 +38,7 @@ def test_one_arm_is_driven_and_then_the_other(driven: TeleopScene) -> None:
     assert (driven.sides, driven.status.arm) == (("left", "right"), "right"), "the one that begins the task"
     start = hands(driven)
     for number in (1, 0):
-        wanted = driven.target
+        wanted = driven.target_pose
         np.testing.assert_allclose(wanted[:3, 3], start[number], atol=0.005)
         wanted[2, 3] += 0.06
         driven.set_target_pose(wanted)
@@ -46,7 +46,7 @@ def test_one_arm_is_driven_and_then_the_other(driven: TeleopScene) -> None:
         driven.switch_arm()
         # It continues to its target.
         for _ in range(60):
-            driven.tick()
+            driven.advance_tick()
         moved = hands(driven) - start
         np.testing.assert_allclose(moved[number], (0, 0, 0.06), atol=0.008)
         assert np.abs(moved[1 - number]).max() < 0.005 or number == 0
@@ -64,11 +64,11 @@ def test_a_gripper_is_that_of_the_driven_arm(driven: TeleopScene) -> None:
 
 def test_an_arm_stops_before_the_other_one(driven: TeleopScene) -> None:
     """The left hand's target is the right hand."""
-    other = driven.target
+    other = driven.target_pose
     driven.switch_arm()
     driven.set_target_pose(other)
     for _ in range(120):
-        driven.tick()
+        driven.advance_tick()
     apart = np.linalg.norm(np.subtract(*hands(driven)))
     assert driven.status.obstacle
     assert 0.02 < apart < 0.2

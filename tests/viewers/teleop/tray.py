@@ -23,4 +23,4 @@ class CollectingReceiver:
     @property
     def actions(self) -> ActionSequence:
         """Actions of the first submitted attempt."""
-        return all_actions(self.attempts[0].states)
+        return all_actions(self.attempts[0].recorded_states)

@@ -8,7 +8,7 @@ from typing import Any, TypeVar
 
 from pydantic import ValidationError
 
-from ..errors import ConfigError, UsageError, suggest
+from ..errors import ConfigError, UsageError, suggest_similar
 from ..files.documents.config_base import Config, ConfigReference, ConflictError
 from ..files.documents.units import RECORDED
 from ..files.documents.validation_messages import (
@@ -19,9 +19,9 @@ from ..files.documents.validation_messages import (
     mapping_value_type,
     models_in,
 )
-from ..files.documents.yaml_document import Document, KeyPath, is_setting, parse_yaml
+from ..files.documents.yaml_document import Document, KeyPath, is_flag_or_keyword, parse_yaml
 from ..files.resources import Locations
-from ..robots.dynamics import Dynamics
+from ..robots.dynamics import MeasuredArmDynamics
 from ..robots.models import ArmModel, Gripper
 from . import robot_families as robot_names
 from .cameras.camera import CameraConfig
@@ -36,7 +36,7 @@ from .rig import RigConfig
 from .scene import SceneConfig
 from .task_migration import OLDER_KINDS, upgrade_task
 
-KINDS: Mapping[str, type[Config]] = {
+CONFIG_KINDS: Mapping[str, type[Config]] = {
     "rigs": RigConfig,
     "scenes": SceneConfig,
     "tasks": ProgramTask,
@@ -49,7 +49,7 @@ KINDS: Mapping[str, type[Config]] = {
     "recordings": RecordingNames,
     "robots": ArmModel,
     "grippers": Gripper,
-    "revisions": Dynamics,
+    "revisions": MeasuredArmDynamics,
 }
 
 REVISION_KEY = "revision"  # last key of an override path below a rig: the version of its arm models to use
@@ -65,16 +65,18 @@ Upgrade = Callable[[dict[str, Any]], dict[str, Any]]
 
 def config_model(kind: str) -> type[Config]:
     """Return the class of a kind of config, such as `rigs`. Raises ConfigError if no kind has that name."""
-    if kind not in KINDS:
-        raise ConfigError(f"unknown kind of config {kind!r}; {suggest(kind, KINDS)}")
-    return KINDS[kind]
+    if kind not in CONFIG_KINDS:
+        raise ConfigError(f"unknown kind of config {kind!r}; {suggest_similar(kind, CONFIG_KINDS)}")
+    return CONFIG_KINDS[kind]
 
 
 def _require_task_kind(document: Document) -> None:
     kind = document.data.get("kind")
     valid = (PROGRAM, *OLDER_KINDS)
     if kind is not None and kind not in valid:
-        raise ConfigError(f"{document.place(('kind',))}: kind: unknown kind {kind!r}; {suggest(str(kind), valid)}")
+        raise ConfigError(
+            f"{document.place_of(('kind',))}: kind: unknown kind {kind!r}; {suggest_similar(str(kind), valid)}"
+        )
 
 
 def config_json_schema(kind: str) -> dict[str, Any]:
@@ -103,13 +105,13 @@ def load_config(
         UsageError: the same for a value from a flag or keyword in `overrides`.
     """
     document = _load_named(model, kind, name, locations)
-    if instead := _other_kind(model, document):
+    if instead := _explain_other_kind(model, document):
         raise ConfigError(instead)
     # Override top-level keys first, then insert named configs, then override other keys, also of inserted configs.
     changes = overrides or {}
     for path, (place, value) in changes.items():
         if len(path) == 1 and path[-1] not in (REVISION_KEY, DYNAMICS_KEY):
-            document.override(path, value, place)
+            document.override_value(path, value, place)
     _resolve_references(model, document, (), locations)
     for path, (place, value) in changes.items():
         if path[-1] == REVISION_KEY:
@@ -117,14 +119,14 @@ def load_config(
         elif path[-1] == DYNAMICS_KEY:
             _add_dynamics(document, path[:-1], value, place, locations)
         elif len(path) > 1:
-            document.override(path, value, place)
-    flags = {path: place for path, (place, _) in changes.items() if is_setting(place)}
-    return _check(model, document, locations, flags, check=check)
+            document.override_value(path, value, place)
+    flags = {path: place for path, (place, _) in changes.items() if is_flag_or_keyword(place)}
+    return _validate_document(model, document, locations, flags, check=check)
 
 
 def validate_file(model: type[C], path: Path, locations: Locations, *, check: Check | None = None) -> C:
     """Return the validated config in a file; arguments and errors are those of `parse_config` and `load_config`."""
-    return _check(model, _read(model, path), locations, check=check)
+    return _validate_document(model, _read_config_document(model, path), locations, check=check)
 
 
 def parse_config(model: type[C], text: str, source: str, locations: Locations, *, upgrade: Upgrade | None = None) -> C:
@@ -137,7 +139,7 @@ def parse_config(model: type[C], text: str, source: str, locations: Locations, *
     document = parse_yaml(text, source)
     if upgrade is not None:
         document.data = upgrade(document.data)
-    return _check(model, document, locations, recorded=upgrade is not None)
+    return _validate_document(model, document, locations, recorded=upgrade is not None)
 
 
 def _load_named(model: type[Config], kind: str, name: str, locations: Locations) -> Document:
@@ -145,7 +147,7 @@ def _load_named(model: type[Config], kind: str, name: str, locations: Locations)
         return _single_arm_rig(name)
     if kind == robot_names.ARMS:
         name = robot_names.resolve_model_name(name, locations)
-    return _read(model, locations.config_file(kind, name))
+    return _read_config_document(model, locations.config_file(kind, name))
 
 
 def _single_arm_rig(name: str) -> Document:
@@ -158,37 +160,37 @@ def _single_arm_rig(name: str) -> Document:
 
 
 def _set_revision(document: Document, path: KeyPath, revision: str, place: str, locations: Locations) -> None:
-    for k, (model, _) in _arms(document, path).items():
+    for k, (model, _) in _arm_models_and_sides(document, path).items():
         try:
             name = robot_names.other_revision(model, str(revision), locations)
         except ConfigError as error:
-            raise (UsageError if is_setting(place) else ConfigError)(f"{place}: {error}") from error
-        document.override((*path, "arms", k, "model"), name, place)
+            raise (UsageError if is_flag_or_keyword(place) else ConfigError)(f"{place}: {error}") from error
+        document.override_value((*path, "arms", k, "model"), name, place)
 
 
 def _add_dynamics(document: Document, path: KeyPath, files: Sequence[str], place: str, locations: Locations) -> None:
     """Add the dynamics in each file to the arms with the same model and side in the rig at `path`."""
     for file in files:
         try:
-            dynamics = _load_named(Dynamics, _DYNAMICS, file, locations)
+            dynamics = _load_named(MeasuredArmDynamics, _DYNAMICS, file, locations)
         except ConfigError as error:
-            raise (UsageError if is_setting(place) else ConfigError)(f"{place}: {error}") from error
-        if instead := _other_kind(Dynamics, dynamics):
+            raise (UsageError if is_flag_or_keyword(place) else ConfigError)(f"{place}: {error}") from error
+        if instead := _explain_other_kind(MeasuredArmDynamics, dynamics):
             raise ConfigError(instead)
-        base, side = _base(dynamics), dynamics.data.get("side")
-        arms = _arms(document, path)
+        base, side = _base_model_name(dynamics), dynamics.data.get("side")
+        arms = _arm_models_and_sides(document, path)
         matching = [k for k, (model, on) in arms.items() if model == base and side in (None, on)]
         for k in matching:
             document.insert_document((*path, "arms", k, "dynamics"), dynamics)
         if not matching:
             there = " and ".join(dict.fromkeys(f"{model!r} on the {on}" for model, on in arms.values()))
-            raise (UsageError if is_setting(place) else ConfigError)(
+            raise (UsageError if is_flag_or_keyword(place) else ConfigError)(
                 f"{place}: {file} is for {base!r}{f' on the {side}' if side else ''}, but the rig has {there}; "
                 "choose another rig"
             )
 
 
-def _arms(document: Document, path: KeyPath) -> dict[int, tuple[str, Any]]:
+def _arm_models_and_sides(document: Document, path: KeyPath) -> dict[int, tuple[str, Any]]:
     rig: Any = document.data
     for key in path:
         rig = rig[key]
@@ -202,31 +204,31 @@ def _arms(document: Document, path: KeyPath) -> dict[int, tuple[str, Any]]:
     return found
 
 
-def _read(model: type[Config], path: Path) -> Document:
-    document = model.read(path)
+def _read_config_document(model: type[Config], path: Path) -> Document:
+    document = model.read_document(path)
     if "name" in model.model_fields:
         document.data.setdefault("name", path.stem)
     if model is ProgramTask:
-        _upgrade(document.data)
+        _upgrade_task_in_place(document.data)
     return document
 
 
-def _upgrade(task: dict[str, Any]) -> None:
+def _upgrade_task_in_place(task: dict[str, Any]) -> None:
     upgraded = upgrade_task(task)
     task.clear()
     task.update(upgraded)
 
 
-def _other_kind(model: type[Config], document: Document) -> str | None:
+def _explain_other_kind(model: type[Config], document: Document) -> str | None:
     """Return an error message if the file's keys are those of another kind of config; else None."""
-    kind = next((kind for kind, known in KINDS.items() if known is model), None)
-    if kind is None or (instead := detect_other_kind(KINDS, kind, document.data)) is None:
+    kind = next((kind for kind, known in CONFIG_KINDS.items() if known is model), None)
+    if kind is None or (instead := detect_other_kind(CONFIG_KINDS, kind, document.data)) is None:
         return None
     keys = ", ".join(sorted(set(document.data) - {"name"})[:3])
     return f"{document.source}: has keys of the kind {instead!r} ({keys}); give a file of the kind {kind!r}"
 
 
-def _check(
+def _validate_document(
     model: type[C],
     document: Document,
     locations: Locations,
@@ -235,7 +237,7 @@ def _check(
     recorded: bool = False,
     check: Check | None = None,
 ) -> C:
-    if instead := _other_kind(model, document):
+    if instead := _explain_other_kind(model, document):
         raise ConfigError(instead)
     if model is ProgramTask and not recorded:
         _require_task_kind(document)
@@ -251,15 +253,15 @@ def _check(
     except ConflictError as error:
         place, message = explain_conflict(document, error, flags or {})
         cause = error
-    kind = UsageError if is_setting(place) else ConfigError
+    kind = UsageError if is_flag_or_keyword(place) else ConfigError
     raise kind(f"{place}: {message}") from cause
 
 
-def _references(model: type[Config]) -> Iterator[tuple[str, str, type[Config]]]:
+def _config_references(model: type[Config]) -> Iterator[tuple[str, str, type[Config]]]:
     for name, info in model.model_fields.items():
         for mark in info.metadata:
             if isinstance(mark, ConfigReference):
-                yield name, mark.kind, KINDS[mark.kind]
+                yield name, mark.kind, CONFIG_KINDS[mark.kind]
 
 
 def _resolve_references(model: type[Config], document: Document, path: KeyPath, locations: Locations) -> None:
@@ -268,8 +270,8 @@ def _resolve_references(model: type[Config], document: Document, path: KeyPath, 
     for key in path:
         here = here[key]
     if model is ProgramTask:
-        _upgrade(here)
-    for name, kind, target in _references(model):
+        _upgrade_task_in_place(here)
+    for name, kind, target in _config_references(model):
         items = list(here[name]) if isinstance(here.get(name), list) else None
         named = {(*path, name): here.get(name)} if items is None else {(*path, name, k): v for k, v in enumerate(items)}
         for inner, value in named.items():
@@ -301,9 +303,9 @@ def _insert_referenced_config(
     try:
         other = _load_named(target, kind, name, locations)
     except ConfigError as error:
-        raise ConfigError(f"{document.place(path)}: {format_key_path(path)}: {error}") from error
-    if instead := _other_kind(target, other):
-        raise ConfigError(f"{document.place(path)}: {format_key_path(path)}: {instead}")
+        raise ConfigError(f"{document.place_of(path)}: {format_key_path(path)}: {error}") from error
+    if instead := _explain_other_kind(target, other):
+        raise ConfigError(f"{document.place_of(path)}: {format_key_path(path)}: {instead}")
     document.insert_document(path, other)
 
 
@@ -311,17 +313,18 @@ def _with_dynamics(document: Document, path: KeyPath, file: str, locations: Loca
     """Add the dynamics in a file beside the `model` at `path`, and return the name of the robot model."""
     key = (*path[:-1], "dynamics")
     try:
-        dynamics = _load_named(Dynamics, _DYNAMICS, file, locations)
+        dynamics = _load_named(MeasuredArmDynamics, _DYNAMICS, file, locations)
     except ConfigError as error:
-        raise ConfigError(f"{document.place(path)}: {format_key_path(path)}: {error}") from error
+        raise ConfigError(f"{document.place_of(path)}: {format_key_path(path)}: {error}") from error
     document.insert_document(key, dynamics)
-    return _base(dynamics)
+    return _base_model_name(dynamics)
 
 
-def _base(dynamics: Document) -> str:
+def _base_model_name(dynamics: Document) -> str:
     base = dynamics.data.get("base")
     if not isinstance(base, str):
         raise ConfigError(
-            f"{dynamics.place(('base',))}: base: {base!r} is not a robot model; give the model that has these dynamics"
+            f"{dynamics.place_of(('base',))}: base: {base!r} is not a robot model; "
+            f"give the model that has these dynamics"
         )
     return base

@@ -19,7 +19,7 @@ _DIGITS = 12  # digits of a hash in messages
 ShownMeshes = Mapping[str, str]
 
 
-def describe(text: str | None) -> str:
+def describe_mesh_content(text: str | None) -> str:
     """Return a description of meshes with a shortened hash, for messages; `text` is None for an unused set."""
     if text is None:
         return "not used"
@@ -30,7 +30,8 @@ def describe(text: str | None) -> str:
 def mesh_differences(one: ShownMeshes, other: ShownMeshes, places: tuple[str, str] = ("there", "now")) -> list[str]:
     """Return `set: description there, description now` for every set whose descriptions differ."""
     return [
-        f"{name}: {describe(one.get(name))} {places[0]}, {describe(other.get(name))} {places[1]}"
+        f"{name}: {describe_mesh_content(one.get(name))} {places[0]}, "
+        f"{describe_mesh_content(other.get(name))} {places[1]}"
         for name in sorted({*one, *other})
         if one.get(name) != other.get(name)
     ]

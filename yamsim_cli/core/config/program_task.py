@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, FiniteFloat, ValidationInfo, model_validator
 
-from ..errors import suggest
+from ..errors import suggest_similar
 from ..files.documents.config_base import (
     Config,
     ConfigReference,
@@ -39,7 +39,7 @@ PROGRAM = "program"  # the `kind` of tasks
 # A weld constraint; friction; or a constraint for cloth and friction for all other objects.
 GraspKind = Literal["weld", "contact", "cloth_constraint"]
 # The first arm is `RecordConfig.arm`; the second is the other arm.
-Turn = Literal["first", "second"]
+ActingOrder = Literal["first", "second"]
 StartOrientation = Literal["upright", "lying", "upside_down"]
 
 _PLACEHOLDER = re.compile(r"\{([^{}]*)\}")
@@ -112,7 +112,7 @@ class Start(Config):
     """
 
     on: Name = TABLE
-    from_arm: Turn | None = None
+    from_arm: ActingOrder | None = None
     x: ReachRange
     y: ReachRange
     yaw_deg: HeadingRange = (-180, 180)
@@ -133,7 +133,7 @@ class Start(Config):
             )
         return self
 
-    def to_world(self, y: float) -> Start:
+    def with_y_in_world(self, y: float) -> Start:
         """Return the start with its range of y converted to `world`, given the world `y` (m) of the arm `from_arm`."""
         return self.model_copy(update={"from_arm": None, "y": (self.y[0] + y, self.y[1] + y)})
 
@@ -168,8 +168,8 @@ class Phrasings(Config):
             raise ConflictError(f"{shared[0]!r} is also in `training`; remove it from one of the two", ("held_out",))
         return self
 
-    def fill(self, fill: Callable[[str], str]) -> Phrasings:
-        """Return the phrasings with every instruction replaced by `fill(instruction)`."""
+    def map_instructions(self, fill: Callable[[str], str]) -> Phrasings:
+        """Return the phrasings with every instruction replaced by `map_instructions(instruction)`."""
         return Phrasings.model_construct(
             training=tuple(map(fill, self.training)), held_out=tuple(map(fill, self.held_out))
         )
@@ -207,7 +207,7 @@ class ProgramTiming(Config):
     ticks_per_frame: int = Field(default=2, ge=1, le=100)
 
     @property
-    def tick(self) -> float:
+    def tick_seconds(self) -> float:
         """Length of a control tick, s."""
         return self.physics_steps_per_tick * self.timestep
 
@@ -216,14 +216,14 @@ class ProgramTiming(Config):
 
         Raises ValueError if no whole number of ticks of about this length gives the rate.
         """
-        ticks = max(1, round(1 / (fps * self.tick)))
+        ticks = max(1, round(1 / (fps * self.tick_seconds)))
         tick = 1 / (fps * ticks)
-        if abs(tick / self.tick - 1) > _MAX_TICK_CHANGE:
-            low, high = (1 / (self.tick * (1 + sign * _MAX_TICK_CHANGE)) for sign in (1, -1))
+        if abs(tick / self.tick_seconds - 1) > _MAX_TICK_CHANGE:
+            low, high = (1 / (self.tick_seconds * (1 + sign * _MAX_TICK_CHANGE)) for sign in (1, -1))
             valid = ", ".join(f"{low / n:.1f} to {high / n:.1f}" for n in (1, 2, 3, 4))
             raise ValueError(
                 f"at {fps:g} frames a second, a frame is not a whole number of control ticks of "
-                f"{self.tick * 1000:.0f} ms; valid: {valid}, and so on"
+                f"{self.tick_seconds * 1000:.0f} ms; valid: {valid}, and so on"
             )
         return {"timestep": tick / self.physics_steps_per_tick, "ticks_per_frame": ticks}
 
@@ -276,34 +276,35 @@ class ProgramTask(Config):
             raise ConflictError(f"a role cannot have the name {TABLE!r} of the work surface", ("things", TABLE))
         for role in self.starts:
             if role not in self.things:
-                raise ConflictError(f"unknown role {role!r}; {suggest(role, self.things)}", ("starts", role))
+                raise ConflictError(f"unknown role {role!r}; {suggest_similar(role, self.things)}", ("starts", role))
         for role in self.things:
             if role not in self.starts:
                 raise ConflictError(f"the {role} has no start region; add it to `starts`", ("starts",))
         placed = {TABLE}
         for role, start in self.starts.items():
             if start.on not in placed:
-                valid = suggest(start.on, placed)
+                valid = suggest_similar(start.on, placed)
                 raise ConflictError(f"{start.on!r} is not listed before the {role}; {valid}", ("starts", role, "on"))
             placed.add(role)
-        names = {*self.things, *(name for role in self.things for name in self._numbered(role))}
+        names = {*self.things, *(name for role in self.things for name in self._numbered_names(role))}
         for k, miss in enumerate(self.near_misses):
             if miss.thing not in names:
                 raise ConflictError(
-                    f"unknown role {miss.thing!r}; {suggest(miss.thing, self.things)}", ("near_misses", k, "thing")
+                    f"unknown role {miss.thing!r}; {suggest_similar(miss.thing, self.things)}",
+                    ("near_misses", k, "thing"),
                 )
         for path, predicate in self.goal.predicates():
             for argument, role in predicate.roles():
                 where = ("goal", *path, *argument.split("."))
                 if role not in (known := names | {TABLE}):
-                    raise ConflictError(f"unknown role {role!r}; {suggest(role, known)}", where)
+                    raise ConflictError(f"unknown role {role!r}; {suggest_similar(role, known)}", where)
                 if predicate.OF_CLOTH and not self.may_be_cloth(role):
                     raise ConflictError(f"the {role} is not cloth; give a role of cloth", where)
         return self
 
     @model_validator(mode="after")
     def _arrangements_are_complete(self) -> ProgramTask:
-        names = {name for role in self.things for name in self._numbered(role)}
+        names = {name for role in self.things for name in self._numbered_names(role)}
         for k, arrangement in enumerate(self.arrangements):
             if others := names ^ set(arrangement.places):
                 raise ConflictError(
@@ -336,7 +337,7 @@ class ProgramTask(Config):
                 if known.setdefault(item.name, item) != item:
                     raise ConflictError(f"two different objects have the name {item.name!r}", ("things", role, "of", k))
         by_role = [role for role, played in self.things.items() if played.named == "role"]
-        used = {name: role for role in by_role for name in self._numbered(role)} | {TABLE: TABLE}
+        used = {name: role for role in by_role for name in self._numbered_names(role)} | {TABLE: TABLE}
         for role, played in self.things.items():
             for k, item in enumerate(() if role in by_role else played.of):
                 if (other := used.setdefault(item.name, role)) != role:
@@ -372,7 +373,7 @@ class ProgramTask(Config):
                 for part, (low, high) in start.open.items():
                     if part not in names:
                         raise ConflictError(
-                            f"the {item.name} has no part {part!r}; {suggest(part, names)}",
+                            f"the {item.name} has no part {part!r}; {suggest_similar(part, names)}",
                             ("starts", role, "open", part),
                         )
                     if low > high:
@@ -428,12 +429,12 @@ class ProgramTask(Config):
     @property
     def max_ticks(self) -> int:
         """The time limit in control ticks."""
-        return math.ceil(self.time_limit_s / self.timing.tick)
+        return math.ceil(self.time_limit_s / self.timing.tick_seconds)
 
     @property
     def hold_ticks(self) -> int:
         """The hold time of the goal in control ticks."""
-        return math.ceil(self.goal.for_s / self.timing.tick)
+        return math.ceil(self.goal.for_s / self.timing.tick_seconds)
 
     @property
     def typical_roles(self) -> RoleAssignment:
@@ -454,26 +455,26 @@ class ProgramTask(Config):
         kinds = {
             name: self.things[role].of[k].name
             for role, numbers in drawn.items()
-            for name, k in zip(self.names_of(role, numbers), numbers, strict=True)
+            for name, k in zip(self.object_names_of(role, numbers), numbers, strict=True)
         }
         return RoleAssignment(
-            {role: self.names_of(role, numbers) for role, numbers in drawn.items()}, kinds, sizes or {}
+            {role: self.object_names_of(role, numbers) for role, numbers in drawn.items()}, kinds, sizes or {}
         )
 
-    def names_of(self, role: str, drawn: tuple[int, ...]) -> tuple[str, ...]:
+    def object_names_of(self, role: str, drawn: tuple[int, ...]) -> tuple[str, ...]:
         """Return the names of a role's objects, given the indices in `of` of their configs.
 
         An object has the name of its config or its role; several objects of a role are numbered from 1.
         """
         one = self.things[role]
-        return self._numbered(role) if one.named == "role" else tuple(one.of[k].name for k in drawn)
+        return self._numbered_names(role) if one.named == "role" else tuple(one.of[k].name for k in drawn)
 
     def possible_names(self, role: str) -> tuple[str, ...]:
         """Return all possible names of a role's objects."""
         one = self.things[role]
-        return self._numbered(role) if one.named == "role" else tuple(item.name for item in one.of)
+        return self._numbered_names(role) if one.named == "role" else tuple(item.name for item in one.of)
 
-    def _numbered(self, role: str) -> tuple[str, ...]:
+    def _numbered_names(self, role: str) -> tuple[str, ...]:
         count = self.things[role].count
         return (role,) if count == 1 else tuple(f"{role}_{k + 1}" for k in range(count))
 
@@ -492,7 +493,7 @@ class ProgramTask(Config):
         return self._fill_placeholders(words, words)
 
     def _fill_placeholders(self, prompt_words: Mapping[str, str], name_words: Mapping[str, str]) -> ProgramTask:
-        phrasings = self.phrasings.fill(lambda text: _replace_placeholders(text, prompt_words))
+        phrasings = self.phrasings.map_instructions(lambda text: _replace_placeholders(text, prompt_words))
         return self.model_copy(
             update={"phrasings": phrasings, "language_task": _replace_placeholders(self.language_task, name_words)}
         )

@@ -19,20 +19,20 @@ from ..files.documents.units import QuantityBounds, ReachRange
 from .objects.object_config import ObjectConfig
 
 
-def _positive(value: tuple[float, float]) -> tuple[float, float]:
+def _require_positive(value: tuple[float, float]) -> tuple[float, float]:
     if value[0] <= 0:
         raise ValueError(f"factors must be above 0, not {value[0]}")
     return value
 
 
-def _share(value: tuple[float, float]) -> tuple[float, float]:
+def _require_share(value: tuple[float, float]) -> tuple[float, float]:
     if value[0] < 0 or value[1] > 1:
         raise ValueError(f"must lie in 0..1, not {value[0]}..{value[1]}")
     return value
 
 
-Factor = Annotated[Range, AfterValidator(_positive)]
-Share = Annotated[Range, AfterValidator(_share)]
+Factor = Annotated[Range, AfterValidator(_require_positive)]
+Share = Annotated[Range, AfterValidator(_require_share)]
 _Brightness = Annotated[FiniteFloat, QuantityBounds("of 1", -1, 1)]
 _Noise = Annotated[FiniteFloat, QuantityBounds("of 255", 0, 128)]
 _Lens = Annotated[FiniteFloat, QuantityBounds("degrees", -60, 60)]
@@ -188,11 +188,11 @@ class RandomizationConfig(Config):
     arm_dynamics: ArmRanges | None = None
 
     @property
-    def parts(self) -> tuple[str, ...]:
+    def varied_parts(self) -> tuple[str, ...]:
         """Keys of the parts of this config that are given, and so vary between attempts."""
         return tuple(key for key in type(self).model_fields if key != "name" and getattr(self, key) is not None)
 
     @property
-    def extras(self) -> tuple[ObjectConfig, ...]:
+    def distractor_configs(self) -> tuple[ObjectConfig, ...]:
         """The object configs from which distractors are sampled; empty without distractors."""
         return self.distractors.objects if self.distractors else ()

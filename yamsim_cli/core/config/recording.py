@@ -90,7 +90,7 @@ class RecordConfig(Config):
                     ("scene",),
                     ("task",),
                 )
-        names = [item.name for item in (*self.task.objects, *self.randomization.extras)]
+        names = [item.name for item in (*self.task.objects, *self.randomization.distractor_configs)]
         if len(set(names)) < len(names):
             raise ConflictError(
                 f"distractors and the task's objects must all differ: {', '.join(names)}",
@@ -172,16 +172,16 @@ class RecordConfig(Config):
         return self.task.start_joints
 
     @property
-    def table(self) -> Table:
+    def widened_table(self) -> Table:
         """The table, widened along y by the distance between the rig's arms."""
-        table = self.surroundings.table
+        table = self.widened_scene.table
         assert table is not None  # checked by `_task_fits_the_scene`
         return table
 
     @property
-    def surroundings(self) -> SceneConfig:
+    def widened_scene(self) -> SceneConfig:
         """The scene, with the table widened and the scene camera moved back by the distance between the rig's arms."""
-        return self.scene.for_span(self.rig.span)
+        return self.scene.for_span(self.rig.arm_span)
 
     @property
     def acting_indices(self) -> tuple[int, ...]:
@@ -200,11 +200,11 @@ class RecordConfig(Config):
         return len(self.rig.arms) - 1 - self.first_arm
 
     @property
-    def starts(self) -> Mapping[str, Start]:
+    def start_regions_in_world(self) -> Mapping[str, Start]:
         """Role -> ranges of the initial poses of its objects, all in `world`."""
         places = {"first": self.rig.arm_origin_y(self.first_arm), "second": self.rig.arm_origin_y(self.second_arm)}
         return {
-            role: start if start.from_arm is None else start.to_world(places[start.from_arm])
+            role: start if start.from_arm is None else start.with_y_in_world(places[start.from_arm])
             for role, start in self.task.starts.items()
         }
 

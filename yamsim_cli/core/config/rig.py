@@ -28,9 +28,9 @@ from ..files.documents.config_base import (
 from ..files.documents.units import Heading, PlacePoint, QuantityBounds, is_recorded_config
 from ..geometry.board import Board
 from ..geometry.se3 import Array, pose, pose_from_quat, rotation_z
-from ..robots.dynamics import Dynamics
+from ..robots.dynamics import MeasuredArmDynamics
 from ..robots.models import ArmModel, Fovy, Gripper, Modes, WristCamera, fovy_for_size
-from ..robots.robot import Robot, assemble
+from ..robots.robot import Robot, assemble_robot
 
 _OnMount = Annotated[FiniteFloat, QuantityBounds("mm", -2000, 2000)]  # coordinate of a printed mount
 _MIN_MM = 1.0  # mm, least size of a mount and distance of a board from the base; less was probably meant in m
@@ -87,7 +87,7 @@ class BoardConfig(Config):
     quat: Quaternion = (1.0, 0.0, 0.0, 0.0)
 
     @property
-    def board(self) -> Board:
+    def board_in_metres(self) -> Board:
         """The board with all lengths in m."""
         return Board(
             self.name,
@@ -150,7 +150,7 @@ class ArmConfig(Config):
     prefix: Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9_]*$")] = ""
     model: Annotated[ArmModel, ConfigReference("robots"), *_BY_NAME]
     gripper: Annotated[Gripper, ConfigReference("grippers"), *_BY_NAME]
-    dynamics: Annotated[Dynamics | None, ConfigReference("revisions")] = None
+    dynamics: Annotated[MeasuredArmDynamics | None, ConfigReference("revisions")] = None
     base: BasePose = BasePose()
     grasp_offset: Annotated[FiniteFloat, QuantityBounds("m", 0.01, 0.5)] | None = None
     wrist_camera: WristCamera
@@ -160,11 +160,11 @@ class ArmConfig(Config):
     @property
     def robot(self) -> Robot:
         """The arm with its gripper."""
-        return assemble(self.model, self.gripper, self.dynamics)
+        return assemble_robot(self.model, self.gripper, self.dynamics)
 
     @property
     def T_board_in_base(self) -> Array:
-        """Pose (4, 4) of the `board` frame in the base frame, for an arm with a board."""
+        """Pose (4, 4) of the `board_in_metres` frame in the base frame, for an arm with a board."""
         assert self.board is not None
         return self.robot.T_base_mesh @ self.board.T_in_base_mesh
 
@@ -264,7 +264,7 @@ class RigConfig(Config):
         return T if camera.arm is None else bases[camera.arm] @ T
 
     @property
-    def span(self) -> float:
+    def arm_span(self) -> float:
         """Distance along world y between the outermost arms' points (see `margin`), m; 0 for one arm."""
         return (len(self.arms) - 1) * self.margin
 
@@ -274,9 +274,9 @@ class RigConfig(Config):
         return tuple(sorted(range(len(self.arms)), key=lambda k: self.arms[k].side))
 
     @property
-    def drives(self) -> int:
+    def drive_count(self) -> int:
         """Number of drives of each arm: one for each joint, and one for the fingers if any."""
-        return len(self.arms[0].robot.drives)
+        return len(self.arms[0].robot.drive_names)
 
     def arm_origin_y(self, arm: int) -> float:
         """Return the world y (m) of the point to which the base pose of an arm is relative."""
@@ -292,7 +292,11 @@ class RigConfig(Config):
             for key in ("name", "prefix", "side"):
                 if getattr(one, key) == getattr(other, key):
                     raise ValueError(f"two arms have the same {key} {getattr(one, key)!r}; each needs its own")
-            if one.board and other.board and (shared := set(one.board.board.ids) & set(other.board.board.ids)):
+            if (
+                one.board
+                and other.board
+                and (shared := set(one.board.board_in_metres.marker_ids) & set(other.board.board_in_metres.marker_ids))
+            ):
                 raise ValueError(
                     f"boards {one.board.name!r} and {other.board.name!r} share the marker ids "
                     f"{min(shared)}..{max(shared)}; give each board ids of its own"

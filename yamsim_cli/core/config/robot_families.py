@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 
-from ..errors import ConfigError, suggest
+from ..errors import ConfigError, suggest_similar
 from ..files.documents.yaml_document import load_yaml
 from ..files.resources import Locations
 
@@ -48,7 +48,7 @@ def valid_families(locations: Locations) -> tuple[Families, Mapping[str, ConfigE
         if not (isinstance(family, str) and isinstance(revision, str)):
             continue
         if other := found.setdefault(family, {}).get(revision):
-            place = document.place(("revision",))
+            place = document.place_of(("revision",))
             faults[model] = ConfigError(
                 f"{place}: {files[other]} is revision {revision!r} of {family!r} too; give the new one another revision"
             )
@@ -71,7 +71,7 @@ def resolve_model_name(name: str, locations: Locations) -> str:
     known = find_families(locations)
     if name in known:
         return list(known[name].values())[-1]
-    raise ConfigError(f"unknown robot {name!r}; {suggest(name, {*known, *models})}")
+    raise ConfigError(f"unknown robot {name!r}; {suggest_similar(name, {*known, *models})}")
 
 
 def other_revision(model: str, revision: str, locations: Locations) -> str:
@@ -79,7 +79,7 @@ def other_revision(model: str, revision: str, locations: Locations) -> str:
     for family, revisions in find_families(locations).items():
         if model in (family, *revisions.values()):
             if revision not in revisions:
-                raise ConfigError(f"{family} has no revision {revision!r}; {suggest(revision, revisions)}")
+                raise ConfigError(f"{family} has no revision {revision!r}; {suggest_similar(revision, revisions)}")
             return revisions[revision]
     raise ConfigError(f"robot {model!r} has no revisions; leave out revision {revision!r}")
 

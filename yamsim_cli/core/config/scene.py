@@ -22,7 +22,7 @@ class Table(Config):
     contact: Contact = Contact()
 
     @property
-    def top(self) -> float:
+    def top_height(self) -> float:
         """Height of the surface in `world`, m."""
         return self.position[2] + self.half_size[2]
 
@@ -93,9 +93,9 @@ class SceneConfig(Config):
 
     @model_validator(mode="after")
     def _plane_below_table(self) -> SceneConfig:
-        if self.table and self.safety_plane >= self.table.top:
+        if self.table and self.safety_plane >= self.table.top_height:
             raise ConflictError(
-                f"safety_plane {self.safety_plane} m must lie below the table's top at {self.table.top} m",
+                f"safety_plane {self.safety_plane} m must lie below the table's top at {self.table.top_height} m",
                 ("safety_plane",),
                 ("table",),
             )

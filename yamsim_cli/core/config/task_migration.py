@@ -50,7 +50,7 @@ def upgrade_task(data: Mapping[str, Any]) -> dict[str, Any]:
         **common,
         "grasps": ["weld", "contact"],
         "things": {role: {"of": item, "named": "object"} for role, item in objects.items()},
-        "starts": _starts(old.pop("sampling", {}), second=kind == "handover"),
+        "starts": _start_regions(old.pop("sampling", {}), second=kind == "handover"),
         "phrasings": {
             "training": [_with_new_placeholders(old.pop("language_prompt"))] if "language_prompt" in old else []
         },
@@ -71,7 +71,7 @@ def upgrade_task(data: Mapping[str, Any]) -> dict[str, Any]:
     return upgraded | old
 
 
-def _starts(box: Mapping[str, Any], *, second: bool) -> dict[str, Any]:
+def _start_regions(box: Mapping[str, Any], *, second: bool) -> dict[str, Any]:
     region = {key: box[key] for key in ("x", "y") if key in box}
     if "clearance" in box:
         region["apart"] = box["clearance"]

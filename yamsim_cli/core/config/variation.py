@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 
 @dataclass(frozen=True)
-class LightVariation:
+class LightSample:
     """Factors on a light's red, green and blue, and the rotation vector (3,) of its direction, rad."""
 
     colour: tuple[float, float, float]
@@ -15,7 +15,7 @@ class LightVariation:
 
 
 @dataclass(frozen=True)
-class SurfaceVariation:
+class SurfaceSample:
     """Texture of a surface: two colours (RGB, 0..1), repetitions along each edge, and the seed of its noise."""
 
     texture: str
@@ -25,7 +25,7 @@ class SurfaceVariation:
 
 
 @dataclass(frozen=True)
-class LookVariation:
+class AppearanceSample:
     """Appearance of an object: colour (RGB, 0..1), specular reflection and shininess."""
 
     rgb: tuple[float, float, float]
@@ -34,7 +34,7 @@ class LookVariation:
 
 
 @dataclass(frozen=True)
-class ArmVariation:
+class ArmDynamicsSample:
     """Values added to one arm's dynamics; `gravity`: error of gravity compensation per joint, as share of its load."""
 
     command_delay_ms: float
@@ -45,7 +45,7 @@ class ArmVariation:
 
 
 @dataclass(frozen=True)
-class Variation:
+class RandomizationSample:
     """The samples of one attempt from the ranges of a randomization; a part that does not vary is empty or None.
 
     Attributes:
@@ -59,16 +59,16 @@ class Variation:
         arm_dynamics: samples for each arm, in the order of arms in the compiled scene.
     """
 
-    lights: tuple[LightVariation, ...] = ()
+    lights: tuple[LightSample, ...] = ()
     headlight: tuple[float, float] | None = None
     mass: Mapping[str, float] = field(default_factory=dict)
     friction: Mapping[str, float] = field(default_factory=dict)
     lens_deg: float | None = None
     camera: tuple[float, float, float, float, float, float] | None = None
-    table: SurfaceVariation | None = None
-    floor: SurfaceVariation | None = None
-    looks: Mapping[str, LookVariation] = field(default_factory=dict)
+    table: SurfaceSample | None = None
+    floor: SurfaceSample | None = None
+    looks: Mapping[str, AppearanceSample] = field(default_factory=dict)
     distractors: Mapping[str, tuple[float, float, float, float]] = field(default_factory=dict)
     noise: float | None = None
     salt_pepper: float | None = None
-    arm_dynamics: tuple[ArmVariation, ...] = ()
+    arm_dynamics: tuple[ArmDynamicsSample, ...] = ()

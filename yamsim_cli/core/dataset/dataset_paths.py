@@ -17,23 +17,25 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-CONFIG = "config.yaml"
-ATTEMPTS = "attempts.jsonl"
-MANIFEST = "manifest.json"
-EPISODE = "episode.json"
-TRUTH_LABELS = "truth/labels.json"
+CONFIG_FILE = "config.yaml"
+LEDGER_FILE = "attempts.jsonl"
+MANIFEST_FILE = "manifest.json"
+EPISODE_FILE = "episode.json"
+TRUTH_LABELS_FILE = "truth/labels.json"
 TRUTH_FOLDERS = ("depth/", "segmentation/", "truth/")  # folders of an episode with ground truth
-STAGING = ".staging"
-RECORDINGS = ".recordings"  # folder of teleoperation recordings in progress, or left by a killed session
-LOCK = ".lock"
-DAMAGED = ".damaged"
+STAGING_FOLDER = ".staging"
+RECORDINGS_FOLDER = ".recordings"  # folder of teleoperation recordings in progress, or left by a killed session
+LOCK_FILE_NAME = ".lock"
+QUARANTINE_FOLDER = ".damaged"
 
 EPISODE_FORMAT = "yamsim-episode"  # value of `format` in episode.json
 DATASET_FORMAT = "yamsim-dataset"  # value of `format` in manifest.json
 FORMAT_VERSION = 4  # version of what is written; `upgrade` brings records of versions 1 to 3 to this form
 
 # Names of the temporary files that `files.writing.write_file` renames to the final files. A crash may leave them.
-_PART_NAME = re.compile(rf"^\.({re.escape(CONFIG)}|{re.escape(ATTEMPTS)}|{re.escape(MANIFEST)})\.[0-9a-f]{{32}}\.part$")
+_PART_NAME = re.compile(
+    rf"^\.({re.escape(CONFIG_FILE)}|{re.escape(LEDGER_FILE)}|{re.escape(MANIFEST_FILE)})\.[0-9a-f]{{32}}\.part$"
+)
 _EPISODE_NAME = re.compile(r"^ep_(\d{6,})$")
 
 
@@ -52,24 +54,24 @@ def lowdim_path(frame: int) -> str:
     return f"lowdim/{frame:06d}.pkl"
 
 
-def depth_name(camera: str, frame: int) -> str:
+def depth_path(camera: str, frame: int) -> str:
     """Return the path of a depth image, relative to its episode."""
     return f"depth/{camera}/{frame:06d}.npz"
 
 
-def segmentation_name(camera: str, frame: int) -> str:
+def segmentation_path(camera: str, frame: int) -> str:
     """Return the path of a segmentation image, relative to its episode."""
     return f"segmentation/{camera}/{frame:06d}.png"
 
 
-def truth_name(camera: str) -> str:
+def truth_path(camera: str) -> str:
     """Return the path of one camera's poses, keypoints and boxes, relative to its episode."""
     return f"truth/{camera}.npz"
 
 
 def is_leftover(name: str) -> bool:
     """Return whether an entry of a dataset directory is left over from writing and holds no data."""
-    return name in (STAGING, LOCK) or _PART_NAME.match(name) is not None
+    return name in (STAGING_FOLDER, LOCK_FILE_NAME) or _PART_NAME.match(name) is not None
 
 
 def episode_directories(dataset: Path) -> list[tuple[int, Path]]:

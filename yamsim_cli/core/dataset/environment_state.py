@@ -19,7 +19,7 @@ _POSE_NAMES = tuple(f"{part}{axis}" for part in ("", "x_axis_", "y_axis_") for a
 
 
 def object_pose_keys(config: RecordConfig) -> dict[str, str]:
-    """Return object -> key of its pose in an observation, for all objects of a task, in the order of `state_row`."""
+    """Return object -> key of its pose in an observation, for all objects, in the order of `make_state_row`."""
     cast = config.task.typical_roles
     names = {
         thing: role if len(things) == 1 else thing for role, things in cast.objects_by_role.items() for thing in things
@@ -33,11 +33,11 @@ def joints_key(thing: str) -> str:
 
 
 def state_names(things: Sequence[str], joints: Mapping[str, Sequence[str]]) -> tuple[str, ...]:
-    """Return the names of the elements of a `state_row`, such as `cube_x`; `joints`: object -> names of its joints."""
+    """Return names of the elements of `make_state_row`, such as `cube_x`; `joints`: object -> joint names."""
     parts = {thing: [f"joint_{name}" for name in joints.get(thing, ())] for thing in things}
     return tuple(f"{thing}_{name}" for thing in things for name in (*_POSE_NAMES, *parts[thing]))
 
 
-def state_row(things: Sequence[tuple[Array, ArrayLike]]) -> Array:
+def make_state_row(things: Sequence[tuple[Array, ArrayLike]]) -> Array:
     """Return 9 numbers and the joints (m or rad) of each object, from its pose (4, 4) in the robot base and joints."""
     return np.concatenate([part for T, joints in things for part in (T[:3, 3], T[:3, 0], T[:3, 1], np.ravel(joints))])

@@ -99,7 +99,7 @@ _MAX_ARRAY_BYTES = 2**28  # largest total size of a camera's arrays that is read
 _MAX_DEPTH_BYTES = 2**27  # largest size of a depth image that is read
 
 
-def visible_name(cloth: str) -> str:
+def visible_points_key(cloth: str) -> str:
     """Return the key of the boolean array (frames, points) that states which points of a cloth are visible."""
     return f"{cloth}_visible"
 
@@ -113,7 +113,7 @@ def array_specs(labels: TruthLabels, frames: int) -> dict[str, tuple[np.dtype[An
         for key, (dtype, shape) in _ARRAYS.items()
     }
     return forms | {
-        visible_name(cloth): (np.dtype(np.bool_), (frames, columns * rows))
+        visible_points_key(cloth): (np.dtype(np.bool_), (frames, columns * rows))
         for cloth, (columns, rows) in labels.cloths.items()
     }
 
@@ -187,7 +187,7 @@ def load_arrays(data: bytes, maximum: int) -> dict[str, NDArray[Any]]:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             entries = archive.infolist()
             if (size := sum(entry.file_size for entry in entries)) <= maximum:
-                return {entry.filename.removesuffix(".npy"): _array(archive.read(entry)) for entry in entries}
+                return {entry.filename.removesuffix(".npy"): _decode_array(archive.read(entry)) for entry in entries}
     # The zip and npy readers can raise almost any exception on a damaged archive.
     except Exception as error:
         reason = " ".join(str(error).split())[:200]
@@ -195,7 +195,7 @@ def load_arrays(data: bytes, maximum: int) -> dict[str, NDArray[Any]]:
     raise DatasetError(f"it holds {size} bytes; at most {maximum} are read")
 
 
-def _array(data: bytes) -> NDArray[Any]:
+def _decode_array(data: bytes) -> NDArray[Any]:
     """Read the array in an `.npy` without allocating more memory than its data has."""
     stream = io.BytesIO(data)
     version = np.lib.format.read_magic(stream)

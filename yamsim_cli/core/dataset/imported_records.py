@@ -13,7 +13,7 @@ from ..errors import ConfigError, DatasetError
 from ..files.documents.config_base import Config
 from ..files.documents.yaml_document import parse_yaml
 from ..files.resources import Locations
-from .dataset_paths import CONFIG, EPISODE, EPISODE_FORMAT, FORMAT_VERSION
+from .dataset_paths import CONFIG_FILE, EPISODE_FILE, EPISODE_FORMAT, FORMAT_VERSION
 from .records import CameraSizes, FilePath, Record
 from .upgrade import upgrade_config, upgrade_episode
 
@@ -57,10 +57,10 @@ class RealEpisodeRecord(Record):
     files: dict[FilePath, str]
 
 
-def is_real(dataset: Path) -> bool:
+def is_imported_dataset(dataset: Path) -> bool:
     """Return whether the config of a dataset says that its episodes are imported recordings."""
     try:
-        data = parse_yaml((dataset / CONFIG).read_text(encoding="utf-8"), str(dataset / CONFIG)).data
+        data = parse_yaml((dataset / CONFIG_FILE).read_text(encoding="utf-8"), str(dataset / CONFIG_FILE)).data
     except (OSError, UnicodeDecodeError, ConfigError):
         return False
     return data.get("source") == REAL
@@ -68,10 +68,10 @@ def is_real(dataset: Path) -> bool:
 
 def is_yamsim_data(path: Path) -> bool:
     """Return whether a folder is an episode or a dataset in yamsim's format."""
-    return (path / EPISODE).is_file() or (path / CONFIG).is_file()
+    return (path / EPISODE_FILE).is_file() or (path / CONFIG_FILE).is_file()
 
 
-def real_config(dataset: Path, locations: Locations) -> RealConfig:
+def read_imported_config(dataset: Path, locations: Locations) -> RealConfig:
     """Return the config of imported recordings. Raises as `read_dataset_config`."""
     return read_dataset_config(RealConfig, dataset, locations)
 
@@ -82,7 +82,7 @@ def read_dataset_config(model: type[C], dataset: Path, locations: Locations) -> 
     The plausible bounds of quantities are not checked: they may have changed since, and the dataset exists with its
     values. Raise DatasetError if the config is unreadable or invalid.
     """
-    file = dataset / CONFIG
+    file = dataset / CONFIG_FILE
     try:
         text = file.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:

@@ -19,7 +19,7 @@ from .safe_unpickle import read_pickle
 
 _PICKLE_PROTOCOL = 4  # fixed, so that bytes do not change with Python's default
 
-BETWEEN_BASES = "T_right_base_in_left_base"  # frame key; with two arms only
+RIGHT_IN_LEFT_BASE_KEY = "T_right_base_in_left_base"  # frame key; with two arms only
 STATE, ACTION = "state", "action"  # frame keys; only in datasets whose actions are joint targets
 GRASP, CLOTH_GRASP = "grasp", "cloth_constraint"  # frame key and its value; only in tasks with cloth
 
@@ -43,7 +43,7 @@ def frame_array_shapes(arms: int, drives: int, *, joint_actions: bool = False) -
     common: dict[str, tuple[int, ...]] = dict.fromkeys(rows, (drives * arms,))
     if arms == 1:
         return common | {"ee_pose": (4, 4)}
-    return common | {"ee_pose": (arms, 4, 4), BETWEEN_BASES: (4, 4)}
+    return common | {"ee_pose": (arms, 4, 4), RIGHT_IN_LEFT_BASE_KEY: (4, 4)}
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,7 @@ class SimulationData:
     magnet: WeldStates
 
 
-def frame_data(
+def make_frame(
     *,
     joints: Array,
     timestamp: float,
@@ -107,18 +107,18 @@ def frame_data(
         cloth_points: cloth -> points (n, 3) in the robot base, m, stored as `<object>_points`; adds the key `grasp`.
     """
     data: dict[str, Any] = {
-        "joints": _f32(joints.ravel()),
+        "joints": _to_float32(joints.ravel()),
         "timestamp": float(timestamp),
-        "intrinsics": {camera: _f32(K) for camera, K in intrinsics.items()},
-        "extrinsics": {camera: _f32(T) for camera, T in extrinsics.items()},
+        "intrinsics": {camera: _to_float32(K) for camera, K in intrinsics.items()},
+        "extrinsics": {camera: _to_float32(T) for camera, T in extrinsics.items()},
     }
-    data |= {f"{name}_pose": _f32(T) for name, T in object_poses.items()}
-    data |= {f"{name}_joints": _f32(joints) for name, joints in (object_joints or {}).items()}
-    data |= {f"{name}_points": _f32(points) for name, points in (cloth_points or {}).items()}
+    data |= {f"{name}_pose": _to_float32(T) for name, T in object_poses.items()}
+    data |= {f"{name}_joints": _to_float32(joints) for name, joints in (object_joints or {}).items()}
+    data |= {f"{name}_points": _to_float32(points) for name, points in (cloth_points or {}).items()}
     data |= {
-        "ee_pose": _f32(_squeeze_arms(ee_pose)),
-        "ctrl": _f32(ctrl.ravel()),
-        "action_joints": _f32(action_joints.ravel()),
+        "ee_pose": _to_float32(_squeeze_arms(ee_pose)),
+        "ctrl": _to_float32(ctrl.ravel()),
+        "action_joints": _to_float32(action_joints.ravel()),
         "magnet": np.array(magnet, dtype=np.bool_) if len(magnet) > 1 else bool(magnet[0]),
         "language_task": language_task,
         "language_prompt": language_prompt,
@@ -126,16 +126,16 @@ def frame_data(
     if cloth_points:
         data[GRASP] = CLOTH_GRASP
     if wrist_camera is not None:
-        data["K_wrist"] = _f32(intrinsics[wrist_camera])
+        data["K_wrist"] = _to_float32(intrinsics[wrist_camera])
     if T_right_base_in_left_base is not None:
-        data[BETWEEN_BASES] = _f32(T_right_base_in_left_base)
+        data[RIGHT_IN_LEFT_BASE_KEY] = _to_float32(T_right_base_in_left_base)
     if full_openings is not None:
-        data[STATE] = _f32(with_opening_shares(joints, full_openings).ravel())
-        data[ACTION] = _f32(with_opening_shares(ctrl, full_openings).ravel())
+        data[STATE] = _to_float32(with_opening_shares(joints, full_openings).ravel())
+        data[ACTION] = _to_float32(with_opening_shares(ctrl, full_openings).ravel())
     if simulation is not None:
         data |= {
-            "sim_qpos": _f64(simulation.qpos),
-            "sim_ctrl": _f64(simulation.ctrl),
+            "sim_qpos": _to_float64(simulation.qpos),
+            "sim_ctrl": _to_float64(simulation.ctrl),
             "sim_magnet": np.ascontiguousarray(_squeeze_arms(simulation.magnet, axis=1), dtype=np.bool_),
         }
     return data
@@ -152,11 +152,11 @@ def _squeeze_arms(values: NDArray[Any], axis: int = 0) -> NDArray[Any]:
     return values if values.shape[axis] > 1 else values.squeeze(axis)
 
 
-def _f32(values: ArrayLike) -> NDArray[np.float32]:
+def _to_float32(values: ArrayLike) -> NDArray[np.float32]:
     return np.ascontiguousarray(values, dtype=np.float32)
 
 
-def _f64(values: ArrayLike) -> NDArray[np.float64]:
+def _to_float64(values: ArrayLike) -> NDArray[np.float64]:
     return np.ascontiguousarray(values, dtype=np.float64)
 
 

@@ -18,8 +18,8 @@ from ..files.writing import sha256_bytes
 from ..images.image import Image
 from .checks.context import find_episodes
 from .checks.lowdim import frame_faults, recorded_specs
-from .dataset_paths import CONFIG, EPISODE, episode_directories, episode_name, image_path, lowdim_path
-from .imported_records import RealEpisodeRecord, is_real, read_dataset_config, real_config
+from .dataset_paths import CONFIG_FILE, EPISODE_FILE, episode_directories, episode_name, image_path, lowdim_path
+from .imported_records import RealEpisodeRecord, is_imported_dataset, read_dataset_config, read_imported_config
 from .lowdim import load_frame
 from .records import EpisodeRecord, from_json
 
@@ -35,7 +35,7 @@ class RecordedEpisode:
     record: EpisodeRecord | RealEpisodeRecord
 
     @property
-    def dataset(self) -> Path:
+    def dataset_directory(self) -> Path:
         """The dataset's directory."""
         return self.directory.absolute().parent
 
@@ -55,7 +55,7 @@ class RecordedEpisode:
         data = self.read(name)
         if self.is_altered(name, data):
             raise DatasetError(
-                f"{self.directory / name} is not what was recorded: its sha256 differs from that in {EPISODE}; "
+                f"{self.directory / name} is not what was recorded: its sha256 differs from that in {EPISODE_FILE}; "
                 "copy the episode again, or record it again"
             )
         return data
@@ -93,20 +93,20 @@ class StoredEpisode(RecordedEpisode):
 
 def open_episode(directory: Path) -> StoredEpisode:
     """Open a simulated episode. Raise DatasetError if it is missing, damaged, or a recording of real arms."""
-    episode = open_recorded(directory)
+    episode = open_recorded_episode(directory)
     if not isinstance(episode, StoredEpisode):
         raise DatasetError(f"{directory} is an imported recording of real arms; give a simulated episode")
     return episode
 
 
-def open_recorded(directory: Path) -> RecordedEpisode:
+def open_recorded_episode(directory: Path) -> RecordedEpisode:
     """Open a simulated or real episode. Raise DatasetError if the directory has no episode or a damaged record."""
-    file = directory / EPISODE
+    file = directory / EPISODE_FILE
     try:
         text = file.read_bytes()
     except OSError as error:
         raise DatasetError(
-            f"{directory} is not an episode: {EPISODE} cannot be read ({error.strerror or error}); "
+            f"{directory} is not an episode: {EPISODE_FILE} cannot be read ({error.strerror or error}); "
             "give a directory such as dataset/ep_000003"
         ) from error
     if _REAL_SOURCE.search(text):
@@ -114,12 +114,12 @@ def open_recorded(directory: Path) -> RecordedEpisode:
     return StoredEpisode(directory, from_json(EpisodeRecord, text, file))
 
 
-def recorded_episodes(dataset: Path) -> list[RecordedEpisode]:
+def open_all_episodes(dataset: Path) -> list[RecordedEpisode]:
     """Open all episodes of a dataset that yamsim wrote. Raise DatasetError if it is none, or a record is damaged."""
     found, recorded = find_episodes(dataset)
-    if not recorded and not is_real(dataset):
+    if not recorded and not is_imported_dataset(dataset):
         raise _not_recorded_error(dataset)
-    return [open_recorded(episode.path) for episode in found]
+    return [open_recorded_episode(episode.path) for episode in found]
 
 
 class StoredEpisodes(Sequence[StoredEpisode]):
@@ -162,7 +162,8 @@ def open_episodes(dataset: Path) -> StoredEpisodes:
 
 def _not_recorded_error(dataset: Path) -> DatasetError:
     return DatasetError(
-        f"{dataset} is a plain recording, without {CONFIG} and {EPISODE}: `yamsim summarize` can check it, but its "
+        f"{dataset} is a plain recording, without {CONFIG_FILE} and {EPISODE_FILE}: `yamsim summarize` can check it, "
+        "but its "
         "episodes cannot be opened; give the directory that `yamsim record` wrote, or import it with `yamsim import`"
     )
 
@@ -176,18 +177,18 @@ def find_episode(path: Path, number: int | None) -> RecordedEpisode:
     """
     there = episode_directories(path) if path.is_dir() else []
     if number is None and not there:
-        return open_recorded(path)
+        return open_recorded_episode(path)
     names = ", ".join(directory.name for _, directory in there[:3]) + (", ..." if len(there) > 3 else "")
     if number is None:
         raise UsageError(f"{path} is a dataset: give one of its episodes ({names}), or --episode")
     if number not in dict(there):
         raise UsageError(f"--episode {number}: there is no {episode_name(number)} in {path}; it has {names or 'none'}")
-    return open_recorded(dict(there)[number])
+    return open_recorded_episode(dict(there)[number])
 
 
-def dataset_config(dataset: Path, locations: Locations) -> RecordConfig:
+def read_recording_config(dataset: Path, locations: Locations) -> RecordConfig:
     """Return the configuration that a dataset was recorded with. Raise DatasetError if it is missing or invalid."""
-    if is_real(dataset):
+    if is_imported_dataset(dataset):
         raise DatasetError(
             f"{dataset} holds real recordings, which were not simulated and cannot be made again; "
             f"`yamsim summarize {dataset} --strict` checks the hash of every file, and `yamsim gap {dataset}` compares "
@@ -196,9 +197,13 @@ def dataset_config(dataset: Path, locations: Locations) -> RecordConfig:
     return read_dataset_config(RecordConfig, dataset, locations)
 
 
-def recorded_rig(dataset: Path, locations: Locations) -> RigConfig:
+def read_recorded_rig(dataset: Path, locations: Locations) -> RigConfig:
     """Return the rig (arms and cameras) of a dataset. Raise DatasetError if the config is missing or invalid."""
-    return real_config(dataset, locations).rig if is_real(dataset) else dataset_config(dataset, locations).rig
+    return (
+        read_imported_config(dataset, locations).rig
+        if is_imported_dataset(dataset)
+        else read_recording_config(dataset, locations).rig
+    )
 
 
 def select_episodes(dataset: Path, episodes: str | None, sample: int | None) -> list[tuple[int, Path]]:
@@ -209,7 +214,7 @@ def select_episodes(dataset: Path, episodes: str | None, sample: int | None) -> 
         sample: number of episodes to select, evenly spread; None for all. Ignored if `episodes` is given.
 
     Raises:
-        DatasetError: `dataset` is not a directory with episodes.
+        DatasetError: `dataset_directory` is not a directory with episodes.
         UsageError: an episode does not exist, or `episodes` is not a list of numbers and ranges.
     """
     if not dataset.is_dir():
@@ -254,7 +259,7 @@ class RecordedImages:
         self._episode = episode
         self.cameras = tuple(episode.record.cameras)
 
-    def read(self, camera: str, frame: int) -> Image:
+    def read_image(self, camera: str, frame: int) -> Image:
         """Return an RGB image (height, width, 3). Raise DatasetError if the file is missing, altered or damaged."""
         # Imported here because OpenCV takes 0.1 s to load and most readers need no images.
         from ..images.jpeg import decode_jpeg
@@ -267,8 +272,8 @@ class RecordedImages:
         return image
 
 
-def recorded_images(episode: RecordedEpisode, cameras: Sequence[str]) -> Iterator[Image]:
+def read_side_by_side_images(episode: RecordedEpisode, cameras: Sequence[str]) -> Iterator[Image]:
     """Yield the images of each frame, with `cameras` side by side. Raise DatasetError for a missing or altered file."""
     images = RecordedImages(episode)
     for k in range(episode.record.frames):
-        yield np.concatenate([images.read(camera, k) for camera in cameras], axis=1)
+        yield np.concatenate([images.read_image(camera, k) for camera in cameras], axis=1)

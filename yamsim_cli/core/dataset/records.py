@@ -12,11 +12,20 @@ from typing import Annotated, Any, TypeVar
 import pydantic_core
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from ..attempt_data import Attempt, AttemptJob, AttemptPayload, FailureCause, FullPose, Layout, MotionMargins, Outcome
+from ..attempt_data import (
+    Attempt,
+    AttemptJob,
+    AttemptPayload,
+    FailureCause,
+    FullPose,
+    MotionMargins,
+    ObjectLayout,
+    Outcome,
+)
 from ..config.goals.role_assignment import RoleAssignment
 from ..config.program_task import ProgramTask
 from ..config.recording import RecordConfig
-from ..config.variation import Variation
+from ..config.variation import RandomizationSample
 from ..errors import DatasetError, NewerFormatError
 from ..files.documents.config_base import Name
 from ..files.writing import sha256_bytes
@@ -149,7 +158,7 @@ class AttemptRecord(Record):
     episode: int | None
     outcome: OutcomeRecord
     layout: dict[Name, FullPose]
-    randomized: Variation = Variation()
+    randomized: RandomizationSample = RandomizationSample()
     cast: RoleAssignmentRecord | None = None
     phrasing: str = ""
 
@@ -180,7 +189,7 @@ class EpisodeRecord(Record):
     # m, largest height of the object above its target on success; None if a goal decides success.
     max_height_m: float | None
     layout: dict[Name, FullPose]
-    randomized: Variation = Variation()
+    randomized: RandomizationSample = RandomizationSample()
     cast: RoleAssignmentRecord | None = None
     phrasing: str = ""
     # Articulated object -> names of its joints, in the order of `<object>_joints`.
@@ -260,17 +269,17 @@ def attempt_record(payload: AttemptPayload, episode: int | None) -> AttemptRecor
         seed=payload.job.seed,
         episode=episode,
         outcome=OutcomeRecord.from_outcome(payload.outcome),
-        layout=payload.attempt.places,
+        layout=payload.attempt.object_places,
         randomized=payload.attempt.variation,
         cast=recorded,
         phrasing=payload.attempt.phrasing,
     )
 
 
-def recorded_attempt(record: EpisodeRecord, start: Array | None = None) -> Attempt:
+def attempt_from_record(record: EpisodeRecord, start: Array | None = None) -> Attempt:
     """Rebuild the attempt of an episode from its record. `start` is the MuJoCo `qpos` (nq,) of the first frame."""
     cast = None if record.cast is None else RoleAssignment(record.cast.things, record.cast.kinds, record.cast.sizes)
-    job, layout = AttemptJob(record.seed, record.attempt), Layout.from_places(record.layout)
+    job, layout = AttemptJob(record.seed, record.attempt), ObjectLayout.from_places(record.layout)
     return Attempt(job, layout, record.randomized, start, cast, record.phrasing)
 
 
@@ -300,11 +309,11 @@ def episode_record(config: RecordConfig, payload: AttemptPayload, episode: int) 
         task=task.name,
         grasp=config.grasp,
         frames=payload.frames,
-        frame_period_s=task.timing.tick * task.timing.ticks_per_frame,
+        frame_period_s=task.timing.tick_seconds * task.timing.ticks_per_frame,
         cameras=dict.fromkeys(cameras, config.image.size_px),
         truth=config.truth,
         arms=len(config.rig.arms),
-        drives=config.rig.drives,
+        drives=config.rig.drive_count,
         joint_actions=config.action == "joints",
         objects=list(attempt.layout),
         outcome=attempt.outcome,
@@ -313,8 +322,8 @@ def episode_record(config: RecordConfig, payload: AttemptPayload, episode: int) 
         randomized=attempt.randomized,
         cast=attempt.cast,
         phrasing=attempt.phrasing,
-        joints=_joints(task, attempt),
-        cloths=_cloths(task, attempt),
+        joints=_object_joint_names(task, attempt),
+        cloths=_cloth_grid_sizes(task, attempt),
         versions=dict(payload.versions),
         renderer=payload.renderer,
         meshes=None if config.meshes is None else dict(config.meshes),
@@ -323,13 +332,13 @@ def episode_record(config: RecordConfig, payload: AttemptPayload, episode: int) 
     )
 
 
-def _cloths(task: ProgramTask, attempt: AttemptRecord) -> dict[str, tuple[int, int]]:
+def _cloth_grid_sizes(task: ProgramTask, attempt: AttemptRecord) -> dict[str, tuple[int, int]]:
     cloths = {item.name: item.cloth for item in task.objects}
     kinds = attempt.cast.kinds if attempt.cast else {}
     return {thing: cloth.grid for thing, kind in kinds.items() if (cloth := cloths[kind]) is not None}
 
 
-def _joints(task: ProgramTask, attempt: AttemptRecord) -> dict[str, tuple[str, ...]]:
+def _object_joint_names(task: ProgramTask, attempt: AttemptRecord) -> dict[str, tuple[str, ...]]:
     items = {item.name: item for item in task.objects}
     kinds = attempt.cast.kinds if attempt.cast else {}
     return {thing: tuple(link.name for link in items[kind].links) for thing, kind in kinds.items() if items[kind].links}

@@ -26,7 +26,7 @@ def drive_names(rig: RigConfig) -> tuple[str, ...]:
     return tuple(
         prefix + name
         for prefix, k in zip(arm_prefixes(rig), rig.recording_order, strict=True)
-        for name in rig.arms[k].robot.drives
+        for name in rig.arms[k].robot.drive_names
     )
 
 
@@ -65,16 +65,16 @@ class RowFormat:
         """Names of the elements of an action row: drive commands, then weld states."""
         return self.drives + self.welds
 
-    def state(self, joints: Array) -> Row:
+    def make_state_row(self, joints: Array) -> Row:
         """Convert joints in rad and finger openings in m, given as (arms, drives), to a state row."""
         return self._with_shares(joints).ravel().astype(np.float32)
 
-    def action(self, ctrl: Array, holds: WeldStates) -> Row:
+    def make_action_row(self, ctrl: Array, holds: WeldStates) -> Row:
         """Convert commands (arms, drives), rad and m, and weld states (arms,) to an action row."""
         row = self._with_shares(ctrl).ravel()
         return (np.append(row, holds) if self.welds else row).astype(np.float32)
 
-    def command(self, row: NDArray[np.floating]) -> tuple[Array, WeldStates]:
+    def split_action_row(self, row: NDArray[np.floating]) -> tuple[Array, WeldStates]:
         """Convert an action row to commands (arms, drives), rad and m, and weld states (arms,)."""
         count = len(self.drives)
         ctrl = np.array(row[:count], dtype=np.float64).reshape(self.arms, -1)

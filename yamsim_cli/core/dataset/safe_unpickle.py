@@ -60,7 +60,7 @@ class _DType:
     def __init__(self, text: Any, *_: Any) -> None:
         if not isinstance(text, str) or not _DTYPE.fullmatch(text):
             raise ForbiddenPickleError(
-                f"the pickle has an array of type {_short(text)}; only numbers and text are read"
+                f"the pickle has an array of type {_describe_value(text)}; only numbers and text are read"
             )
         self.dtype: np.dtype[Any] = np.dtype(text)
 
@@ -71,8 +71,8 @@ class _DType:
         self.dtype = self.dtype.newbyteorder(order)
 
 
-class _Array:
-    """Description of an array or numpy scalar in a pickle. `make` checks the description against the bytes."""
+class _ArrayDescription:
+    """Description of an array or numpy scalar in a pickle. `make_array` checks the description against the bytes."""
 
     __slots__ = ("_description", "_scalar")
 
@@ -100,10 +100,10 @@ class _Array:
         if kind.dtype.hasobject:
             texts = self._texts()
             if math.prod(shape) != len(texts):
-                raise ValueError(f"an array of shape {_short(shape)} and {len(texts)} texts")
+                raise ValueError(f"an array of shape {_describe_value(shape)} and {len(texts)} texts")
             return np.array(texts, dtype=np.str_).reshape(shape)
         if math.prod(shape) * kind.dtype.itemsize != len(raw) or min(shape, default=0) < 0:
-            raise ValueError(f"an array of shape {_short(shape)} and {kind.dtype} in {len(raw)} bytes")
+            raise ValueError(f"an array of shape {_describe_value(shape)} and {kind.dtype} in {len(raw)} bytes")
         # The copy is writable and aligned.
         array = np.frombuffer(raw, kind.dtype).reshape(shape, order=order).copy(order=order)
         return array[()] if self._scalar else array
@@ -126,21 +126,21 @@ class _AllowedName:
         raise ForbiddenPickleError("the pickle changes a function; it was not run")
 
 
-_NDARRAY = _AllowedName(None)  # stands for `numpy.ndarray`; a pickle can only pass it to `_reconstruct`
+_NDARRAY = _AllowedName(None)  # stands for `numpy.ndarray`; a pickle can only pass it to `_reconstruct_array`
 
 
-def _reconstruct(kind: Any, shape: Any, _: Any) -> _Array:
+def _reconstruct_array(kind: Any, shape: Any, _: Any) -> _ArrayDescription:
     if kind is not _NDARRAY or shape != (0,):
-        raise ForbiddenPickleError(f"the pickle makes an array of shape {_short(shape)} without content")
-    return _Array(b"", _DType("u1"), (0,), "C")
+        raise ForbiddenPickleError(f"the pickle makes an array of shape {_describe_value(shape)} without content")
+    return _ArrayDescription(b"", _DType("u1"), (0,), "C")
 
 
-def _from_buffer(raw: Any, dtype: Any, shape: Any, order: Any) -> _Array:
-    return _Array(raw, dtype, shape, order)
+def _from_buffer(raw: Any, dtype: Any, shape: Any, order: Any) -> _ArrayDescription:
+    return _ArrayDescription(raw, dtype, shape, order)
 
 
-def _scalar(dtype: Any, raw: Any) -> _Array:
-    return _Array(raw, dtype, (), "C", scalar=True)
+def _scalar(dtype: Any, raw: Any) -> _ArrayDescription:
+    return _ArrayDescription(raw, dtype, (), "C", scalar=True)
 
 
 # Allowed (module, name) -> callable, with the module names of numpy 2 and of numpy 1.
@@ -148,7 +148,7 @@ _ALLOWED_NAMES: Final[dict[tuple[str, str], _AllowedName]] = {
     (f"{core}.{module}", name): _AllowedName(call)
     for core in ("numpy._core", "numpy.core")
     for module, name, call in (
-        ("multiarray", "_reconstruct", _reconstruct),
+        ("multiarray", "_reconstruct", _reconstruct_array),
         ("multiarray", "scalar", _scalar),
         ("numeric", "_frombuffer", _from_buffer),
     )
@@ -173,11 +173,12 @@ class _Unpickler(pickle._Unpickler):
     def find_class(self, module: str, name: str) -> Any:
         if (module, name) not in _ALLOWED_NAMES:
             raise ForbiddenPickleError(
-                f"the pickle names {_short(module)}.{_short(name)}, which is not allowed in a frame; it was not run"
+                f"the pickle names {_describe_value(module)}.{_describe_value(name)}, which is not allowed in "
+                "a frame; it was not run"
             )
         return _ALLOWED_NAMES[module, name]
 
-    def _set(self, items: list[Any]) -> None:
+    def _set_items(self, items: list[Any]) -> None:
         for key, value in zip(items[::2], items[1::2], strict=True):
             if not isinstance(key, str | int):
                 raise ForbiddenPickleError(f"the pickle has a key of type {type(key).__name__}; a key must be text")
@@ -186,15 +187,15 @@ class _Unpickler(pickle._Unpickler):
     def load_setitem(self) -> None:
         items = self.stack[-2:]
         del self.stack[-2:]
-        self._set(items)
+        self._set_items(items)
 
     def load_setitems(self) -> None:
-        self._set(self.pop_mark())
+        self._set_items(self.pop_mark())
 
     def load_dict(self) -> None:
         items = self.pop_mark()
         self.stack.append({})
-        self._set(items)
+        self._set_items(items)
 
     def load_bytearray8(self) -> None:
         (size,) = struct.unpack("<Q", self.read(8))
@@ -218,12 +219,12 @@ def read_pickle(data: bytes) -> Any:
     if len(data) > MAX_BYTES:
         raise ForbiddenPickleError(f"the pickle has {len(data)} bytes; at most {MAX_BYTES} are read")
     try:
-        return _BudgetedCopy().value(_Unpickler(io.BytesIO(data)).load(), 0)
+        return _BudgetedCopy().copy_value(_Unpickler(io.BytesIO(data)).load(), 0)
     except DatasetError:
         raise
     # The unpickler can raise almost any exception on a broken pickle.
     except Exception as error:
-        raise DatasetError(f"not a valid pickle: {type(error).__name__}: {_short(str(error))}") from error
+        raise DatasetError(f"not a valid pickle: {type(error).__name__}: {_describe_value(str(error))}") from error
 
 
 class _BudgetedCopy:
@@ -233,34 +234,34 @@ class _BudgetedCopy:
         self._values = _MAX_VALUES
         self._bytes = MAX_BYTES
 
-    def value(self, item: Any, depth: int) -> Any:
+    def copy_value(self, item: Any, depth: int) -> Any:
         self._values -= 1
         if depth > _MAX_DEPTH or self._values < 0:
             raise ForbiddenPickleError(f"the pickle has over {_MAX_VALUES} values, or {_MAX_DEPTH} nested levels")
         if isinstance(item, dict):
-            return {self.value(key, depth): self.value(inner, depth + 1) for key, inner in item.items()}
+            return {self.copy_value(key, depth): self.copy_value(inner, depth + 1) for key, inner in item.items()}
         if isinstance(item, list | tuple):
-            return type(item)([self.value(inner, depth + 1) for inner in item])
-        if isinstance(item, _Array):
-            self._spend(item.nbytes)
+            return type(item)([self.copy_value(inner, depth + 1) for inner in item])
+        if isinstance(item, _ArrayDescription):
+            self._spend_bytes(item.nbytes)
             return item.make()
         if isinstance(item, str | bytes | bytearray):
-            self._spend(len(item))
+            self._spend_bytes(len(item))
         elif isinstance(item, int) and item.bit_length() > _MAX_INT_BITS:
             raise ForbiddenPickleError(f"the pickle has a number of {item.bit_length()} bits, over {_MAX_INT_BITS}")
         elif item is not None and not isinstance(item, int | float):
             raise ForbiddenPickleError("the pickle holds a function or a type, which is not allowed in a frame")
         return item
 
-    def _spend(self, size: int) -> None:
+    def _spend_bytes(self, size: int) -> None:
         self._bytes -= size
         if self._bytes < 0:
             raise ForbiddenPickleError(f"the pickle holds more than {MAX_BYTES} bytes of arrays and text")
 
 
-def _short(value: Any) -> str:
+def _describe_value(value: Any) -> str:
     if isinstance(value, tuple) and len(value) <= 8 and all(isinstance(part, int) for part in value):
-        text = f"({', '.join(map(_short, value))})"
+        text = f"({', '.join(map(_describe_value, value))})"
     elif isinstance(value, str | int | float):
         text = str(value) if not isinstance(value, int) or value.bit_length() < _MAX_INT_BITS else "a long number"
     else:

@@ -12,11 +12,18 @@ from numpy.typing import NDArray
 from ... import __version__
 from ..attempt_data import Attempt, AttemptPayload, StepState
 from ..config.recording import RecordConfig
-from ..dataset.dataset_paths import TRUTH_LABELS, depth_name, image_path, lowdim_path, segmentation_name, truth_name
+from ..dataset.dataset_paths import (
+    TRUTH_LABELS_FILE,
+    depth_path,
+    image_path,
+    lowdim_path,
+    segmentation_path,
+    truth_path,
+)
 from ..dataset.ground_truth_files import array_specs, dump_arrays, dump_depth
-from ..dataset.lowdim import SimulationData, content_hash, dump_frame, frame_data
+from ..dataset.lowdim import SimulationData, content_hash, dump_frame, make_frame
 from ..dataset.records import to_json
-from ..geometry.se3 import Array, inverse
+from ..geometry.se3 import Array, invert_pose
 from ..images.image import Image
 from ..images.jpeg import encode_jpeg
 from ..images.png import encode_labels
@@ -52,9 +59,9 @@ def build_payload(simulator: Simulator, simulated: SimulatedAttempt) -> AttemptP
     """Return the payload of an attempt, with rendered files for a success."""
     if not simulated.outcome.success:
         return payload_without_files(simulated)
-    recorded = frame_records(simulator, simulated.attempt, simulated.states)
+    recorded = frame_records(simulator, simulated.attempt, simulated.recorded_states)
     files = {lowdim_path(k): dump_frame(frame) for k, frame in enumerate(recorded)}
-    files |= encode_images(simulator, simulated.attempt, [state.qpos for state in simulated.states])
+    files |= encode_images(simulator, simulated.attempt, [state.qpos for state in simulated.recorded_states])
     return AttemptPayload(
         simulated.attempt,
         simulated.outcome,
@@ -74,43 +81,43 @@ def payload_without_files(simulated: SimulatedAttempt) -> AttemptPayload:
 def frame_records(simulator: Simulator, attempt: Attempt, states: Sequence[StepState]) -> list[dict[str, Any]]:
     """Return joints, poses and commands of each state, by the keys of `dataset.lowdim`."""
     ticks_per_frame = simulator.config.task.timing.ticks_per_frame
-    return [_frame(simulator, attempt, state, k * ticks_per_frame) for k, state in enumerate(states)]
+    return [_frame_record(simulator, attempt, state, k * ticks_per_frame) for k, state in enumerate(states)]
 
 
-def _joints(simulator: Simulator) -> dict[str, Array]:
+def _object_joints(simulator: Simulator) -> dict[str, Array]:
     return {
         item.name: simulator.state_replay.object_joints(item) for item in simulator.config.task.objects if item.links
     }
 
 
-def _frame(simulator: Simulator, attempt: Attempt, state: StepState, tick: int) -> dict[str, Any]:
-    config, scene, replica = simulator.config, simulator.set_variation(attempt), simulator.state_replay
+def _frame_record(simulator: Simulator, attempt: Attempt, state: StepState, tick: int) -> dict[str, Any]:
+    config, scene, replica = simulator.config, simulator.apply_randomization(attempt), simulator.state_replay
     task, acting = config.task, state.actions
     replica.set_state(state.qpos)
-    joints = replica.joints() if state.encoder_readings is None else state.encoder_readings
+    joints = replica.joint_positions() if state.encoder_readings is None else state.encoder_readings
     bases = [arm.T_base_in_world for arm in scene.arms]
-    return frame_data(
+    return make_frame(
         joints=encoder_readings(scene, joints, attempt.job, tick),
         timestamp=state.time,
         intrinsics={name: replica.intrinsics(name, config.image.size_px).K for name in scene.cameras},
         extrinsics={name: replica.T_cam_in_base(name) for name in scene.cameras},
         object_poses={item.name: replica.T_object_in_base(item.name) for item in task.objects},
-        object_joints=_joints(simulator),
+        object_joints=_object_joints(simulator),
         cloth_points=replica.cloth_points(),
         ee_pose=replica.T_grasp_in_base(),
-        ctrl=acting.ctrl[0][scene.drives],
+        ctrl=acting.ctrl[0][scene.recorded_drive_ctrl],
         action_joints=acting.joints[0],
         magnet=acting.magnet[0],
         language_task=task.language_task or task.name,
         language_prompt=attempt.phrasing or task.language_prompt,
         wrist_camera=config.wrist_arms[0].wrist_camera_name if len(config.wrist_arms) == 1 else None,
-        T_right_base_in_left_base=inverse(bases[0]) @ bases[1] if len(bases) > 1 else None,
-        full_openings=max_openings(config) if config.action == "joints" else None,
+        T_right_base_in_left_base=invert_pose(bases[0]) @ bases[1] if len(bases) > 1 else None,
+        full_openings=max_finger_openings(config) if config.action == "joints" else None,
         simulation=SimulationData(state.qpos, acting.ctrl, acting.magnet),
     )
 
 
-def max_openings(config: RecordConfig) -> list[float]:
+def max_finger_openings(config: RecordConfig) -> list[float]:
     """Return each arm's largest finger opening, m, in the recordings' order, without arms that lack fingers."""
     fingers = [config.rig.arms[k].robot.fingers for k in config.rig.recording_order]
     return [each.full_opening for each in fingers if each is not None]
@@ -118,23 +125,23 @@ def max_openings(config: RecordConfig) -> list[float]:
 
 def render_cameras(simulator: Simulator, attempt: Attempt, qpos: Array, cameras: Sequence[str]) -> dict[str, Image]:
     """Return camera -> RGB image (height, width, 3), without image noise."""
-    renderer = _renderer(simulator, attempt)
+    renderer = _prepare_renderer(simulator, attempt)
     simulator.state_replay.set_state(qpos)
     return {camera: renderer.render(simulator.state_replay.data, camera) for camera in cameras}
 
 
-def recorded_pictures(
+def render_recorded_images(
     simulator: Simulator, attempt: Attempt, positions: Iterable[Array]
 ) -> Iterator[tuple[int, str, Image]]:
     """Yield frame, camera and RGB image (height, width, 3); each image reuses the memory of the last."""
     width, height = simulator.config.image.size_px
     image = np.empty((height, width, 3), np.uint8)
-    renderer = _renderer(simulator, attempt)
+    renderer = _prepare_renderer(simulator, attempt)
     for k, qpos in enumerate(positions):
         simulator.state_replay.set_state(qpos)
         for number, camera in enumerate(simulator.scene.cameras):
             renderer.render(simulator.state_replay.data, camera, image)
-            simulator.randomized.finish(attempt, image, k, number)
+            simulator.randomized_scene.augment_image(attempt, image, k, number)
             yield k, camera, image
 
 
@@ -144,7 +151,7 @@ def encode_images(simulator: Simulator, attempt: Attempt, positions: Iterable[Ar
     truth: GroundTruthCollector | None = None
     if simulator.labels is not None:
         truth = GroundTruthCollector(simulator.labels, simulator.scene.cameras, simulator.scene.T_base_in_world)
-    for k, camera, image in recorded_pictures(simulator, attempt, positions):
+    for k, camera, image in render_recorded_images(simulator, attempt, positions):
         files[image_path(camera, k)] = encode_jpeg(image, simulator.config.image.jpeg_quality)
         if truth:
             truth.add(simulator.state_replay.data, camera, simulator.renderer)
@@ -154,16 +161,18 @@ def encode_images(simulator: Simulator, attempt: Attempt, positions: Iterable[Ar
 def render_depth(simulator: Simulator, attempt: Attempt, qpos: Array, camera: str) -> NDArray[np.uint16]:
     """Return a depth image (height, width) in mm, for a config with `truth`."""
     assert simulator.labels is not None, "depth is part of truth"
-    renderer = _renderer(simulator, attempt)
+    renderer = _prepare_renderer(simulator, attempt)
     simulator.state_replay.set_state(qpos)
     # Pixels without a label, such as the sky, get no depth, as in recorded ground truth.
     labels = simulator.labels
-    return depth_in_mm(renderer.label(simulator.state_replay.data, camera, labels.of_geom, labels.of_flex)[1])
+    return depth_in_mm(
+        renderer.render_labels_and_depth(simulator.state_replay.data, camera, labels.of_geom, labels.of_flex)[1]
+    )
 
 
-def _renderer(simulator: Simulator, attempt: Attempt) -> SceneRenderer:
-    simulator.set_variation(attempt)
-    simulator.randomized.upload(simulator.renderer)
+def _prepare_renderer(simulator: Simulator, attempt: Attempt) -> SceneRenderer:
+    simulator.apply_randomization(attempt)
+    simulator.randomized_scene.upload_textures(simulator.renderer)
     return simulator.renderer
 
 
@@ -183,8 +192,8 @@ class GroundTruthCollector:
         frame = len(self._rows[camera])
         self._rows[camera].append(truth.arrays)
         self._intrinsics[camera] = renderer.intrinsics(camera).K
-        self._files[depth_name(camera, frame)] = dump_depth(truth.depth_mm)
-        self._files[segmentation_name(camera, frame)] = encode_labels(truth.labels)
+        self._files[depth_path(camera, frame)] = dump_depth(truth.depth_mm)
+        self._files[segmentation_path(camera, frame)] = encode_labels(truth.labels)
 
     @property
     def files(self) -> dict[str, bytes]:
@@ -197,6 +206,6 @@ class GroundTruthCollector:
                 for key, (dtype, _) in specs.items()
                 if key in rows[0]
             }
-            files[truth_name(camera)] = dump_arrays(arrays)
-        files[TRUTH_LABELS] = to_json(self._labels.names, indent=1)
+            files[truth_path(camera)] = dump_arrays(arrays)
+        files[TRUTH_LABELS_FILE] = to_json(self._labels.names, indent=1)
         return files

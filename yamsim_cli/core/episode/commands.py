@@ -21,7 +21,7 @@ def drive_commands(arm: ArmAddresses, path: JointPath) -> Array:
     return clipped
 
 
-def grip_command(fingers: FingerAddresses, path: JointPath) -> Array:
+def gripper_drive_commands(fingers: FingerAddresses, path: JointPath) -> Array:
     """Return a gripper drive's commands (n,), m: `opening - 2 grip_force / gain`, as two fingers share its force."""
     clipped: Array = np.clip(path.gripper - 2 * path.grip_force / fingers.gain, *fingers.ctrl_range)
     return clipped
@@ -33,7 +33,7 @@ def path_actions(scene: CompiledScene, paths: Sequence[JointPath]) -> ActionSequ
     for arm, path in zip(scene.arms, paths, strict=True):
         ctrl[:, arm.arm_ctrl] = drive_commands(arm, path)
         if arm.fingers is not None:
-            ctrl[:, arm.fingers.ctrl] = grip_command(arm.fingers, path)
+            ctrl[:, arm.fingers.ctrl] = gripper_drive_commands(arm.fingers, path)
     magnet = np.column_stack([path.weld_on for path in paths])
     references = [
         path.joints[1:] if arm.fingers is None else np.column_stack([path.joints[1:], path.gripper])

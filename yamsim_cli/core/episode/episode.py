@@ -35,7 +35,7 @@ class Timing(Protocol):
         """Control ticks between recorded frames."""
 
     @property
-    def tick(self) -> float:
+    def tick_seconds(self) -> float:
         """Length of a control tick, s."""
 
 
@@ -116,7 +116,7 @@ class Episode:
         self._grasp = make_grasp_simulator(scene, self._rules.weld_reach)
         self._monitor = StepMonitor(scene, timing.physics_steps_per_tick)
         self._held_monitor = HeldObjectMonitor(scene, self.world)
-        self._T_at_start = self._poses()
+        self._T_at_start = self._object_poses()
         self._ctrl: list[Array] = []
         self._weld_on: list[Sequence[bool]] = []
         self._joints: list[Array] = []
@@ -127,22 +127,22 @@ class Episode:
         self.held_ticks = 0
         self.verdict: GoalVerdict | None = None
         self._last_unmet: GoalVerdict | None = None
-        self._judge()
+        self._evaluate_goal()
         if on_step:
             on_step(self.data)
 
     @property
-    def frames(self) -> int:
+    def frame_count(self) -> int:
         """Frames recorded so far."""
         return len(self._frames)
 
     @property
-    def seconds(self) -> float:
+    def simulated_seconds(self) -> float:
         """Simulated time, s."""
-        return self.ticks * self._timing.tick
+        return self.ticks * self._timing.tick_seconds
 
     @property
-    def succeeds(self) -> bool:
+    def has_succeeded(self) -> bool:
         """Whether the goal has now held for its hold time."""
         goal = self._goal
         return goal is not None and self._goal_holds and self.held_ticks >= goal.hold_ticks
@@ -158,22 +158,22 @@ class Episode:
         return np.array([self.data.qvel[arm.recorded_dof] for arm in self.scene.arms])
 
     @property
-    def actions(self) -> ActionSequence:
+    def executed_actions(self) -> ActionSequence:
         """The actions so far."""
         return ActionSequence(np.array(self._ctrl), np.array(self._weld_on), np.array(self._joints))
 
     @property
-    def status(self) -> str:
+    def goal_status(self) -> str:
         """The state of the goal as text; empty without a goal."""
         if self.verdict is None or self._goal is None:
             return ""
         worst = self.verdict.worst
         if not worst.holds:
             return f"not yet: {worst.what}" + (f" ({worst.detail})" if worst.detail else "")
-        left = (self._goal.hold_ticks - self.held_ticks) * self._timing.tick
+        left = (self._goal.hold_ticks - self.held_ticks) * self._timing.tick_seconds
         return "the goal holds" + (f", and must hold for {left:.1f} s more" if left > 0 else "")
 
-    def readings(self, job: AttemptJob) -> Array:
+    def simulated_encoder_readings(self, job: AttemptJob) -> Array:
         """Return simulated encoder readings of joints, rad, and finger openings, m, (arms, drives)."""
         now = np.array([self.data.qpos[arm.recorded_qpos] for arm in self.scene.arms])
         seen = delayed_positions(self.scene, self.data)
@@ -188,35 +188,37 @@ class Episode:
             joints: recorded references (arms, drives); the commands by default.
         """
         command = np.empty(self.scene.model.nu)
-        command[self.scene.drives] = ctrl
-        self._tick(command, magnet, joints)
+        command[self.scene.recorded_drive_ctrl] = ctrl
+        self._execute_tick(command, magnet, joints)
 
     def run_commands(self, actions: ActionSequence, *, until_success: bool = False) -> None:
         """Execute actions until the episode ends, or if `until_success`, until the goal has held for its time."""
         for ctrl, magnet, joints in zip(actions.ctrl, actions.magnet, actions.joints, strict=True):
-            if self.end is not None or (until_success and self.succeeds):
+            if self.end is not None or (until_success and self.has_succeeded):
                 return
-            self._tick(ctrl, magnet, joints)
+            self._execute_tick(ctrl, magnet, joints)
 
-    def finish(self) -> EpisodeResult:
+    def end_episode(self) -> EpisodeResult:
         """End the episode on behalf of its actor if it runs, and return its result."""
         if self.end is None:
-            self._end(EndReason.ACTOR)
+            self._record_end(EndReason.ACTOR)
         assert self.end is not None
         verdict = (
             self._last_unmet
-            if self._goal_holds and not self.succeeds and self._last_unmet is not None
+            if self._goal_holds and not self.has_succeeded and self._last_unmet is not None
             else self.verdict
         )
         return EpisodeResult(
-            states=self._states(),
+            states=self._recorded_states(),
             end=self.end,
             verdict=verdict,
             held_ticks=self.held_ticks,
-            margins=self._monitor.margins(self._held_monitor.slip, self._held_monitor.tilt) if self.ticks else None,
+            margins=self._monitor.motion_margins(self._held_monitor.slip, self._held_monitor.tilt)
+            if self.ticks
+            else None,
             collision=self._monitor.collision,
             T_at_start=self._T_at_start,
-            T_at_end=self._poses(),
+            T_at_end=self._object_poses(),
             speeds={name: self.world.speed(name) for name in self.scene.object_names},
         )
 
@@ -224,7 +226,7 @@ class Episode:
     def _goal_holds(self) -> bool:
         return self.verdict is not None and self.verdict.reached
 
-    def _tick(self, ctrl: Array, magnet: Sequence[bool] | WeldStates, joints: Array | None) -> None:
+    def _execute_tick(self, ctrl: Array, magnet: Sequence[bool] | WeldStates, joints: Array | None) -> None:
         if self.end is not None:
             return
         scene, data, timing = self.scene, self.data, self._timing
@@ -233,21 +235,21 @@ class Episode:
             self._frames.append((data.time, data.qpos.copy(), delayed_positions(scene, data)))
         self._weld_on.append(self._grasp.update(data, ctrl, magnet))
         self._ctrl.append(ctrl)
-        self._joints.append(ctrl[scene.drives] if joints is None else joints)
+        self._joints.append(ctrl[scene.recorded_drive_ctrl] if joints is None else joints)
         data.ctrl[:] = ctrl
         for _ in range(timing.physics_steps_per_tick):
             scene.step(data)
-            self._monitor.step(data)
+            self._monitor.check_step(data)
             if self._on_step:
                 self._on_step(data)
-        self._refresh()
-        self._monitor.end_tick(data)
+        self._update_kinematics_and_contacts()
+        self._monitor.check_tick(data)
         self.ticks += 1
-        self._held_monitor.watch(self.world.update_handovers())
-        self._judge()
+        self._held_monitor.measure_tick(self.world.update_handovers())
+        self._evaluate_goal()
         self._check_end()
 
-    def _refresh(self) -> None:
+    def _update_kinematics_and_contacts(self) -> None:
         """`mj_step` leaves poses and contacts from before the step: compute the present ones."""
         model, data = self.scene.model, self.data
         mujoco.mj_kinematics(model, data)
@@ -256,7 +258,7 @@ class Episode:
             mujoco.mj_flex(model, data)
         mujoco.mj_collision(model, data)
 
-    def _judge(self) -> None:
+    def _evaluate_goal(self) -> None:
         if self._goal is None:
             return
         held_before = self._goal_holds
@@ -268,18 +270,18 @@ class Episode:
     def _check_end(self) -> None:
         monitor, rules = self._monitor, self._rules
         if monitor.breakdown:
-            self._end(EndReason.UNSTABLE, FailureCause.UNSTABLE, monitor.breakdown)
+            self._record_end(EndReason.UNSTABLE, FailureCause.UNSTABLE, monitor.breakdown)
         elif rules.strict and monitor.collision:
-            self._end(EndReason.FORBIDDEN, FailureCause.COLLIDED, monitor.collision)
-        elif rules.strict and (fault := describe_exceeded_limits(monitor.margins())):
-            self._end(EndReason.FORBIDDEN, FailureCause.LIMITS, fault)
-        elif rules.end is EndRule.SUCCESS and self.succeeds:
-            self._end(EndReason.SUCCESS)
+            self._record_end(EndReason.FORBIDDEN, FailureCause.COLLIDED, monitor.collision)
+        elif rules.strict and (fault := describe_exceeded_limits(monitor.motion_margins())):
+            self._record_end(EndReason.FORBIDDEN, FailureCause.LIMITS, fault)
+        elif rules.end is EndRule.SUCCESS and self.has_succeeded:
+            self._record_end(EndReason.SUCCESS)
         elif rules.max_ticks is not None and self.ticks >= rules.max_ticks:
-            self._end(EndReason.TIME_LIMIT)
+            self._record_end(EndReason.TIME_LIMIT)
 
-    def _end(self, reason: EndReason, cause: FailureCause | None = None, detail: str = "") -> None:
-        if cause is None and self._goal is not None and not self.succeeds:
+    def _record_end(self, reason: EndReason, cause: FailureCause | None = None, detail: str = "") -> None:
+        if cause is None and self._goal is not None and not self.has_succeeded:
             cause, detail = self._goal_failure()
         self.end = EpisodeEnd(reason, self.ticks, cause, detail)
 
@@ -288,17 +290,17 @@ class Episode:
         if not self._goal_holds:
             worst = self.verdict.worst
             return FailureCause.GOAL, f"{worst.what}: {worst.detail or 'it does not hold'}"
-        tick = self._timing.tick
+        tick = self._timing.tick_seconds
         return FailureCause.GOAL, (
             f"the goal has held for {self.held_ticks * tick:.2f} s, but must hold for "
             f"{self._goal.hold_ticks * tick:.2f} s"
         )
 
-    def _poses(self) -> dict[str, Array]:
+    def _object_poses(self) -> dict[str, Array]:
         return {name: self.world.pose(name) for name in self.scene.object_names}
 
-    def _states(self) -> tuple[StepState, ...]:
-        ticks, actions = self._timing.ticks_per_frame, self.actions
+    def _recorded_states(self) -> tuple[StepState, ...]:
+        ticks, actions = self._timing.ticks_per_frame, self.executed_actions
         spans = [slice(k * ticks, (k + 1) * ticks) for k in range(len(self._frames))]
         return tuple(
             StepState(time, qpos, ActionSequence(actions.ctrl[span], actions.magnet[span], actions.joints[span]), seen)

@@ -29,12 +29,12 @@ class SimulatedAttempt:
     result: EpisodeResult | None
 
     @property
-    def states(self) -> tuple[StepState, ...]:
+    def recorded_states(self) -> tuple[StepState, ...]:
         """The state of every recorded frame."""
         return self.result.states if self.result else ()
 
 
-def demonstrate(simulator: Simulator, attempt: Attempt, *, grips: bool = True) -> SimulatedAttempt:
+def simulate_expert(simulator: Simulator, attempt: Attempt, *, grips: bool = True) -> SimulatedAttempt:
     """Simulate an attempt by the task's expert, without rendering. If it succeeds, place its distractors.
 
     Without `grips`, fingers do not close, and every task that needs a grasp fails.
@@ -51,7 +51,7 @@ def demonstrate(simulator: Simulator, attempt: Attempt, *, grips: bool = True) -
 
     def note_recoveries() -> None:
         new = log.recoveries[len(recoveries) :]
-        recoveries.extend(Recovery(entry.step, entry.skill, entry.detail, episode.frames) for entry in new)
+        recoveries.extend(Recovery(entry.step, entry.skill, entry.detail, episode.frame_count) for entry in new)
 
     failure: tuple[FailureCause, str] | None = None
     # After the program, the arms wait until the hold time has passed.
@@ -59,23 +59,23 @@ def demonstrate(simulator: Simulator, attempt: Attempt, *, grips: bool = True) -
     try:
         for segment in _expert_motions(simulator, episode, context, log):
             note_recoveries()
-            if episode.ticks + segment.ticks > max_ticks:
-                failure = FailureCause.TIME, f"the program was not done after {episode.seconds:.0f} s"
+            if episode.ticks + segment.tick_count > max_ticks:
+                failure = FailureCause.TIME, f"the program was not done after {episode.simulated_seconds:.0f} s"
                 break
-            episode.run_commands(_with_fingers(episode.scene, path_actions(episode.scene, segment.paths), grips))
+            episode.run_commands(_with_open_grippers(episode.scene, path_actions(episode.scene, segment.paths), grips))
             if episode.end is not None:
                 break
     except SkillFailedError as error:
         failure = error.cause, str(error)
     note_recoveries()
     last = path_actions(episode.scene, context.wait_segment(max(1, task.timing.settle_ticks + task.hold_ticks)).paths)
-    episode.run_commands(_with_fingers(episode.scene, last, grips), until_success=True)
+    episode.run_commands(_with_open_grippers(episode.scene, last, grips), until_success=True)
     context.clear_cache()
-    played = episode.finish()
+    played = episode.end_episode()
     outcome = replace(build_outcome(simulator, played, failure), recoveries=tuple(recoveries))
     simulated = SimulatedAttempt(attempt, outcome, played)
     return (
-        replace(simulated, attempt=with_distractors(simulator, attempt, simulated.states))
+        replace(simulated, attempt=with_distractors(simulator, attempt, simulated.recorded_states))
         if outcome.success
         else simulated
     )
@@ -87,17 +87,17 @@ def _expert_motions(
     """Yield the program's motions, then move hands to their ready postures unless the goal holds."""
     task, roles = simulator.config.task, simulator.roles
     yield from run_program(build_program(task, roles), context, roles, log)
-    if not episode.succeeds:
+    if not episode.has_succeeded:
         yield from park_free_hands(context)
 
 
-def run_actions(
+def simulate_actions(
     simulator: Simulator, attempt: Attempt, actions: ActionSequence, rules: EpisodeRules, on_step: OnStep | None = None
 ) -> SimulatedAttempt:
     """Simulate an attempt with given actions. The rules of their recording give the same verdict."""
     episode = open_episode(simulator, attempt, rules, on_step)
     episode.run_commands(actions)
-    played = episode.finish()
+    played = episode.end_episode()
     return SimulatedAttempt(attempt, build_outcome(simulator, played), played)
 
 
@@ -117,10 +117,10 @@ def build_outcome(
 
 
 def with_distractors(simulator: Simulator, attempt: Attempt, states: Sequence[StepState]) -> Attempt:
-    """Return the attempt with distractors clear of all its `states`."""
-    if simulator.placer is None:
+    """Return the attempt with distractors clear of all its `recorded_states`."""
+    if simulator.distractor_placer is None:
         return attempt
-    places = simulator.placer.sample_poses(attempt.job, [state.qpos for state in states])
+    places = simulator.distractor_placer.sample_poses(attempt.job, [state.qpos for state in states])
     return replace(attempt, variation=replace(attempt.variation, distractors=places))
 
 
@@ -129,7 +129,7 @@ def with_reserved_distractors(simulator: Simulator, attempt: Attempt) -> Attempt
 
     The demonstration is simulated only if the config has distractors. If it fails, none are placed.
     """
-    return attempt if simulator.placer is None else demonstrate(simulator, attempt).attempt
+    return attempt if simulator.distractor_placer is None else simulate_expert(simulator, attempt).attempt
 
 
 def _is_off_target(simulator: Simulator, result: EpisodeResult) -> bool:
@@ -152,7 +152,7 @@ def _final_distances(simulator: Simulator, result: EpisodeResult) -> tuple[float
     return math.hypot(apart[0], apart[1]), float(apart[2]), result.speeds[thing]
 
 
-def _with_fingers(scene: CompiledScene, actions: ActionSequence, grips: bool) -> ActionSequence:
+def _with_open_grippers(scene: CompiledScene, actions: ActionSequence, grips: bool) -> ActionSequence:
     if grips:
         return actions
     ctrl = actions.ctrl.copy()

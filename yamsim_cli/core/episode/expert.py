@@ -7,7 +7,7 @@ import numpy as np
 
 from ..attempt_data import ArmPosture
 from ..config.recording import RecordConfig
-from ..expert.planning.arm_solvers import ArmSolvers, start_postures
+from ..expert.planning.arm_solvers import ArmIkAndDynamics, start_postures
 from ..expert.planning.collision_checker import CollisionChecker
 from ..expert.planning.ik import Tolerance
 from ..expert.skills.hand import Hand
@@ -21,19 +21,19 @@ TILT_DIRECTIONS = tuple(math.radians(angle) for angle in range(0, 360, 60))  # r
 ROLL_ANGLES = tuple(math.radians(angle) for angle in (0, 90, 45, -45))  # rad, about the hand's own axis
 
 # m and rad, errors of the hand at a reachable point; joints may be right at their limits
-_REACH_TOLERANCE = Tolerance(3e-3, math.radians(4.0), margin=0.0)
+_REACH_TOLERANCE = Tolerance(3e-3, math.radians(4.0), joint_limit_margin=0.0)
 
 
 class ExpertPlanner:
     """Makes the planning contexts of all attempts in one scene."""
 
-    def __init__(self, config: RecordConfig, scene: CompiledScene, tools: tuple[ArmSolvers, ...]) -> None:
+    def __init__(self, config: RecordConfig, scene: CompiledScene, tools: tuple[ArmIkAndDynamics, ...]) -> None:
         self._config, self._scene, self._tools = config, scene, tools
         fingers = (GeomOwner.LEFT_FINGER, GeomOwner.RIGHT_FINGER)
         geoms = [
             np.flatnonzero((scene.geom_arm == k) & np.isin(scene.geom_kind, fingers)) for k in range(len(scene.arms))
         ]
-        distractors = [item.name for item in config.randomization.extras]
+        distractors = [item.name for item in config.randomization.distractor_configs]
         self._collision_checker = CollisionChecker(
             scene.model, scene.arms, list(scene.object_names), geoms, distractors
         )
@@ -65,7 +65,15 @@ class ExpertPlanner:
         items = {item.name: item for item in config.task.objects}
         acting, first = config.acting_scene_arms, config.rig.recording_order.index(config.first_arm)
         return PlanningContext(
-            scene.model, world, hands, acting, first, items, self._collision_checker, rng, config.task.timing.tick
+            scene.model,
+            world,
+            hands,
+            acting,
+            first,
+            items,
+            self._collision_checker,
+            rng,
+            config.task.timing.tick_seconds,
         )
 
 

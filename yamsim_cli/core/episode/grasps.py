@@ -52,9 +52,9 @@ class WeldGraspSimulator:
 
     def update(self, data: mujoco.MjData, ctrl: Array, magnet: Sequence[bool] | WeldStates) -> Sequence[bool]:
         """See `GraspSimulator.update`."""
-        return [self._switch(data, arm, bool(on)) for arm, on in zip(self._scene.arms, magnet, strict=True)]
+        return [self._switch_weld(data, arm, bool(on)) for arm, on in zip(self._scene.arms, magnet, strict=True)]
 
-    def _switch(self, data: mujoco.MjData, arm: ArmAddresses, on: bool) -> bool:
+    def _switch_weld(self, data: mujoco.MjData, arm: ArmAddresses, on: bool) -> bool:
         if arm.weld is None:
             return False
         if on and not is_weld_active(data, arm):
@@ -88,7 +88,7 @@ class ClothGraspSimulator:
 
     def update(self, data: mujoco.MjData, ctrl: Array, magnet: Sequence[bool] | WeldStates) -> Sequence[bool]:
         """See `GraspSimulator.update`."""
-        return self._cloth_constraints.update(data, ctrl)
+        return self._cloth_constraints.update_grasps(data, ctrl)
 
 
 def make_grasp_simulator(scene: CompiledScene, magnet_reach: float | None) -> GraspSimulator:

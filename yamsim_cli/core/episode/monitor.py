@@ -39,7 +39,7 @@ class StepMonitor:
         self.collision: str | None = None
         self.breakdown: str | None = None
 
-    def step(self, data: mujoco.MjData) -> None:
+    def check_step(self, data: mujoco.MjData) -> None:
         """Record the state after a physics step."""
         k = self._step
         self._positions[k], self._velocities[k], self._forces[k] = data.qpos, data.qvel, data.actuator_force
@@ -48,7 +48,7 @@ class StepMonitor:
             self._contacts = data.ncon
             self._check_contacts(data)
 
-    def end_tick(self, data: mujoco.MjData) -> None:
+    def check_tick(self, data: mujoco.MjData) -> None:
         """Evaluate the control tick after its last physics step."""
         steps, low, high = self._step, self._range[:, 0], self._range[:, 1]
         velocities = np.abs(self._velocities[:steps, self._dof]) / self._motor_speed
@@ -63,13 +63,13 @@ class StepMonitor:
             seconds = self._steps * float(self._model.opt.timestep)
             self.breakdown = f"physics broke down within {seconds:.3f} s: {text}"
 
-    def margins(self, slip: float | None = None, tilt: float | None = None) -> MotionMargins:
+    def motion_margins(self, slip: float | None = None, tilt: float | None = None) -> MotionMargins:
         """Return the margins so far, with a held object's `slip` (m) and `tilt` (rad)."""
         return MotionMargins(self._velocity, self._torque, float(self._joint_margin), slip, tilt)
 
     def _check_contacts(self, data: mujoco.MjData) -> None:
         geoms = data.contact.geom
-        forbidden = self._scene.forbidden(geoms)
+        forbidden = self._scene.mask_forbidden_contacts(geoms)
         if forbidden.any():
             names = " and ".join(self._model.geom(int(geom)).name for geom in geoms[forbidden][0])
             self.collision = f"{names} touch after {data.time:.2f} s"

@@ -9,9 +9,9 @@ from ..config.session import Session
 from ..errors import ResourceError
 from ..scene.build import describe_meshes
 from .attempt_payload import build_payload, payload_without_files
-from .execution import demonstrate
+from .execution import simulate_expert
 from .sampling import sample_attempt
-from .simulator import Simulators
+from .simulator import SimulatorCache
 
 # Places of the expected and of the found meshes, in an error message.
 _PLACE_NAMES = ("for the recorder", "there")
@@ -24,14 +24,14 @@ class AttemptRunner(Closable):
         self._render = render
         if render:
             check_meshes(session)
-        self._simulators = Simulators(session)
+        self._simulators = SimulatorCache(session)
         # The files that the expert's planner needs may be gone when the first job comes.
         self._simulators.get(AttemptJob(session.config.seed, 0)).prepare()
 
     def run(self, job: AttemptJob) -> AttemptPayload:
         """Run one attempt."""
         simulator = self._simulators.get(job)
-        simulated = demonstrate(simulator, sample_attempt(simulator, job))
+        simulated = simulate_expert(simulator, sample_attempt(simulator, job))
         return build_payload(simulator, simulated) if self._render else payload_without_files(simulated)
 
     def close(self) -> None:

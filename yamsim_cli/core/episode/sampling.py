@@ -6,24 +6,24 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..attempt_data import Attempt, AttemptJob, Layout
+from ..attempt_data import Attempt, AttemptJob, ObjectLayout
 from ..config.goals.world import TABLE
 from ..config.recording import RecordConfig
 from ..config.session import Session
-from ..config.variation import Variation
+from ..config.variation import RandomizationSample
 from ..expert.planning.arm_solvers import start_postures
 from ..files.documents.config_base import ConflictError
 from ..geometry.se3 import Array, pose
 from ..scene.compiled import CompiledScene
 from ..scene.random_streams import Stream, random_generator
-from ..scene.randomization_sampling import sample_variation
+from ..scene.randomization_sampling import sample_randomization
 from ..scene.start_sampling import LocalBoxFunction, ObjectPlacement, sample_phrasing, sample_placements
-from ..sim.cloth import crumple
+from ..sim.cloth import crumple_cloth
 from ..sim.settling import settle_objects
 from ..sim.sim_world import make_sim_world
 from .episode_rules import EpisodeRules
 from .expert import arm_sides
-from .simulator import Simulator, Simulators, open_episode
+from .simulator import Simulator, SimulatorCache, open_episode
 
 MAX_DRAWS = 20  # samples of the start, after which an attempt has no start because the goal already held in each
 _MAX_START_SPEED = 0.1  # m/s and rad/s, of an object at the start; rolling objects get below it
@@ -41,11 +41,13 @@ def sample_attempt(simulator: Simulator, job: AttemptJob) -> Attempt:
     no start if its objects have no room, or if its goal holds in every sampled start; see `describe_missing_start`.
     """
     config, task, roles = simulator.config, simulator.config.task, simulator.roles
-    attempt = Attempt(job, None, _variation(config, job), roles=roles, phrasing=sample_phrasing(task, job))
-    scene = simulator.set_variation(attempt)
+    attempt = Attempt(
+        job, None, _sample_attempt_randomization(config, job), roles=roles, phrasing=sample_phrasing(task, job)
+    )
+    scene = simulator.apply_randomization(attempt)
     moving: Attempt | None = None
     for number in range(MAX_DRAWS):
-        places = sample_placements(task, roles, _local_box_function(simulator), config.table, job, number)
+        places = sample_placements(task, roles, _local_box_function(simulator), config.widened_table, job, number)
         if isinstance(places, str):
             break
         settled = settle_objects(scene, _drop_objects(simulator, places), task.timing.timestep)
@@ -53,7 +55,7 @@ def sample_attempt(simulator: Simulator, job: AttemptJob) -> Attempt:
         episode = open_episode(simulator, replace(attempt, start=start), EpisodeRules())
         if episode.verdict is not None and not episode.verdict.reached:
             poses = {name: episode.world.pose(name) for name in scene.object_names}
-            with_start = replace(attempt, layout=Layout(poses), start=start)
+            with_start = replace(attempt, layout=ObjectLayout(poses), start=start)
             if settled.speed <= _MAX_START_SPEED:
                 return with_start
             moving = moving or with_start
@@ -63,7 +65,7 @@ def sample_attempt(simulator: Simulator, job: AttemptJob) -> Attempt:
 def sample_object_placements(simulator: Simulator, job: AttemptJob) -> dict[str, ObjectPlacement] | str:
     """Return the placements of objects before they settle, or the name of an object that has no room."""
     config = simulator.config
-    return sample_placements(config.task, simulator.roles, _local_box_function(simulator), config.table, job)
+    return sample_placements(config.task, simulator.roles, _local_box_function(simulator), config.widened_table, job)
 
 
 def describe_missing_start(simulator: Simulator, attempt: Attempt) -> str:
@@ -74,11 +76,11 @@ def describe_missing_start(simulator: Simulator, attempt: Attempt) -> str:
     return f"{HOLDS_ALREADY}, in each of {MAX_DRAWS} samples"
 
 
-def _variation(config: RecordConfig, job: AttemptJob) -> Variation:
-    if not config.randomization.parts:
-        return Variation()
+def _sample_attempt_randomization(config: RecordConfig, job: AttemptJob) -> RandomizationSample:
+    if not config.randomization.varied_parts:
+        return RandomizationSample()
     dofs = [config.rig.arms[number].robot.dof for number in config.rig.recording_order]
-    return sample_variation(config.randomization, job, len(config.scene.lights), config.task.objects, dofs)
+    return sample_randomization(config.randomization, job, len(config.scene.lights), config.task.objects, dofs)
 
 
 def _local_box_function(simulator: Simulator) -> LocalBoxFunction:
@@ -103,14 +105,14 @@ def _set_openings(scene: CompiledScene, qpos: Array, name: str, opened: Mapping[
 
 
 def _drop_objects(simulator: Simulator, places: Mapping[str, ObjectPlacement]) -> Array:
-    scene, top = simulator.scene, simulator.config.table.top
+    scene, top = simulator.scene, simulator.config.widened_table.top_height
     waiting = {name: pose((0.0, 0.0, top + SPARE_HEIGHT * (k + 1))) for k, name in enumerate(places)}
-    qpos = scene.start_qpos(Layout(waiting), start_postures(simulator.config))
+    qpos = scene.start_qpos(ObjectLayout(waiting), start_postures(simulator.config))
     for name, placed in places.items():
         _set_openings(scene, qpos, name, placed.joint_openings)
         T = placed.T.copy()
         if name in scene.cloths:
-            T[2, 3] = top + scene.cloths[name].radius + SPAWN_GAP
+            T[2, 3] = top + scene.cloths[name].half_thickness + SPAWN_GAP
         else:
             T[2, 3] = top + DROP_HEIGHT
             T[2, 3] = simulator.expert_planner.rest_height(qpos, name, T, top - DROP_HEIGHT) + SPAWN_GAP
@@ -125,7 +127,7 @@ def _crumple_cloths(simulator: Simulator, start: Array, rng: np.random.Generator
         for name in simulator.roles.objects_of(role):
             if how.crumpled is not None and name in scene.cloths:
                 share = float(rng.uniform(*how.crumpled))
-                start = crumple(scene, start, name, rng, share, task.timing.timestep)
+                start = crumple_cloth(scene, start, name, rng, share, task.timing.timestep)
     return start
 
 
@@ -135,7 +137,7 @@ _CHECKED_ATTEMPTS = 3  # attempts after which a task without any start is reject
 def require_start(session: Session) -> None:
     """Raise ConflictError, with a path from the root, if none of a task's first attempts has a start."""
     task = session.config.task
-    with Simulators(session.without_meshes()) as simulators:
+    with SimulatorCache(session.without_meshes()) as simulators:
         for number in range(_CHECKED_ATTEMPTS):
             job = AttemptJob(session.config.seed, number)
             simulator = simulators.get(job)

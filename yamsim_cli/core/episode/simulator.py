@@ -9,9 +9,9 @@ from ..closable import Closable
 from ..config.goals.role_assignment import RoleAssignment
 from ..config.session import Session
 from ..errors import SimulationError
-from ..expert.planning.arm_solvers import ArmSolvers, make_arm_solvers
+from ..expert.planning.arm_solvers import ArmIkAndDynamics, make_arm_ik_and_dynamics
 from ..rendering.renderer import SceneRenderer
-from ..rendering.scene_labels import SceneLabels, scene_labels
+from ..rendering.scene_labels import SceneLabels, make_scene_labels
 from ..scene.build import build_scene
 from ..scene.compiled import CompiledScene
 from ..scene.start_sampling import sample_roles
@@ -27,7 +27,7 @@ class Simulator(Closable):
     """A session's compiled scene, with a state replay, the expert's planner and a renderer that are made on demand.
 
     These are expensive, so a process makes them once. A simulator keeps no state of attempts, except that `scene.model`
-    has the variation last given to `set_variation`.
+    has the variation last given to `apply_randomization`.
 
     Args:
         session: its task has only the objects of `roles`.
@@ -39,7 +39,7 @@ class Simulator(Closable):
         self,
         session: Session,
         roles: RoleAssignment | None = None,
-        tools: Callable[[], tuple[ArmSolvers, ...]] | None = None,
+        tools: Callable[[], tuple[ArmIkAndDynamics, ...]] | None = None,
     ) -> None:
         if roles is None:
             roles = session.config.task.typical_roles
@@ -47,17 +47,17 @@ class Simulator(Closable):
         self.session = session
         self.config = config = session.config
         self.roles = roles
-        self._tools = tools or functools.partial(make_arm_solvers, config.rig)
+        self._tools = tools or functools.partial(make_arm_ik_and_dynamics, config.rig)
         self.scene = build_scene(session)
         # These parts need the scene before its first variation.
-        self.labels: SceneLabels | None = _labels(session, self.scene) if config.truth else None
-        self.placer = DistractorPlacer(config, self.scene) if config.randomization.distractors else None
-        self.randomized = RandomizedScene(config, self.scene)
+        self.labels: SceneLabels | None = _make_scene_labels(session, self.scene) if config.truth else None
+        self.distractor_placer = DistractorPlacer(config, self.scene) if config.randomization.distractors else None
+        self.randomized_scene = RandomizedScene(config, self.scene)
         self._renderer: SceneRenderer | None = None
 
-    def set_variation(self, attempt: Attempt) -> CompiledScene:
+    def apply_randomization(self, attempt: Attempt) -> CompiledScene:
         """Return the scene with an attempt's variation; valid until the next call."""
-        return self.randomized.apply(attempt)
+        return self.randomized_scene.apply_randomization(attempt)
 
     @functools.cached_property
     def state_replay(self) -> StateReplay:
@@ -96,14 +96,14 @@ def session_for_roles(session: Session, roles: RoleAssignment) -> Session:
     except ValueError as error:
         # Only tasks of datasets fail here: their objects could be made in these sizes when they were recorded.
         raise SimulationError(f"task {task.name!r}: {error}") from error
-    return session.with_values(task=task_of_roles.model_copy(update={"starts": session.config.starts}))
+    return session.with_values(task=task_of_roles.model_copy(update={"starts": session.config.start_regions_in_world}))
 
 
-def _labels(session: Session, scene: CompiledScene) -> SceneLabels:
+def _make_scene_labels(session: Session, scene: CompiledScene) -> SceneLabels:
     config = session.config
-    things = (*config.task.objects, *config.randomization.extras)
+    things = (*config.task.objects, *config.randomization.distractor_configs)
     names = [item.name for item in things]
-    return scene_labels(scene.model, config.rig, names, boards=config.boards, cloths=scene.cloths)
+    return make_scene_labels(scene.model, config.rig, names, boards=config.boards, cloths=scene.cloths)
 
 
 _MAX_SIMULATORS = 4  # each holds a compiled scene and, once used, a renderer
@@ -116,19 +116,19 @@ def sample_roles_for(session: Session, job: AttemptJob) -> RoleAssignment:
     return sample_roles(session.config.task, job)
 
 
-def simulator_for(session: Session, job: AttemptJob) -> Simulator:
+def make_simulator(session: Session, job: AttemptJob) -> Simulator:
     """Return a new simulator for the objects of an attempt."""
     roles = sample_roles_for(session, job)
     return Simulator(session_for_roles(session, roles), roles)
 
 
-class Simulators(Closable):
+class SimulatorCache(Closable):
     """Makes simulators for the objects of attempts, and keeps the last few."""
 
     def __init__(self, session: Session) -> None:
         self.session = session
         self._simulators: OrderedDict[_RolesKey, Simulator] = OrderedDict()
-        self._tools = functools.cache(functools.partial(make_arm_solvers, session.config.rig))
+        self._tools = functools.cache(functools.partial(make_arm_ik_and_dynamics, session.config.rig))
 
     def get(self, job: AttemptJob) -> Simulator:
         """Return the simulator of an attempt; valid until the next call."""
@@ -153,5 +153,5 @@ def open_episode(simulator: Simulator, attempt: Attempt, rules: EpisodeRules, on
     assert attempt.start is not None, "an attempt without a layout has no episode"
     task = simulator.config.task
     goal = EpisodeGoal(task.goal, simulator.roles, task.hold_ticks)
-    scene = simulator.set_variation(attempt)
+    scene = simulator.apply_randomization(attempt)
     return Episode(scene, attempt.start, task.timing, arm_sides(simulator.config), goal, rules, on_step=on_step)

@@ -22,15 +22,15 @@ from ..images.jpeg import decode_jpeg, encode_jpeg
 from ..images.video import VideoWriter, require_encoder
 from ..progress import Progress
 from ..rendering.view_cameras import draw_labels
-from ..statistics import summarize_values, wilson95
-from ..workers.executors import Executor, Factory, J, LostJobError, run_all
+from ..statistics import summarize_values, wilson_interval_95
+from ..workers.executors import Executor, J, LostJobError, RunnerFactory, run_all
 from ..workers.process_pool import ProcessPool
 from .attempt_payload import render_cameras
 from .episode_rules import EXPERT_RULES
-from .execution import SimulatedAttempt, demonstrate
+from .execution import SimulatedAttempt, simulate_expert
 from .runner import AttemptRunner
 from .sampling import sample_attempt
-from .simulator import Simulator, Simulators
+from .simulator import Simulator, SimulatorCache
 
 R = TypeVar("R")
 
@@ -38,7 +38,7 @@ _MOTIONLESS_CAUSES = (FailureCause.NO_LAYOUT, FailureCause.UNREACHABLE)  # failu
 _JPEG_QUALITY = 95  # 0..100, of frames that workers send; the loss is small against that of the video
 
 
-def run_batch(session: Session, thresholds: Sequence[float], progress: Progress) -> dict[str, Any]:
+def run_expert_trials(session: Session, thresholds: Sequence[float], progress: Progress) -> dict[str, Any]:
     """Simulate `config.episodes` trials by the expert: the attempts that `record` makes with the same seed.
 
     Args:
@@ -147,7 +147,7 @@ def count_outcomes(
         "n": n,
         "n_success": succeeded,
         "success_rate": succeeded / n,
-        "wilson95": wilson95(succeeded, n),
+        "wilson95": wilson_interval_95(succeeded, n),
         "threshold_m": target and target.radius,
         "rates": {f"{threshold:g}": rate(threshold) for threshold in thresholds} if target else {},
         "dxy_m": summarize_values([outcome.dxy_m for outcome in outcomes if outcome.dxy_m is not None]),
@@ -177,10 +177,10 @@ class TrialFilmer(Closable):
     """Base of filmers, which render simulated trials."""
 
     def __init__(self, session: Session) -> None:
-        self._simulators = Simulators(session)
+        self._simulators = SimulatorCache(session)
 
-    def _film(self, simulator: Simulator, done: SimulatedAttempt) -> list[bytes]:
-        shown = (render_cameras(simulator, done.attempt, state.qpos, (SCENE_CAMERA,)) for state in done.states)
+    def _render_jpegs(self, simulator: Simulator, done: SimulatedAttempt) -> list[bytes]:
+        shown = (render_cameras(simulator, done.attempt, state.qpos, (SCENE_CAMERA,)) for state in done.recorded_states)
         return [encode_jpeg(images[SCENE_CAMERA], _JPEG_QUALITY) for images in shown]
 
     def close(self) -> None:
@@ -192,10 +192,10 @@ class _ExpertFilmer(TrialFilmer):
     def run(self, job: AttemptJob) -> list[bytes]:
         """Return the trial's frames as JPEGs, for any outcome."""
         simulator = self._simulators.get(job)
-        return self._film(simulator, demonstrate(simulator, sample_attempt(simulator, job)))
+        return self._render_jpegs(simulator, simulate_expert(simulator, sample_attempt(simulator, job)))
 
 
-class TrialFilms:
+class TrialVideoWriter:
     """Writes videos of trials: one file if `path` ends in `.mp4`, else a folder with a file per trial.
 
     `frame_period` is in s. With `overwrite`, an existing `path` becomes a backup; else it raises UsageError unless
@@ -253,9 +253,9 @@ def _write_frames(video: VideoWriter, trial: Mapping[str, Any], frames: Sequence
 
 
 def film_trials(
-    trials: Sequence[dict[str, Any]], limit: int, films: TrialFilms, session: Session, progress: Progress
+    trials: Sequence[dict[str, Any]], limit: int, films: TrialVideoWriter, session: Session, progress: Progress
 ) -> list[FilmedTrial]:
-    """Film at most `limit` of the trials of `run_batch`, failures first, without trials in which nothing moved."""
+    """Film at most `limit` trials of `run_expert_trials` in which something moved, failures first."""
     moving = [trial for trial in trials if trial["outcome"]["cause"] not in _MOTIONLESS_CAUSES]
     chosen = sorted(moving, key=lambda trial: trial["outcome"]["success"])[:limit]
     if not chosen:
@@ -266,10 +266,10 @@ def film_trials(
 
 
 def film_jobs(
-    factory: Factory[J, list[bytes]],
+    factory: RunnerFactory[J, list[bytes]],
     trials: Sequence[dict[str, Any]],
     jobs: Sequence[J],
-    films: TrialFilms,
+    films: TrialVideoWriter,
     workers: int,
     progress: Progress,
 ) -> list[FilmedTrial]:

@@ -74,8 +74,8 @@ def parse_mounts(text: str) -> list[Mount]:
         fields, rest = before.split(" "), after.split(" ")
         if dash and len(fields) >= 6 and len(rest) >= 3:
             options = frozenset([*fields[5].split(","), *rest[2].split(",")])
-            point = PurePosixPath(_unescaped(fields[4]))
-            mounts.append(Mount(int(fields[0]), int(fields[1]), point, rest[0], _unescaped(rest[1]), options))
+            point = PurePosixPath(_unescape_octal(fields[4]))
+            mounts.append(Mount(int(fields[0]), int(fields[1]), point, rest[0], _unescape_octal(rest[1]), options))
     return mounts
 
 
@@ -131,6 +131,6 @@ def network_mount(path: Path, mounts: Sequence[Mount], readlink: Callable[[str],
     return None
 
 
-def _unescaped(text: str) -> str:
+def _unescape_octal(text: str) -> str:
     """The table escapes blanks, tabs, newlines and backslashes as three octal digits."""
     return re.sub(r"\\([0-7]{3})", lambda match: chr(int(match.group(1), 8)), text)

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from ..errors import ConfigError, ResourceError, suggest
+from ..errors import ConfigError, ResourceError, suggest_similar
 
 AUTO = ("quality", "auto")  # kind and name of a config for which `Locations.auto_quality` is loaded instead
 IMPORTED = "imported"  # folder of the asset cache with meshes that the user imported; no lock file lists them
@@ -17,7 +17,7 @@ _KITCHEN = "kitchen_"  # prefix of the names of kitchen objects
 Meshes = Mapping[str, Path | None]
 
 # Kind -> path of its configs below a data root, with `*` for the name.
-_PLACES = {"robots": "robot_models/*/model.yaml", "grippers": "robot_models/grippers/*/gripper.yaml"}
+_CONFIG_PATTERNS = {"robots": "robot_models/*/model.yaml", "grippers": "robot_models/grippers/*/gripper.yaml"}
 
 _PACKAGE = Path(__file__).resolve().parents[2]
 
@@ -29,10 +29,10 @@ def _built_in() -> Path:
 
 def config_path_pattern(kind: str) -> str:
     """Return the path pattern of configs of a kind below a data root, with `*` for the name."""
-    return _PLACES.get(kind, f"configs/{kind}/*.yaml")
+    return _CONFIG_PATTERNS.get(kind, f"configs/{kind}/*.yaml")
 
 
-def camera_file(name: str) -> tuple[Path, str] | None:
+def split_camera_path(name: str) -> tuple[Path, str] | None:
     """Return file and camera of `FILE` or `FILE:CAMERA`, with an empty camera for `FILE`; None for other names."""
     if name.endswith(_CAMERA_SUFFIXES):
         return Path(name), ""
@@ -56,7 +56,7 @@ class Locations:
     meshes: Meshes = field(default_factory=dict)
 
     @classmethod
-    def find(cls, environ: Mapping[str, str]) -> Locations:
+    def from_environment(cls, environ: Mapping[str, str]) -> Locations:
         """Return the locations from `YAMSIM_DATA_DIR`, `YAMSIM_ASSETS`, `XDG_CACHE_HOME` and `HOME`; open no file."""
         roots = [Path(environ["YAMSIM_DATA_DIR"])] if environ.get("YAMSIM_DATA_DIR") else []
         if environ.get("YAMSIM_ASSETS"):
@@ -67,7 +67,7 @@ class Locations:
             assets = Path(environ.get("HOME") or "~").expanduser() / ".cache" / "yamsim" / "assets"
         return cls(data=(*roots, _built_in()), assets=assets)
 
-    def file(self, relative: str) -> Path:
+    def find_data_file(self, relative: str) -> Path:
         """Return the file at `relative` in the first data root that has it. Raises ResourceError if none has."""
         for root in self.data:
             if (root / relative).is_file():
@@ -79,7 +79,7 @@ class Locations:
     def config_names(self, kind: str) -> list[str]:
         """Return the sorted names of the configs of one kind (`rigs`, `tasks`, `robots`, ...)."""
         place = config_path_pattern(kind)
-        depth = place.split("/").index("*") if kind in _PLACES else -1
+        depth = place.split("/").index("*") if kind in _CONFIG_PATTERNS else -1
         found = {path.relative_to(root).parts[depth] for root in self.data for path in root.glob(place)}
         names = {name.removesuffix(".yaml") for name in found}
         return sorted(names | {AUTO[1]} if kind == AUTO[0] else names)
@@ -94,25 +94,25 @@ class Locations:
         """
         path = Path(name)
         # Recordings contain only the names of robots and grippers, so these are not found by paths.
-        file = path if name.endswith(_CONFIG_SUFFIXES) and kind not in _PLACES else None
-        if kind == "cameras" and (found := camera_file(name)):
+        file = path if name.endswith(_CONFIG_SUFFIXES) and kind not in _CONFIG_PATTERNS else None
+        if kind == "cameras" and (found := split_camera_path(name)):
             file = found[0]
         if file is not None:
             if file.is_file():
                 return path
             raise ConfigError(f"{kind.removesuffix('s')} config file {file} does not exist")
         if name not in self.config_names(kind):
-            name = self._prefixed(kind, name) or name
+            name = self._find_prefixed_name(kind, name) or name
         if name not in self.config_names(kind):
             endings = _CAMERA_SUFFIXES if kind == "cameras" else _CONFIG_SUFFIXES
             hint = f"; the name of a file must end in {' or '.join(endings)}" if path.is_file() else ""
             robots = "; or an arm and its gripper, such as yam_pro+linear_4310" if kind == "rigs" else ""
-            valid = suggest(name, self.config_names(kind))
+            valid = suggest_similar(name, self.config_names(kind))
             raise ConfigError(f"unknown {kind.removesuffix('s')} {name!r}; {valid}{robots}{hint}")
         chosen = self.auto_quality if (kind, name) == AUTO else name
-        return self.file(config_path_pattern(kind).replace("*", chosen))
+        return self.find_data_file(config_path_pattern(kind).replace("*", chosen))
 
-    def _prefixed(self, kind: str, name: str) -> str | None:
+    def _find_prefixed_name(self, kind: str, name: str) -> str | None:
         """Return the only config `<number>_<name>` (`013_apple`), or else `kitchen_<name>`."""
         names = self.config_names(kind)
         found = [other for other in names if re.fullmatch(rf"\d[^_]*_{re.escape(name)}", other)]

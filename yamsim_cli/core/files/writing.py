@@ -40,12 +40,12 @@ def sha256_file(path: Path) -> str:
 
 def fsync_directory(path: Path) -> None:
     """Flush a directory's entries, so that a rename in it survives a power cut."""
-    with _opened(path, os.O_RDONLY | os.O_DIRECTORY) as descriptor:
+    with _open_descriptor(path, os.O_RDONLY | os.O_DIRECTORY) as descriptor:
         os.fsync(descriptor)
 
 
 @contextlib.contextmanager
-def _opened(path: Path, flags: int) -> Iterator[int]:
+def _open_descriptor(path: Path, flags: int) -> Iterator[int]:
     """Open a file for the block. Errors in the block name the file, unlike errors of `os.read` and `os.write`."""
     descriptor = os.open(path, flags, 0o666)
     try:
@@ -59,7 +59,7 @@ def _opened(path: Path, flags: int) -> Iterator[int]:
 
 def write_and_fsync(path: Path, data: bytes) -> None:
     """Create a file; raise FileExistsError if it exists."""
-    with _opened(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL) as descriptor:
+    with _open_descriptor(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL) as descriptor:
         rest = memoryview(data)
         while rest:
             rest = rest[os.write(descriptor, rest) :]
@@ -130,7 +130,7 @@ def _save_to_temporary(files: Mapping[str, bytes]) -> Path | None:
 
 def publish_file(part: Path, final: Path) -> None:
     """Rename the complete file `part` to `final` in the same directory. Raises as `write_file`, and keeps `part`."""
-    _fsync(part)
+    _fsync_file(part)
     os.replace(part, final)
     fsync_directory(final.parent)
 
@@ -140,7 +140,7 @@ def append_line(path: Path, line: str) -> None:
 
     If a power cut left an incomplete last line, the function first ends that line.
     """
-    with _opened(path, os.O_RDWR | os.O_CREAT | os.O_APPEND) as descriptor:
+    with _open_descriptor(path, os.O_RDWR | os.O_CREAT | os.O_APPEND) as descriptor:
         size = os.fstat(descriptor).st_size
         cut_off = size > 0 and os.pread(descriptor, 1, size - 1) != b"\n"
         data = (("\n" if cut_off else "") + line + "\n").encode()
@@ -211,7 +211,7 @@ def staged_directory(final: Path, *, overwrite: bool = False) -> Iterator[Staged
         FileExistsError: `final` exists, and is not an empty directory.
         OSError: the tree could not be written; `final` is not created.
     """
-    final = _named(final)
+    final = _resolve_unnamed(final)
     _refuse_own_directory(final)
     _remove_stale(final.parent, re.compile(rf"\.{re.escape(final.name)}\.[0-9a-f]{{32}}\.part"))
 
@@ -293,11 +293,11 @@ def _remove_stale(parent: Path, names: re.Pattern[str]) -> None:
 def _fsync_tree(root: Path) -> None:
     paths = [root, *root.rglob("*")]
     with ThreadPoolExecutor(_FLUSH_THREADS) as flushers:
-        list(flushers.map(_fsync, paths))
+        list(flushers.map(_fsync_file, paths))
 
 
-def _fsync(path: Path) -> None:
-    with _opened(path, os.O_RDONLY) as descriptor:
+def _fsync_file(path: Path) -> None:
+    with _open_descriptor(path, os.O_RDONLY) as descriptor:
         os.fsync(descriptor)
 
 
@@ -331,7 +331,7 @@ def describe_refusal(error: OSError, path: Path) -> str:
     return found or error.strerror or str(error)
 
 
-def _named(path: Path) -> Path:
+def _resolve_unnamed(path: Path) -> Path:
     return path.resolve() if path.name in ("", "..") else path
 
 
@@ -347,7 +347,7 @@ def move_to_backup(path: Path) -> Path:
 
     UsageError is raised if `path` is or contains this process's current directory, and so that of the user's shell.
     """
-    path = _named(path)
+    path = _resolve_unnamed(path)
     _refuse_own_directory(path)
     number = 1
     while (target := path.with_name(f"{path.name}.old-{number}")).exists():

@@ -33,7 +33,7 @@ class Board:
     gap: float
 
     @property
-    def ids(self) -> tuple[int, ...]:
+    def marker_ids(self) -> tuple[int, ...]:
         """Marker ids, row by row from the top left."""
         return tuple(range(self.first_id, self.first_id + self.columns * self.rows))
 
@@ -52,8 +52,8 @@ class Board:
         """`T_board_in_cam = T_board_cv_in_cam @ T_board_in_board_cv`."""
         return pose((self.width / 2, self.height / 2, 0.0), np.diag([1.0, -1.0, -1.0]))
 
-    def corners(self) -> Array:
-        """Return marker corners (n, 4, 3) in `board`, m, in the order of `ids`, each clockwise from the top left."""
+    def marker_corners(self) -> Array:
+        """Return marker corners (n, 4, 3) in `board`, m, in the order of `marker_ids`, clockwise from the top left."""
         step = self.marker_length + self.gap
         length = self.marker_length
         corners = np.zeros((self.columns * self.rows, 4, 3))

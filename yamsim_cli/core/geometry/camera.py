@@ -57,13 +57,13 @@ class CameraModel:
     intrinsics_covariance: tuple[tuple[float, ...], ...] = ()
 
     @classmethod
-    def pinhole(cls, width: int, height: int, focal: float, focal_sigma: float = 0.003) -> CameraModel:
+    def from_focal_length(cls, width: int, height: int, focal: float, focal_sigma: float = 0.003) -> CameraModel:
         """Return a camera without distortion, with square pixels and the principal point at the image centre."""
         K = ((focal, 0.0, (width - 1) / 2), (0.0, focal, (height - 1) / 2), (0.0, 0.0, 1.0))
         return cls(width, height, K, focal_sigma=focal_sigma)
 
     @property
-    def focal(self) -> float:
+    def mean_focal_length(self) -> float:
         """Geometric mean of the two focal lengths, px."""
         return math.sqrt(self.K[0][0] * self.K[1][1])
 
@@ -90,7 +90,7 @@ def opencv_from_mujoco(rotation: ArrayLike) -> Array:
     return np.asarray(rotation, dtype=np.float64).reshape(3, 3) @ _FLIP_YZ
 
 
-def project(K: ArrayLike, points_in_cam: ArrayLike) -> Array:
+def project_points(K: ArrayLike, points_in_cam: ArrayLike) -> Array:
     """Project points (n, 3) in the camera frame, with z > 0, to pixel coordinates (n, 2)."""
     points = np.atleast_2d(np.asarray(points_in_cam, dtype=np.float64))
     rays = points @ np.asarray(K, dtype=np.float64).T

@@ -57,7 +57,7 @@ def merge_vertices(vertices: Array, faces: Faces) -> tuple[Array, Faces]:
     return vertices[first], merged[whole]
 
 
-def open_edges(faces: Faces) -> int:
+def count_open_edges(faces: Faces) -> int:
     """Return the number of directed edges whose opposite edge occurs less or more often; 0 for a closed surface."""
     edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]).astype(np.int64)
     size = int(edges.max()) + 1
@@ -71,7 +71,7 @@ def open_edges(faces: Faces) -> int:
 
 def is_closed(faces: Faces) -> bool:
     """Return whether a surface has triangles and no open edge."""
-    return bool(len(faces)) and open_edges(faces) == 0
+    return bool(len(faces)) and count_open_edges(faces) == 0
 
 
 def sphere_directions(count: int = _PLANES) -> Array:

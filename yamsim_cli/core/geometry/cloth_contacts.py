@@ -41,7 +41,7 @@ def nearest_per_layer(
     for line in lines:
         a, b, c = (flat[:, k] - line for k in range(3))
         # Unnormalized barycentric coordinates of the line.
-        shares = np.stack([_cross(b, c), _cross(c, a), _cross(a, b)], axis=1)
+        shares = np.stack([_cross_product_xy(b, c), _cross_product_xy(c, a), _cross_product_xy(a, b)], axis=1)
         whole = shares.sum(axis=1)
         through = np.flatnonzero((shares * whole[:, None] >= 0.0).all(axis=1) & (np.abs(whole) > 0.0))
         z = (shares[through] * points[corners[through], 2]).sum(axis=1) / whole[through]
@@ -51,7 +51,7 @@ def nearest_per_layer(
     return np.array(sorted(found), dtype=int)
 
 
-def _cross(one: Array, other: Array) -> Array:
+def _cross_product_xy(one: Array, other: Array) -> Array:
     crossed: Array = one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0]
     return crossed
 

@@ -82,7 +82,7 @@ def _fit_side(points: Array, rest: Array, thickness: float) -> Array:
     return lain
 
 
-def unevenness(points: Array, rest: Array, thickness: float) -> float:
+def sheet_unevenness(points: Array, rest: Array, thickness: float) -> float:
     """Return the unevenness, 0 (flat) to about 1, from a sheet's height and its displacement from `fit_flat_places`."""
     away = np.linalg.norm(fit_flat_places(points, rest, thickness) - points[..., :2], axis=-1)
     return (float(away.mean()) / square_side(rest) + height_range(points) / _HEIGHT_SCALE) / 2

@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 
 from .se3 import Array
 
-Fold = Literal["half", "diagonal", "thirds"]
+ClothFoldKind = Literal["half", "diagonal", "thirds"]
 
 # Rows and columns (n, 2) of the points of two layers of a folded sheet. The k-th points lie on each other.
 Layers = tuple[NDArray[np.int_], NDArray[np.int_]]
 
 # Points (row, column) that are grasped together, each paired with the point onto which it is placed.
-Move = tuple[tuple[tuple[int, int], tuple[int, int]], ...]
+FoldMove = tuple[tuple[tuple[int, int], tuple[int, int]], ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,12 +28,12 @@ class FoldPlan:
         covered: area of the folded sheet as a share of the flat sheet's area.
     """
 
-    moves: tuple[Move, ...]
+    moves: tuple[FoldMove, ...]
     layers: tuple[Layers, ...]
     covered: float
 
 
-def fold_plans(kind: Fold, rows: int, columns: int) -> list[FoldPlan]:
+def fold_plans(kind: ClothFoldKind, rows: int, columns: int) -> list[FoldPlan]:
     """Return the plans that fold a grid of points by `kind`, one from each side or corner; empty if impossible.
 
     `diagonal` requires a square grid. `thirds` requires a side of 3 n + 2 cells: the inner third is one cell shorter.
@@ -65,21 +65,21 @@ def _transform_plan(plan: FoldPlan, size: tuple[int, int], low: bool, left: bool
     return FoldPlan(moves, tuple((points(upper), points(lower)) for upper, lower in plan.layers), plan.covered)
 
 
-def _half(rows: int, columns: int) -> FoldPlan:
-    upper = _grid(range(rows // 2), range(columns))
+def _half_fold_plan(rows: int, columns: int) -> FoldPlan:
+    upper = _grid_points(range(rows // 2), range(columns))
     first_row_over = tuple(((0, column), (rows - 1, column)) for column in (0, columns - 1))
     return FoldPlan((first_row_over,), ((upper, _mirror_rows(upper, rows - 1)),), 1 / 2)
 
 
-def _diagonal(rows: int, columns: int) -> FoldPlan | None:
+def _diagonal_fold_plan(rows: int, columns: int) -> FoldPlan | None:
     if rows != columns:
         return None
-    upper = _grid(range(rows), range(rows))
+    upper = _grid_points(range(rows), range(rows))
     upper = upper[upper.sum(axis=1) < rows - 1]
     return FoldPlan(((((0, 0), (rows - 1, rows - 1)),),), ((upper, rows - 1 - upper[:, ::-1]),), 1 / 2)
 
 
-def _thirds(rows: int, columns: int) -> FoldPlan | None:
+def _thirds_fold_plan(rows: int, columns: int) -> FoldPlan | None:
     cells = rows - 1
     if cells % 3 != 2:
         return None
@@ -88,8 +88,8 @@ def _thirds(rows: int, columns: int) -> FoldPlan | None:
     last = columns - 1
     inside = tuple(((0, column), (2 * first, column)) for column in (0, last))
     over = tuple(((cells, column), (first, column)) for column in (0, last))
-    lowest = _grid(range(first), range(columns))
-    highest = _grid(range(first + third + 1, rows), range(columns))
+    lowest = _grid_points(range(first), range(columns))
+    highest = _grid_points(range(first + third + 1, rows), range(columns))
     # Part of the middle third, on which the first third lies and which the last third covers.
     under = _mirror_rows(lowest, 2 * first)
     return FoldPlan(
@@ -103,10 +103,10 @@ def _thirds(rows: int, columns: int) -> FoldPlan | None:
     )
 
 
-_FOLDS = {"half": _half, "diagonal": _diagonal, "thirds": _thirds}
+_FOLDS = {"half": _half_fold_plan, "diagonal": _diagonal_fold_plan, "thirds": _thirds_fold_plan}
 
 
-def _grid(rows: range, columns: range) -> NDArray[np.int_]:
+def _grid_points(rows: range, columns: range) -> NDArray[np.int_]:
     return np.array([(row, column) for row in rows for column in columns])
 
 

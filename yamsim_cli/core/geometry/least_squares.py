@@ -25,7 +25,7 @@ class Linearized(Protocol):
         ...
 
     @property
-    def normal(self) -> Array:
+    def normal_matrix(self) -> Array:
         """Matrix (..., k, k) of the normal equations."""
         ...
 
@@ -72,7 +72,7 @@ def solve_least_squares(problem: LeastSquares[S, L], state: S, max_steps: int) -
         return None
     damping = np.full(np.shape(known.cost), _START_DAMPING)
     for _ in range(max_steps):
-        step = _damped_step(known.normal, known.gradient, damping)
+        step = _damped_step(known.normal_matrix, known.gradient, damping)
         there = problem.apply_step(state, step)
         trial = problem.linearize(there, known)
         gain = np.asarray(-np.inf if trial is None else np.subtract(known.cost, trial.cost))

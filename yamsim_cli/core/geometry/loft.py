@@ -27,7 +27,7 @@ def loft(loops: Sequence[Array]) -> Surface:
     following = (around + 1) % count
     faces = [np.stack([np.zeros(count, int), 1 + following, 1 + around], axis=1)]
     for k in range(len(loops) - 1):
-        faces += _strip(1 + k * count, 1 + (k + 1) * count, count)
+        faces += _triangle_strip(1 + k * count, 1 + (k + 1) * count, count)
     top = 1 + (len(loops) - 1) * count
     faces.append(np.stack([np.full(count, len(vertices) - 1), top + around, top + following], axis=1))
     return weld_vertices(vertices, np.concatenate(faces))
@@ -36,11 +36,11 @@ def loft(loops: Sequence[Array]) -> Surface:
 def loft_closed(loops: Sequence[Array]) -> Surface:
     """Return a closed surface through loops of points (k, 3), m, with the last loop joined to the first."""
     count, size = len(loops), len(loops[0])
-    faces = [strip for k in range(count) for strip in _strip(k * size, (k + 1) % count * size, size)]
+    faces = [strip for k in range(count) for strip in _triangle_strip(k * size, (k + 1) % count * size, size)]
     return weld_vertices(np.concatenate(loops), np.concatenate(faces))
 
 
-def _strip(low: int, high: int, count: int) -> list[NDArray[np.int_]]:
+def _triangle_strip(low: int, high: int, count: int) -> list[NDArray[np.int_]]:
     """Return the triangles between two loops of `count` points, from the indices `low` and `high`."""
     around = np.arange(count)
     following = (around + 1) % count

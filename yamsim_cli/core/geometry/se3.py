@@ -70,7 +70,7 @@ def quat_from_rotation(rotation: ArrayLike) -> Array:
     return -q if q[0] < 0 else q
 
 
-def inverse(T: ArrayLike) -> Array:
+def invert_pose(T: ArrayLike) -> Array:
     """Return the inverse pose: `T_b_in_a` of `T_a_in_b`."""
     matrix = np.asarray(T, dtype=np.float64)
     R = matrix[:3, :3].T
@@ -103,7 +103,7 @@ def interpolate_rotation(start: ArrayLike, end: ArrayLike, fraction: float) -> A
     return R0 @ rotation_from_vector(fraction * rotation_vector(R0.T @ R1))
 
 
-def tilt(rotation: ArrayLike) -> float:
+def tilt_angle(rotation: ArrayLike) -> float:
     """Return the angle, rad, between the z axes of a rotated frame and of its reference frame."""
     return math.acos(min(1.0, max(-1.0, float(np.asarray(rotation)[2, 2]))))
 

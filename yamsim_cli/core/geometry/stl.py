@@ -12,7 +12,7 @@ _FACE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attributes
 _HEADER = 80  # bytes
 
 
-def stl_bytes(vertices: ArrayLike, faces: ArrayLike) -> bytes:
+def encode_stl(vertices: ArrayLike, faces: ArrayLike) -> bytes:
     """Return a binary STL of vertices (n, 3) and triangles (m, 3); equal meshes give equal bytes."""
     corners = np.asarray(vertices, dtype=np.float64)[np.asarray(faces)]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -30,7 +30,7 @@ def is_binary_stl(data: bytes) -> bool:
     return count > 0 and len(data) == _HEADER + 4 + count * _FACE.itemsize
 
 
-def read_stl(data: bytes) -> tuple[Array, Faces]:
+def decode_stl(data: bytes) -> tuple[Array, Faces]:
     """Return the vertices (n, 3) of a binary STL, in the file's unit, and its triangles (m, 3), or raise ResourceError.
 
     Equal corners are merged. Triangles that thereby lose a corner are omitted.

@@ -51,12 +51,12 @@ def distances_to_surface(points: Array, surface: tuple[Array, Faces], limit: flo
             here = points[batch]
             near = ((low <= here.max(axis=0)) & (high >= here.min(axis=0))).all(axis=1)
             if near.any():
-                found[batch] = np.sqrt(_squared(here[:, None], triangles[near]).min(axis=1))
+                found[batch] = np.sqrt(_squared_distances(here[:, None], triangles[near]).min(axis=1))
     found[found > limit] = np.inf
     return found
 
 
-def _squared(points: Array, triangles: Array) -> Array:
+def _squared_distances(points: Array, triangles: Array) -> Array:
     """Return the squared distance (n, m) of each point (n, 1, 3) from each triangle (m, 3, 3)."""
     a, b, c = np.moveaxis(triangles, 1, 0)
     normal = np.cross(b - a, c - a)

@@ -3,7 +3,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from ..errors import ConfigError, suggest
+from ..errors import ConfigError, suggest_similar
 from ..geometry.board import Board
 from .image import Image
 
@@ -14,7 +14,7 @@ def aruco_dictionary(name: str) -> cv2.aruco.Dictionary:
     """Return OpenCV's ArUco dictionary of a name such as "DICT_6X6_250"; raise ConfigError if unknown."""
     names = {known: value for known, value in vars(cv2.aruco).items() if known.startswith("DICT_")}
     if name not in names:
-        raise ConfigError(f"unknown dictionary {name!r}; {suggest(name, names)}")
+        raise ConfigError(f"unknown dictionary {name!r}; {suggest_similar(name, names)}")
     return cv2.aruco.getPredefinedDictionary(int(names[name]))
 
 
@@ -29,16 +29,17 @@ def marker_cells(board: Board) -> Image:
     except ConfigError as error:
         raise ConfigError(f"board {board.name!r}: {error}") from error
     known = len(dictionary.bytesList)
-    if board.ids[-1] >= known:
+    if board.marker_ids[-1] >= known:
         raise ConfigError(
-            f"board {board.name!r} has the marker ids {board.ids[0]}..{board.ids[-1]}, but {board.dictionary} ends at "
-            f"{known - 1}; choose a first_id up to {known - len(board.ids)}, or a larger dictionary"
-            if len(board.ids) <= known
-            else f"board {board.name!r} has {len(board.ids)} markers, but {board.dictionary} only {known}; "
+            f"board {board.name!r} has the marker ids {board.marker_ids[0]}..{board.marker_ids[-1]}, "
+            f"but {board.dictionary} ends at "
+            f"{known - 1}; choose a first_id up to {known - len(board.marker_ids)}, or a larger dictionary"
+            if len(board.marker_ids) <= known
+            else f"board {board.name!r} has {len(board.marker_ids)} markers, but {board.dictionary} only {known}; "
             "choose a larger dictionary"
         )
     cells = dictionary.markerSize + 2
-    markers = [dictionary.generateImageMarker(number, cells, borderBits=1) for number in board.ids]
+    markers = [dictionary.generateImageMarker(number, cells, borderBits=1) for number in board.marker_ids]
     return np.asarray(markers, dtype=np.uint8)
 
 

@@ -77,7 +77,7 @@ class JpegReader:
         """See `jpeg_header`."""
         return jpeg_header(data)
 
-    def measure(self, data: bytes) -> ImageStats | None:
+    def compute_stats(self, data: bytes) -> ImageStats | None:
         """Return statistics of a JPEG; None if it cannot be decoded."""
         flags = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION
         grey = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
@@ -90,7 +90,7 @@ class JpegReader:
         mean, deviation = cv2.meanStdDev(small)
         return ImageStats(float(mean[0, 0]), float(deviation[0, 0]), zlib.crc32(grey.tobytes()), warning)
 
-    def labels(self, data: bytes) -> Image | None:
+    def read_labels(self, data: bytes) -> Image | None:
         """See `decode_labels`."""
         return decode_labels(data)
 

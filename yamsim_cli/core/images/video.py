@@ -48,7 +48,7 @@ _OFFSET = np.array([16.0, 128.0, 128.0])
 _LUMA_RANGE, _COLOUR_RANGE = 219, 224
 
 
-def yuv420(image: Image, matrix: ColorMatrix) -> NDArray[np.uint8]:
+def convert_to_yuv420(image: Image, matrix: ColorMatrix) -> NDArray[np.uint8]:
     """Convert an RGB image to its planes Y, Cb and Cr, stacked as (3 / 2 height, width).
 
     If a side is odd, the last row or column is repeated. The result of FFmpeg's own conversion depends on the alignment
@@ -173,7 +173,7 @@ class VideoWriter:
         if not frame_period > 0:
             raise ValueError(f"frame_period must be above 0, not {frame_period}")
         self.path = path
-        self.frames = 0
+        self.frame_count = 0
         self.moved_aside: Path | None = None
         self._period = Fraction(frame_period).limit_denominator(_MAX_DENOMINATOR)
         self._overwrite, self._matrix = overwrite, matrix
@@ -194,9 +194,9 @@ class VideoWriter:
         try:
             self._encode(image)
         except OSError as error:
-            raise self._unwritable(error) from error
+            raise self._unwritable_error(error) from error
         except av.FFmpegError as error:
-            raise SimulationError(f"{self.path}: the encoder refused frame {self.frames}: {error}") from error
+            raise SimulationError(f"{self.path}: the encoder refused frame {self.frame_count}: {error}") from error
 
     def _encode(self, image: Image) -> None:
         from av import VideoFrame
@@ -207,12 +207,14 @@ class VideoWriter:
             self._size = (width, height)
         if self._size != (width, height):
             expected = "x".join(map(str, self._size))
-            raise ValueError(f"{self.path}: frame {self.frames} is {width}x{height}, but earlier ones are {expected}")
-        frame = VideoFrame.from_ndarray(yuv420(image, self._matrix), format="yuv420p")
+            raise ValueError(
+                f"{self.path}: frame {self.frame_count} is {width}x{height}, but earlier ones are {expected}"
+            )
+        frame = VideoFrame.from_ndarray(convert_to_yuv420(image, self._matrix), format="yuv420p")
         frame.colorspace, frame.color_range = self._matrix.tag, _LIMITED
-        frame.pts, frame.time_base = self.frames, self._period
+        frame.pts, frame.time_base = self.frame_count, self._period
         self._container.mux(self._stream.encode(frame))
-        self.frames += 1
+        self.frame_count += 1
 
     def _open(self, width: int, height: int) -> tuple[OutputContainer, VideoStream]:
         import av
@@ -242,7 +244,7 @@ class VideoWriter:
                 self.moved_aside = move_to_backup(self.path)
             publish_file(self._part, self.path)
         except OSError as error:
-            raise self._unwritable(error) from error
+            raise self._unwritable_error(error) from error
 
     def _discard(self) -> None:
         if self._container is not None:
@@ -259,7 +261,7 @@ class VideoWriter:
         if self.path.exists() and not (self._overwrite and self.path.is_file()):
             raise UsageError(f"{self.path} exists; move it aside with --overwrite, or choose another name")
 
-    def _unwritable(self, error: OSError) -> ResourceError:
+    def _unwritable_error(self, error: OSError) -> ResourceError:
         return ResourceError(f"{self.path} cannot be written: {error.strerror or error}; choose another path")
 
     def __enter__(self) -> VideoWriter:
@@ -267,7 +269,7 @@ class VideoWriter:
         try:
             self._part.touch(exist_ok=False)
         except OSError as error:
-            raise self._unwritable(error) from error
+            raise self._unwritable_error(error) from error
         return self
 
     def __exit__(

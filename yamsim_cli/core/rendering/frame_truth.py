@@ -10,9 +10,9 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from ..dataset.ground_truth_files import DEPTH_TOLERANCE, JOINT_COVER, Visibility, visible_name
-from ..geometry.camera import opencv_from_mujoco, project
-from ..geometry.se3 import Array, inverse, pose
+from ..dataset.ground_truth_files import DEPTH_TOLERANCE, JOINT_COVER, Visibility, visible_points_key
+from ..geometry.camera import opencv_from_mujoco, project_points
+from ..geometry.se3 import Array, invert_pose, pose
 from ..images.image import Image
 from ..scene.cloth import grid_triangles
 from .renderer import SceneRenderer
@@ -44,23 +44,23 @@ def measure_frame(
     data: mujoco.MjData, camera: str, renderer: SceneRenderer, scene: SceneLabels, T_base_in_world: Array
 ) -> FrameTruth:
     """Render and compute the ground truth of a camera's image. `data` has up-to-date poses of bodies and cameras."""
-    labels, distance = renderer.label(data, camera, scene.of_geom, scene.of_flex)
+    labels, distance = renderer.render_labels_and_depth(data, camera, scene.of_geom, scene.of_flex)
     depth = depth_in_mm(distance)
     K = renderer.intrinsics(camera).K
     view = data.cam(camera)
     T_cam_in_world = pose(view.xpos, opencv_from_mujoco(view.xmat))
-    T_world_in_cam = inverse(T_cam_in_world)
+    T_world_in_cam = invert_pose(T_cam_in_world)
     boxes, pixels = instance_boxes(labels, scene.instance_of, len(scene.names.instances))
-    sheets = [measure_cloth(cloth, data.qpos, T_world_in_cam, K, labels, depth) for cloth in scene.cloths]
+    sheets = [measure_cloth_visibility(cloth, data.qpos, T_world_in_cam, K, labels, depth) for cloth in scene.cloths]
     corners = [(sheet.places, sheet.depths, sheet.visibility) for sheet in sheets]
-    points = (_keypoints(scene.keypoints, data, T_world_in_cam, K, labels, depth), *corners)
+    points = (_project_keypoints(scene.keypoints, data, T_world_in_cam, K, labels, depth), *corners)
     places, depths, visibility = (np.concatenate(parts) for parts in zip(*points, strict=True))
-    T_object_in_cam = _poses(data, scene.objects, T_world_in_cam)
+    T_object_in_cam = _body_poses_in_camera(data, scene.objects, T_world_in_cam)
     for cloth in scene.cloths:
         T_object_in_cam[cloth.row] = T_world_in_cam @ cloth.scene.pose(data.qpos)
     arrays: dict[str, NDArray[Any]] = {
-        "T_cam_in_base": inverse(T_base_in_world) @ T_cam_in_world,
-        "T_link_in_cam": _poses(data, scene.links, T_world_in_cam),
+        "T_cam_in_base": invert_pose(T_base_in_world) @ T_cam_in_world,
+        "T_link_in_cam": _body_poses_in_camera(data, scene.links, T_world_in_cam),
         "T_object_in_cam": T_object_in_cam,
         "keypoints": places,
         "keypoint_depth": depths,
@@ -68,7 +68,7 @@ def measure_frame(
         "boxes": boxes,
         "pixels": pixels,
     }
-    arrays |= {visible_name(cloth.name): sheet.visible for cloth, sheet in zip(scene.cloths, sheets, strict=True)}
+    arrays |= {visible_points_key(cloth.name): sheet.visible for cloth, sheet in zip(scene.cloths, sheets, strict=True)}
     return FrameTruth(depth, labels, arrays)
 
 
@@ -78,7 +78,7 @@ def depth_in_mm(distance: NDArray[np.float32]) -> Depth:
     return np.where(millimetres <= _MAX_DEPTH_MM, millimetres, 0).astype(np.uint16)
 
 
-def _poses(data: mujoco.MjData, bodies: NDArray[np.int64], T_world_in_cam: Array) -> Array:
+def _body_poses_in_camera(data: mujoco.MjData, bodies: NDArray[np.int64], T_world_in_cam: Array) -> Array:
     T = np.tile(np.eye(4), (len(bodies), 1, 1))
     T[:, :3, :3] = data.xmat[bodies].reshape(-1, 3, 3)
     T[:, :3, 3] = data.xpos[bodies]
@@ -105,7 +105,7 @@ def instance_boxes(
     return boxes, pixels
 
 
-def _keypoints(
+def _project_keypoints(
     points: tuple[LabelledKeypoint, ...],
     data: mujoco.MjData,
     T_world_in_cam: Array,
@@ -122,7 +122,7 @@ def _keypoints(
         p = T[:3, :3] @ point.position + T[:3, 3]
         if p[2] < _MIN_DEPTH:
             continue
-        places[k], depths[k] = project(K, p)[0], p[2]
+        places[k], depths[k] = project_points(K, p)[0], p[2]
         u, v = np.rint(places[k])
         if 0 <= u < width and 0 <= v < height:
             normal = None if point.normal is None else T[:3, :3] @ point.normal
@@ -186,17 +186,17 @@ class ClothVisibility:
     visibility: NDArray[np.uint8]
 
 
-def measure_cloth(
+def measure_cloth_visibility(
     cloth: LabelledCloth, qpos: Array, T_world_in_cam: Array, K: Array, labels: Image, depth_mm: NDArray[np.uint16]
 ) -> ClothVisibility:
     """Return the visibility of a cloth at MuJoCo's positions `qpos` (nq,), in labels and depths (height, width)."""
     points = cloth.scene.points(qpos) @ T_world_in_cam[:3, :3].T + T_world_in_cam[:3, 3]
     visible = _visible_points(points, cloth, K, labels, depth_mm)
-    numbers = np.array(list(cloth.corners.values()))
+    numbers = np.array(list(cloth.corner_point_indices.values()))
     corners = points[numbers]
     before = corners[:, 2] >= _MIN_DEPTH
     places, depths = np.zeros((len(corners), 2)), np.zeros(len(corners))
-    places[before], depths[before] = project(K, corners[before]), corners[before, 2]
+    places[before], depths[before] = project_points(K, corners[before]), corners[before, 2]
     height, width = labels.shape
     inside = before & (np.rint(places) >= 0).all(axis=1) & (np.rint(places) < (width, height)).all(axis=1)
     shown = np.where(visible[numbers], Visibility.VISIBLE, Visibility.HIDDEN)
@@ -229,7 +229,7 @@ def _visible_points(
     number = np.arange(len(points))
     rim = np.isin(number % columns, (0, columns - 1)) | np.isin(number // columns, (0, rows - 1))
     visible = np.zeros(len(points), bool)
-    for side, facing in zip(rendered_sides(points, corners, cloth.scene.radius), (1.0, -1.0), strict=True):
+    for side, facing in zip(rendered_sides(points, corners, cloth.scene.half_thickness), (1.0, -1.0), strict=True):
         a, b, c = (side[corners[:, k]] for k in range(3))
         normals = facing * np.cross(b - a, c - a)
         # Scaled distance of each triangle's plane from the camera, below 0 for a triangle that faces the camera.
@@ -237,7 +237,7 @@ def _visible_points(
         faces, ends = np.repeat(np.flatnonzero(offsets < 0), 3), corners[offsets < 0].ravel()
         before = side[ends, 2] >= _MIN_DEPTH
         faces, ends = faces[before], ends[before]
-        at = np.rint(project(K, side[ends])).astype(np.int64)
+        at = np.rint(project_points(K, side[ends])).astype(np.int64)
         for beside in _NEIGHBOURS:
             u, v = (at + beside).T
             counts = (u >= 0) & (v >= 0) & (u < labels.shape[1]) & (v < labels.shape[0])

@@ -7,7 +7,7 @@ import numpy as np
 
 from ..attempt_data import AttemptJob
 from ..config.randomization import PictureRanges
-from ..config.variation import Variation
+from ..config.variation import RandomizationSample
 from ..images.image import Image
 from ..scene.random_streams import Stream, random_generator
 
@@ -15,14 +15,16 @@ _GREY = 127.5  # 0 to 255, grey level that a change of contrast leaves unchanged
 _EXTRA = 4  # sampled noise exceeds an image by 1/4 of its values, so that each image uses another part
 
 
-class PictureAugmenter:
+class ImageAugmenter:
     """Augments the images of one attempt. The random numbers of an image depend only on its job, frame and camera.
 
     Gaussian noise is sampled once per attempt, and each image uses a random part of it. Sampling new noise for each
     image would take a third of the rendering time.
     """
 
-    def __init__(self, ranges: PictureRanges, variation: Variation, job: AttemptJob, size: tuple[int, int]) -> None:
+    def __init__(
+        self, ranges: PictureRanges, variation: RandomizationSample, job: AttemptJob, size: tuple[int, int]
+    ) -> None:
         self._ranges = ranges
         self._variation = variation
         self._job = job

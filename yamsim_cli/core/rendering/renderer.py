@@ -77,14 +77,14 @@ def _opengl_name() -> str:
 
 
 class _Contexts:
-    """The contexts of a renderer. `free` makes the OpenGL context current; MuJoCo would free another one's objects."""
+    """A renderer's contexts. `free_contexts` makes OpenGL's current; MuJoCo would free objects of another one."""
 
     def __init__(self) -> None:
         self.gl: Any = None
         self.context: mujoco.MjrContext | None = None
 
-    def free(self) -> None:
-        atexit.unregister(self.free)
+    def free_contexts(self) -> None:
+        atexit.unregister(self.free_contexts)
         if self.context is not None:
             self.gl.make_current()
             self.context.free()
@@ -114,13 +114,13 @@ class SceneRenderer(Closable):
     def __init__(self, model: mujoco.MjModel, size: tuple[int, int], fine: tuple[int, int] | None = None) -> None:
         _enter_opengl()
         self._contexts = _Contexts()
-        self._free = weakref.finalize(self, self._contexts.free)
+        self._free = weakref.finalize(self, self._contexts.free_contexts)
         self._free.atexit = False
         self._model = model
         self._width, self._height = size
         fine = fine or size
         try:
-            self._open(fine)
+            self._open_contexts(fine)
         # The errors of PyOpenGL and MuJoCo depend on the backend, the driver and the missing part.
         except (ImportError, AttributeError, RuntimeError, OSError, mujoco.FatalError) as error:
             self.close()
@@ -136,10 +136,10 @@ class SceneRenderer(Closable):
         self._camera.type = mujoco.mjtCamera.mjCAMERA_FIXED
         self.description = _opengl_name()
 
-    def _open(self, size: tuple[int, int]) -> None:
+    def _open_contexts(self, size: tuple[int, int]) -> None:
         self._contexts.gl = mujoco.GLContext(*size)
         # MuJoCo has already registered the closing of its display. Exit handlers run in reverse order.
-        atexit.register(self._contexts.free)
+        atexit.register(self._contexts.free_contexts)
         self._contexts.gl.make_current()
         context = self._contexts.context = mujoco.MjrContext(self._model, _FONT)
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, context)
@@ -154,16 +154,16 @@ class SceneRenderer(Closable):
 
     def upload_texture(self, texture: int) -> None:
         """Copy the texture with the id `texture` to OpenGL again after its pixels have changed in the model."""
-        mujoco.mjr_uploadTexture(self._model, self._current(), texture)
+        mujoco.mjr_uploadTexture(self._model, self._make_context_current(), texture)
 
     def render(self, data: mujoco.MjData, camera: str, out: Image | None = None) -> Image:
         """Render an RGB image (height, width, 3) of the scene in the state `data`, into `out` if given."""
-        self._update(data, camera)
-        return self._colours(out)
+        self._update_scene(data, camera)
+        return self._read_rgb_pixels(out)
 
-    def segment(self, data: mujoco.MjData, camera: str) -> GeomIds:
+    def render_geom_ids(self, data: mujoco.MjData, camera: str) -> GeomIds:
         """Render the id of the visible geom at each pixel, as int32 (height, width); -1 for no geom."""
-        self._update(data, camera)
+        self._update_scene(data, camera)
         colours = np.empty((self._height, self._width, 3), np.uint8)
         self._render_ids(colours, None)
         # The colour of each geom is its number plus one; 0 is the background.
@@ -175,14 +175,14 @@ class SceneRenderer(Closable):
         seen: GeomIds = ids[number[::-1]]
         return seen
 
-    def depth(self, data: mujoco.MjData, camera: str) -> NDArray[np.float32]:
+    def render_depth(self, data: mujoco.MjData, camera: str) -> NDArray[np.float32]:
         """Render the depth z (height, width) at each pixel along the camera's axis, m."""
-        self._update(data, camera)
+        self._update_scene(data, camera)
         buffer = np.empty((self._height, self._width), np.float32)
         self._render_ids(None, buffer)
-        return self._distance(buffer)
+        return self._depth_in_metres(buffer)
 
-    def label(
+    def render_labels_and_depth(
         self, data: mujoco.MjData, camera: str, label_of_geom: Image, label_of_flex: Image
     ) -> tuple[Image, NDArray[np.float32]]:
         """Render the label and the depth z of the geom or cloth at each pixel, both (height, width), in one pass.
@@ -194,7 +194,7 @@ class SceneRenderer(Closable):
         Returns:
             Labels and z in m. Both are 0 where the camera sees no surface.
         """
-        self._update(data, camera)
+        self._update_scene(data, camera)
         label_of = {_GEOM: label_of_geom, _FLEX: label_of_flex}
         for geom in self._scene.geoms[: self._scene.ngeom]:
             # Objects of other types get 0 and are not rendered, so they hide nothing.
@@ -204,11 +204,11 @@ class SceneRenderer(Closable):
         self._render_ids(colours, buffer)
         # The colour of a label is the label plus one. The background is 0 and stays 0.
         labels: Image = np.maximum(colours[::-1, :, 0], 1) - np.uint8(1)
-        z = self._distance(buffer)
+        z = self._depth_in_metres(buffer)
         z[buffer[::-1] == 0.0] = 0.0
         return labels, z
 
-    def _distance(self, buffer: NDArray[np.float32]) -> NDArray[np.float32]:
+    def _depth_in_metres(self, buffer: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return depths z in m, top row first, from OpenGL's depth buffer."""
         extent = self._model.stat.extent
         near, far = self._model.vis.map.znear * extent, self._model.vis.map.zfar * extent
@@ -218,7 +218,7 @@ class SceneRenderer(Closable):
         )
         return z
 
-    def _update(self, data: mujoco.MjData, camera: str) -> None:
+    def _update_scene(self, data: mujoco.MjData, camera: str) -> None:
         self._camera.fixedcamid = self._model.cam(camera).id
         everything = mujoco.mjtCatBit.mjCAT_ALL.value
         mujoco.mjv_updateScene(self._model, data, self._option, None, self._camera, everything, self._scene)
@@ -226,8 +226,8 @@ class SceneRenderer(Closable):
         for view in self._scene.camera:
             view.frustum_width = (view.frustum_top - view.frustum_bottom) / 2 * self._width / self._height
 
-    def _colours(self, out: Image | None) -> Image:
-        context = self._current()
+    def _read_rgb_pixels(self, out: Image | None) -> Image:
+        context = self._make_context_current()
         image = np.empty((self._height, self._width, 3), np.uint8) if out is None else out
         mujoco.mjr_render(self._fine_rect, self._scene, context)
         mujoco.mjr_readPixels(self._pixels, None, self._fine_rect, context)
@@ -241,7 +241,7 @@ class SceneRenderer(Closable):
 
     def _render_ids(self, colours: Image | None, depth: NDArray[np.float32] | None) -> None:
         """Render each geom in the colour of its number, without light or smoothing, into the given arrays."""
-        context = self._current()
+        context = self._make_context_current()
         flags = self._scene.flags.copy()
         self._scene.flags[_SEGMENTATION_FLAGS] = 1
         try:
@@ -250,7 +250,7 @@ class SceneRenderer(Closable):
         finally:
             self._scene.flags[:] = flags
 
-    def _current(self) -> mujoco.MjrContext:
+    def _make_context_current(self) -> mujoco.MjrContext:
         assert self._contexts.context is not None, "closed"
         _enter_opengl()
         self._contexts.gl.make_current()

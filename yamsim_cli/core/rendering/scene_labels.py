@@ -57,16 +57,16 @@ class LabelledCloth:
     scene: ClothAddresses
 
     @property
-    def corners(self) -> dict[str, int]:
+    def corner_point_indices(self) -> dict[str, int]:
         """Corner -> index of its point. Corners are named with the x axis of the flat cloth to the right."""
         columns, rows = self.scene.grid
         last = columns * rows - 1
         return {"top_left": last + 1 - columns, "top_right": last, "bottom_right": columns - 1, "bottom_left": 0}
 
     @property
-    def keypoints(self) -> Iterator[KeypointRecord]:
-        """The dataset entries of the cloth's corners, in the order of `corners`."""
-        for side in self.corners:
+    def corner_keypoints(self) -> Iterator[KeypointRecord]:
+        """The dataset entries of the cloth's corners, in the order of `corner_point_indices`."""
+        for side in self.corner_point_indices:
             yield KeypointRecord(name=f"{self.name}_{side}", body=self.name, kind="cloth")
 
 
@@ -93,7 +93,7 @@ class SceneLabels:
     cloths: tuple[LabelledCloth, ...]
 
 
-def scene_labels(
+def make_scene_labels(
     model: mujoco.MjModel,
     rig: RigConfig,
     objects: Sequence[str],
@@ -108,7 +108,11 @@ def scene_labels(
         boards: whether the scene has the rig's boards and mounts.
         cloths: name -> addresses of the points, for each object that is a cloth.
     """
-    links = {body: arm.name for arm in rig.arms for body in _subtree(model, model.body(arm.prefix + arm.robot.base).id)}
+    links = {
+        body: arm.name
+        for arm in rig.arms
+        for body in _subtree_bodies(model, model.body(arm.prefix + arm.robot.base).id)
+    }
     others = {model.body(name).id: name for name in objects}
     printed = {model.body(name).id: name for arm in rig.arms for name in _board_bodies(arm)} if boards else {}
     bodies = links | others | printed
@@ -134,14 +138,17 @@ def scene_labels(
     for sheet in sheets:
         of_flex[sheet.scene.flex] = sheet.label
     instances = list(dict.fromkeys(label.instance for label in names[1:]))
-    keypoints = (*_joints(model, rig, number), *(_corners(model, rig, number) if boards else ()))
+    keypoints = (*_joint_keypoints(model, rig, number), *(_board_keypoints(model, rig, number) if boards else ()))
     return SceneLabels(
         names=TruthLabels(
             labels=names,
             instances=instances,
             links=[model.body(body).name for body in links],
             objects=[model.body(body).name for body in others | printed],
-            keypoints=[*(point.record for point in keypoints), *(point for one in sheets for point in one.keypoints)],
+            keypoints=[
+                *(point.record for point in keypoints),
+                *(point for one in sheets for point in one.corner_keypoints),
+            ],
             cloths={sheet.name: sheet.scene.grid for sheet in sheets},
         ),
         of_geom=of_geom,
@@ -154,7 +161,7 @@ def scene_labels(
     )
 
 
-def _subtree(model: mujoco.MjModel, root: int) -> list[int]:
+def _subtree_bodies(model: mujoco.MjModel, root: int) -> list[int]:
     found = [root]
     for body in range(root + 1, model.nbody):
         if int(model.body_parentid[body]) in found:
@@ -169,7 +176,7 @@ def _board_bodies(arm: ArmConfig) -> Iterator[str]:
         yield f"{arm.prefix}{MOUNT_BODY}"
 
 
-def _joints(model: mujoco.MjModel, rig: RigConfig, number: dict[int, int]) -> Iterator[LabelledKeypoint]:
+def _joint_keypoints(model: mujoco.MjModel, rig: RigConfig, number: dict[int, int]) -> Iterator[LabelledKeypoint]:
     """Yield each joint's centre, and the two points where the joint axis leaves the links that the joint connects."""
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
@@ -210,12 +217,12 @@ def _first_hit(
     return best
 
 
-def _corners(model: mujoco.MjModel, rig: RigConfig, number: dict[int, int]) -> Iterator[LabelledKeypoint]:
+def _board_keypoints(model: mujoco.MjModel, rig: RigConfig, number: dict[int, int]) -> Iterator[LabelledKeypoint]:
     for arm in rig.arms:
         if arm.board is None:
             continue
         name = f"{arm.prefix}{BOARD_BODY}"
-        body, T, board = model.body(name).id, arm.T_board_in_base, arm.board.board
+        body, T, board = model.body(name).id, arm.T_board_in_base, arm.board.board_in_metres
         for side, x, y in (("top_left", -1, 1), ("top_right", 1, 1), ("bottom_right", 1, -1), ("bottom_left", -1, -1)):
             record = KeypointRecord(name=f"{name}_{side}", body=name, kind="corner")
             position = (T @ (x * board.width / 2, y * board.height / 2, 0.0, 1.0))[:3]

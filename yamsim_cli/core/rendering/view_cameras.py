@@ -10,8 +10,8 @@ import cv2
 import mujoco
 import numpy as np
 
-from ..geometry.camera import Intrinsics, project
-from ..geometry.se3 import Array, inverse, pose
+from ..geometry.camera import Intrinsics, project_points
+from ..geometry.se3 import Array, invert_pose, pose
 from ..images.image import Image
 
 _MARGIN = 0.12  # fraction of the image's width and height that stays empty around the rig
@@ -50,10 +50,10 @@ class PlacedCamera:
     T_cam_in_world: Array
     intrinsics: Intrinsics
 
-    def pixel(self, point: Sequence[float] | Array) -> tuple[float, float]:
+    def project_point(self, point: Sequence[float] | Array) -> tuple[float, float]:
         """Return the pixel coordinates of a point (3,) in `world`, m."""
-        in_cam = (inverse(self.T_cam_in_world) @ np.append(point, 1.0))[:3]
-        u, v = project(self.intrinsics.K, in_cam)[0]
+        in_cam = (invert_pose(self.T_cam_in_world) @ np.append(point, 1.0))[:3]
+        u, v = project_points(self.intrinsics.K, in_cam)[0]
         return float(u), float(v)
 
 

@@ -32,7 +32,7 @@ class JointDynamics(Config):
     gravity_factor: Annotated[FiniteFloat, QuantityBounds("of 1", -5, 5)] = 1.0
 
 
-class Dynamics(Config):
+class MeasuredArmDynamics(Config):
     """Measured dynamics of one real arm, as a named variant ("revision") of a robot model.
 
     Attributes:

@@ -7,9 +7,9 @@ from pathlib import PurePosixPath
 from ..errors import ConfigError
 from ..files.untrusted.refusals import RefusedError
 from ..geometry.se3 import pose_from_quat, quat_from_rotation
-from .dynamics import Dynamics, JointDynamics
+from .dynamics import JointDynamics, MeasuredArmDynamics
 from .finray.segment_chain import add_fingers, get_or_add_child
-from .models import ArmModel, Element, Fit, Gripper, JointChange, Mjcf, Placement, parse_root
+from .models import ArmModel, Element, Gripper, GripperFit, JointChange, Mjcf, Placement, parse_root
 
 # Sections that are merged into the arm's MJCF, besides body and default classes.
 _SECTIONS = ("asset", "equality", "tendon", "contact", "actuator", "sensor")
@@ -39,7 +39,7 @@ _TIP_SITE = "pinch_site"  # of the additional mass `tip_mass_g` of identified dy
 _POINT_INERTIA = 1e-9  # kg m2, of a point mass: MuJoCo needs an inertia above 0
 
 
-def merge_gripper(arm: ArmModel, gripper: Gripper, fit: Fit) -> Element:
+def merge_gripper(arm: ArmModel, gripper: Gripper, fit: GripperFit) -> Element:
     """Return the MJCF of an arm with a gripper, or raise ConfigError.
 
     The gripper's default classes get the gripper's name as prefix. Assets that are equal in both files are merged.
@@ -51,7 +51,7 @@ def merge_gripper(arm: ArmModel, gripper: Gripper, fit: Fit) -> Element:
         add_fingers(hand, gripper.name, gripper.finray)
     _check_sections(root, arm.mjcf, (*_SECTIONS, *_ARM_SECTIONS))
     _check_sections(hand, gripper.mjcf, _SECTIONS)
-    if (ours := _attributes(root, "compiler")) != (theirs := _attributes(hand, "compiler")):
+    if (ours := _merged_attributes(root, "compiler")) != (theirs := _merged_attributes(hand, "compiler")):
         raise ConfigError(f"{gripper.mjcf.file}: <compiler> has {theirs}, but {arm.mjcf.file} {ours}; make them equal")
     flange = find_body(root, arm.flange, arm.mjcf)
     frame = _gripper_frame(hand, gripper.mjcf)
@@ -59,13 +59,13 @@ def merge_gripper(arm: ArmModel, gripper: Gripper, fit: Fit) -> Element:
     _check_names(root, frame, arm.mjcf, gripper.mjcf)
     _prefix_classes(hand, gripper.name)
     _rename_body(hand, frame.get("name", ""), arm.flange)
-    _fill(flange, frame, fit.mount)
-    _add(root, hand, "default")
+    _attach_gripper_frame(flange, frame, fit.mount)
+    _append_section(root, hand, "default")
     _add_assets(root, hand, arm.mjcf, gripper.mjcf)
     for one, other in fit.excludes:
         get_or_add_child(root, "contact").append(Element("exclude", {"body1": one, "body2": other}))
     for section in _SECTIONS[1:]:
-        _add(root, hand, section)
+        _append_section(root, hand, section)
     _change_joints(root, arm, fit.joints)
     return root
 
@@ -112,7 +112,9 @@ def find_body(root: Element, name: str, mjcf: Mjcf) -> Element:
 
 def find_joint(root: Element, name: str, mjcf: Mjcf) -> Element:
     """Return the joint called `name` in `worldbody`, or raise ConfigError."""
-    joints = {found.get("name", ""): found for part in _parts(root, "worldbody") for found in part.iter("joint")}
+    joints = {
+        found.get("name", ""): found for part in _section_elements(root, "worldbody") for found in part.iter("joint")
+    }
     if name not in joints:
         raise ConfigError(f"{mjcf.file}: has no joint {name!r}; its joints: {', '.join(joints) or 'none'}")
     return joints[name]
@@ -120,7 +122,7 @@ def find_joint(root: Element, name: str, mjcf: Mjcf) -> Element:
 
 def find_position_drive(root: Element, joint: str, mjcf: Mjcf) -> Element:
     """Return a joint's only actuator, or raise ConfigError if it is no <position> with a name."""
-    found = [element for element in _parts(root, "actuator") if element.get("joint") == joint]
+    found = [element for element in _section_elements(root, "actuator") if element.get("joint") == joint]
     if len(found) != 1 or found[0].tag != "position" or not found[0].get("name"):
         raise ConfigError(f"{mjcf.file}: joint {joint!r} needs one <position> actuator with a name of its own")
     return found[0]
@@ -145,12 +147,12 @@ def _check_sections(root: Element, mjcf: Mjcf, allowed: Iterable[str]) -> None:
                 )
 
 
-def _attributes(root: Element, tag: str) -> dict[str, str]:
+def _merged_attributes(root: Element, tag: str) -> dict[str, str]:
     return {key: value for element in root.findall(tag) for key, value in sorted(element.attrib.items())}
 
 
 def _gripper_frame(hand: Element, mjcf: Mjcf) -> Element:
-    bodies = list(_parts(hand, "worldbody"))
+    bodies = list(_section_elements(hand, "worldbody"))
     if len(bodies) != 1 or bodies[0].tag != "body" or not bodies[0].get("name"):
         raise ConfigError(f"{mjcf.file}: <worldbody> must have exactly one body, the gripper's frame, with a name")
     frame = bodies[0]
@@ -177,7 +179,7 @@ def _check_sites(frame: Element, mjcf: Mjcf) -> None:
 def _check_names(root: Element, frame: Element, arms: Mjcf, grippers: Mjcf) -> None:
     used = {
         (element.tag, element.get("name"))
-        for part in _parts(root, "worldbody")
+        for part in _section_elements(root, "worldbody")
         for element in part.iter()
         if element.get("name")
     }
@@ -204,7 +206,7 @@ def _rename_body(hand: Element, name: str, new: str) -> None:
                         element.set(key, new)
 
 
-def _fill(flange: Element, frame: Element, mount: Placement) -> None:
+def _attach_gripper_frame(flange: Element, frame: Element, mount: Placement) -> None:
     inside = Element("frame")
     if childclass := frame.get("childclass"):
         inside.set("childclass", childclass)
@@ -219,13 +221,13 @@ def _fill(flange: Element, frame: Element, mount: Placement) -> None:
         for own in flange.findall("inertial"):
             flange.remove(own)
         if moved:
-            _move(element, mount)
+            _transform_inertial(element, mount)
         flange.insert(0, element)
     if len(inside):
         flange.append(inside)
 
 
-def _move(inertial: Element, mount: Placement) -> None:
+def _transform_inertial(inertial: Element, mount: Placement) -> None:
     place, turn = (
         [float(number) for number in inertial.get(key, default).split()]
         for key, default in (("pos", "0 0 0"), ("quat", "1 0 0 0"))
@@ -235,19 +237,19 @@ def _move(inertial: Element, mount: Placement) -> None:
     inertial.set("quat", format_numbers(quat_from_rotation(T[:3, :3])))
 
 
-def _parts(root: Element, section: str) -> Iterator[Element]:
+def _section_elements(root: Element, section: str) -> Iterator[Element]:
     for found in root.findall(section):
         yield from found
 
 
-def _add(root: Element, hand: Element, section: str) -> None:
-    if parts := list(_parts(hand, section)):
+def _append_section(root: Element, hand: Element, section: str) -> None:
+    if parts := list(_section_elements(hand, section)):
         get_or_add_child(root, section).extend(parts)
 
 
 def _add_assets(root: Element, hand: Element, arms: Mjcf, grippers: Mjcf) -> None:
-    known = {(element.tag, element.get("name")): element for element in _parts(root, "asset")}
-    for element in _parts(hand, "asset"):
+    known = {(element.tag, element.get("name")): element for element in _section_elements(root, "asset")}
+    for element in _section_elements(hand, "asset"):
         same = known.get((element.tag, element.get("name")))
         if same is None:
             get_or_add_child(root, "asset").append(element)
@@ -271,7 +273,7 @@ def _change_joints(root: Element, arm: ArmModel, changes: Mapping[str, JointChan
         _set_joint(root, arm, limits.name, change.model_copy(update={"range": change.range or limits.range}))
 
 
-def write_dynamics(root: Element, arm: ArmModel, gripper: Gripper, dynamics: Dynamics) -> None:
+def write_dynamics(root: Element, arm: ArmModel, gripper: Gripper, dynamics: MeasuredArmDynamics) -> None:
     """Write an arm's dynamics into the merged MJCF of arm and gripper, or raise ConfigError.
 
     Gravity factors, encoder offsets, sensor errors and delays have no attribute in MJCF, and are not written.
@@ -301,7 +303,7 @@ def _set_joint(root: Element, arm: ArmModel, name: str, values: JointChange | Jo
 
 def coupling_ratio(root: Element, one: str, other: str) -> float:
     """Return position of joint `one` / position of joint `other`, as an equality couples them; 1 without equality."""
-    for element in _parts(root, "equality"):
+    for element in _section_elements(root, "equality"):
         factor = float(element.get("polycoef", "0 1 0 0 0").split()[1])
         match element.get("joint1"), element.get("joint2"):
             case (first, second) if element.tag == "joint" and (first, second) == (one, other):

@@ -28,9 +28,9 @@ from ..files.documents.config_base import (
     require_ordered,
 )
 from ..files.documents.units import FieldOfView, JointAngle, Offset, OffsetPoint, QuantityBounds
-from ..files.documents.yaml_document import Document, load_yaml, read_config
+from ..files.documents.yaml_document import Document, load_yaml, read_config_bytes
 from ..files.untrusted.confined_folder import ConfinedFolder
-from ..files.untrusted.mjcf_includes import with_includes
+from ..files.untrusted.mjcf_includes import expand_includes
 from ..files.untrusted.refusals import RefusedError
 from ..geometry.se3 import Array, pose_from_quat
 from .finray.finger import FinRay
@@ -124,7 +124,7 @@ class Placement(Config):
         return pose_from_quat(self.position, self.quat)
 
 
-class Fit(Config):
+class GripperFit(Config):
     """How a gripper is mounted on an arm, and what it changes in the arm.
 
     Attributes:
@@ -176,7 +176,7 @@ def fovy_for_size(size: tuple[int, int], fovy_deg: float, modes: tuple[CameraMod
 
 
 def _read_mjcf(path: Path) -> dict[str, object]:
-    data = read_config(path)
+    data = read_config_bytes(path)
     try:
         text = data.decode()
     except UnicodeDecodeError as error:
@@ -185,7 +185,7 @@ def _read_mjcf(path: Path) -> dict[str, object]:
         return {"file": str(path), "text": text}
     folder = path.parent.resolve()
     try:
-        root = with_includes(data, ConfinedFolder(folder), folder, parse_root)
+        root = expand_includes(data, ConfinedFolder(folder), folder, parse_root)
     except RefusedError as error:
         mend = f"; an <include> names an MJCF below {path.parent}" if error.code in _OUTSIDE_CODES else ""
         raise ConfigError(f"{path}: {error}{mend}") from error
@@ -215,7 +215,7 @@ class _FolderConfig(Config):
         return hash((self.name, self.mjcf.text))
 
     @classmethod
-    def read(cls, path: Path) -> Document:
+    def read_document(cls, path: Path) -> Document:
         """Return the YAML document with the content of its MJCF.
 
         Raises ConfigError if a file cannot be read, or the name differs from the folder's.
@@ -224,7 +224,7 @@ class _FolderConfig(Config):
         name = path.absolute().parent.name
         if document.data.setdefault("name", name) != name:
             given = document.data["name"]
-            raise ConfigError(f"{document.place(('name',))}: name: {given!r} is in folder {name!r}; leave it out")
+            raise ConfigError(f"{document.place_of(('name',))}: name: {given!r} is in folder {name!r}; leave it out")
         file = document.data.get("mjcf")
         if isinstance(file, str):
             document.data["mjcf"] = _read_mjcf(path.with_name(file))
@@ -257,7 +257,7 @@ class ArmModel(_FolderConfig):
     joints: Annotated[tuple[JointLimits, ...], Field(min_length=1)]
     home: tuple[JointAngle, ...]
     start: tuple[JointAngle, ...] | None = None
-    grippers: dict[Name, Fit] = Field(default_factory=dict)
+    grippers: dict[Name, GripperFit] = Field(default_factory=dict)
     family: Name | None = None
     revision: Name | None = None
 
@@ -339,10 +339,10 @@ class Gripper(_FolderConfig):
     fingers: Fingers | None = None
     finray: FinRay | None = None
     wrist_camera: WristCamera | None = None
-    arms: dict[Name, Fit] = Field(default_factory=dict)
+    arms: dict[Name, GripperFit] = Field(default_factory=dict)
 
 
-def find_gripper_fit(arm: ArmModel, gripper: Gripper) -> Fit:
+def find_gripper_fit(arm: ArmModel, gripper: Gripper) -> GripperFit:
     """Return how a gripper is mounted on an arm. Raises ValueError if neither or both of their files define this."""
     mine, theirs = arm.grippers.get(gripper.name), gripper.arms.get(arm.name)
     if mine and theirs:

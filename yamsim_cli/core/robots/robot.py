@@ -9,7 +9,7 @@ import numpy as np
 from ..errors import ConfigError
 from ..geometry.se3 import Array
 from . import mjcf
-from .dynamics import Dynamics
+from .dynamics import MeasuredArmDynamics
 from .models import ArmModel, Fingers, Gripper, JointChange, JointLimits, find_gripper_fit
 
 
@@ -43,7 +43,7 @@ class Robot:
     finger_signs: tuple[float, float]
     mesh_sets: tuple[str, ...]
     T_base_mesh: Array = field(repr=False, compare=False)
-    dynamics: Dynamics | None = None
+    dynamics: MeasuredArmDynamics | None = None
 
     @property
     def dof(self) -> int:
@@ -56,7 +56,7 @@ class Robot:
         return tuple(joint.name for joint in self.joints)
 
     @property
-    def drives(self) -> tuple[str, ...]:
+    def drive_names(self) -> tuple[str, ...]:
         """Names of the joints' drives, then of the fingers' drive."""
         return (*self.joint_drives, *((self.fingers.drive,) if self.fingers else ()))
 
@@ -67,7 +67,7 @@ class Robot:
 
 
 @functools.lru_cache(maxsize=64)
-def assemble(arm: ArmModel, gripper: Gripper, dynamics: Dynamics | None = None) -> Robot:
+def assemble_robot(arm: ArmModel, gripper: Gripper, dynamics: MeasuredArmDynamics | None = None) -> Robot:
     """Return an arm with a gripper mounted, and with measured `dynamics`.
 
     Raises:

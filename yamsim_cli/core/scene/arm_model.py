@@ -67,7 +67,7 @@ def show_meshes_or_primitives(spec: mujoco.MjSpec, sets: Iterable[str], meshes: 
             folder = folders[assets]
             assert folder is not None
             mesh.file = f"meshes/{assets}/{file}"
-            files[mesh.file] = mesh_bytes(folder / file)
+            files[mesh.file] = read_mesh_file(folder / file)
         spec.assets = files
         for body in spec.bodies:
             if all(geom.group > _SEEN_GROUP for geom in body.geoms):
@@ -85,7 +85,7 @@ def show_meshes_or_primitives(spec: mujoco.MjSpec, sets: Iterable[str], meshes: 
     return spec
 
 
-def mesh_bytes(path: Path) -> bytes:
+def read_mesh_file(path: Path) -> bytes:
     """Return the content of a mesh file, or raise `ResourceError`."""
     try:
         return path.read_bytes()

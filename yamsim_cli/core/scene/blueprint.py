@@ -67,11 +67,11 @@ class Blueprint:
 
 def task_blueprint(config: RecordConfig, *, boards: bool = True, background: bool = True) -> Blueprint:
     """Return the blueprint of a task's scene with the fixed scene camera alone, without domain randomization."""
-    camera = config.surroundings.scene_camera
+    camera = config.widened_scene.scene_camera
     assert camera is not None  # checked when the config was loaded
     return Blueprint(
         rig=config.rig,
-        scene=config.surroundings,
+        scene=config.widened_scene,
         boards=boards,
         background=background,
         objects=config.task.objects,

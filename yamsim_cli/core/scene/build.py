@@ -21,7 +21,7 @@ from .blueprint import Blueprint, TaskPhysics, recording_blueprint
 from .cloth import cloth_constraint_name, flat_points
 from .compilation import compile_spec
 from .compiled import ArmAddresses, ClothAddresses, CompiledScene, FingerAddresses, GeomOwner, Ids
-from .compose import READING, WELD, compose, visual_mesh_sets
+from .compose import READING_SUFFIX, WELD_NAME, compose_scene, visual_mesh_sets
 
 TIMESTEP = 0.002  # s, of physics for a rig without a task; equal to that of tasks
 _MOUNTS = "mounts"  # key, among the asset sets, of the board mounts whose STL file a user supplies
@@ -31,7 +31,7 @@ def build_scene(session: Session) -> CompiledScene:
     """Compile a recording's scene."""
     config, locations = session.config, session.locations
     blueprint = recording_blueprint(config)
-    model = compile_spec(compose(blueprint, locations))
+    model = compile_spec(compose_scene(blueprint, locations))
     objects = [item.name for item in config.task.objects if item.cloth is None]
     geom_kind, geom_arm = _geom_owners(model, config.rig)
     geom_kind[model.geom("table").id] = GeomOwner.TABLE
@@ -55,7 +55,7 @@ def build_rig_scene(
     physics = TaskPhysics(timestep, impratio=None, weld_placeholder=None)
     bare = scene.model_copy(update={"table": None})
     blueprint = Blueprint(rig, bare, boards=False, background=False, physics=physics)
-    model = compile_spec(compose(blueprint, locations))
+    model = compile_spec(compose_scene(blueprint, locations))
     geom_kind, geom_arm = _geom_owners(model, rig)
     return CompiledScene(
         model=model,
@@ -74,7 +74,7 @@ def describe_meshes(session: Session) -> dict[str, str]:
     The hash covers the files of all objects that the task can use, so it is equal for all role assignments.
     """
     blueprint, folders = recording_blueprint(session.config), session.locations.meshes
-    spec = compose(blueprint, session.locations)
+    spec = compose_scene(blueprint, session.locations)
     assets = spec.assets
     files: dict[str, dict[str, bytes]] = {}
     for mesh in spec.meshes:
@@ -115,7 +115,7 @@ def _arm_addresses(model: mujoco.MjModel, rig: RigConfig, number: int, *, welds:
         position_gain=model.actuator_gainprm[drives, 0].copy(),
         velocity_gain=-model.actuator_biasprm[drives, 2],
         ctrl_range=model.actuator_ctrlrange[drives].copy(),
-        weld=model.equality(arm.prefix + WELD).id if welds else None,
+        weld=model.equality(arm.prefix + WELD_NAME).id if welds else None,
         T_base_in_world=rig.T_base_in_world(number),
         joint_range=robot.joint_range,
         motor_speed=np.array([joint.motor_rad_s for joint in robot.joints]),
@@ -128,7 +128,10 @@ def _arm_addresses(model: mujoco.MjModel, rig: RigConfig, number: int, *, welds:
 def _dynamics_attributes(model: mujoco.MjModel, arm: ArmConfig) -> dict[str, Any]:
     found: dict[str, Any] = {}
     fingers = arm.robot.fingers
-    read = [arm.prefix + name + READING for name in (*arm.robot.joint_names, *(fingers.joints[:1] if fingers else ()))]
+    read = [
+        arm.prefix + name + READING_SUFFIX
+        for name in (*arm.robot.joint_names, *(fingers.joints[:1] if fingers else ()))
+    ]
     if mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SENSOR, read[0]) >= 0:
         found["sensors"] = np.array([model.sensor(name).id for name in read])
     if arm.dynamics is None:
@@ -164,8 +167,8 @@ def _cloth_addresses(model: mujoco.MjModel, config: RecordConfig, item: ObjectCo
                 for prefix in prefixes
             ]
         ),
-        radius=cloth.radius,
-        spacing=cloth.spacing,
+        half_thickness=cloth.half_thickness,
+        max_point_spacing=cloth.max_point_spacing,
         held_by_layers=cloth.held == "layers",
     )
 
@@ -185,7 +188,7 @@ def _finger_addresses(model: mujoco.MjModel, arm: ArmConfig, fingers: Fingers) -
     )
 
 
-def _subtree(model: mujoco.MjModel, body: int) -> list[int]:
+def _subtree_bodies(model: mujoco.MjModel, body: int) -> list[int]:
     """MuJoCo numbers parents before their children."""
     found = [body]
     for other in range(body + 1, model.nbody):
@@ -204,7 +207,7 @@ def _geom_owners(model: mujoco.MjModel, rig: RigConfig) -> tuple[Ids, Ids]:
         kind[on_arm], of_arm[on_arm] = GeomOwner.ARM, k
         if robot.fingers is not None:
             for name, finger in zip(robot.fingers.bodies, (GeomOwner.LEFT_FINGER, GeomOwner.RIGHT_FINGER), strict=True):
-                kind[_subtree(model, model.body(prefix + name).id)] = finger
+                kind[_subtree_bodies(model, model.body(prefix + name).id)] = finger
     kinds: Ids = kind[model.geom_bodyid]
     arms: Ids = of_arm[model.geom_bodyid]
     return kinds, arms

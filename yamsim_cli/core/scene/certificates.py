@@ -65,7 +65,7 @@ def store_certificate(
     `assets` is the folder of the asset store, `found` the results as JSON values, and `made_with` program -> version.
     """
     inputs = inputs_hash(item, lock)
-    path = _path(assets, item, inputs)
+    path = _certificate_path(assets, item, inputs)
     text = json.dumps({"inputs": inputs, "made_with": dict(made_with), **found}, indent=1) + "\n"
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -81,10 +81,10 @@ def find_certificate(assets: Path, item: ObjectConfig, lock: AssetLock) -> Certi
     Unreadable certificates are ignored.
     """
     inputs = inputs_hash(item, lock)
-    path = _path(assets, item, inputs)
+    path = _certificate_path(assets, item, inputs)
     if (failed := _failed_checks(path, inputs)) is not None:
         return Certificate(CertificateStatus.FAILED if failed else CertificateStatus.GOOD, failed, path)
-    for older in _older(path, item):
+    for older in _older_certificates(path, item):
         if (failed := _failed_checks(older)) is not None:
             return Certificate(CertificateStatus.STALE, failed, older)
     return Certificate(CertificateStatus.NONE)
@@ -100,20 +100,20 @@ def _failed_checks(path: Path, inputs: str | None = None) -> tuple[str, ...] | N
         return None
 
 
-def _path(assets: Path, item: ObjectConfig, inputs: str) -> Path:
-    return assets / _FOLDER / f"{item.name}-{_identity(item, item.mesh.set)}-{inputs[:12]}.json"
+def _certificate_path(assets: Path, item: ObjectConfig, inputs: str) -> Path:
+    return assets / _FOLDER / f"{item.name}-{_mesh_name_hash(item, item.mesh.set)}-{inputs[:12]}.json"
 
 
-def _older(path: Path, item: ObjectConfig) -> list[Path]:
+def _older_certificates(path: Path, item: ObjectConfig) -> list[Path]:
     """Return an object's certificate files for any config and meshes, the newest first and that of 0.2.0 last.
 
     Up to version 0.2.0, file names had no content hash, and imports of different files under one name shared a file.
     """
-    shared = f"{item.name}-{_identity(item, _CONTENT.sub('', item.mesh.set))}.json"
-    found = path.parent.glob(f"{item.name}-{_identity(item, item.mesh.set)}-*.json")
+    shared = f"{item.name}-{_mesh_name_hash(item, _CONTENT.sub('', item.mesh.set))}.json"
+    found = path.parent.glob(f"{item.name}-{_mesh_name_hash(item, item.mesh.set)}-*.json")
     return [*sorted(found, key=lambda file: file.stat().st_mtime_ns, reverse=True), path.with_name(shared)]
 
 
-def _identity(item: ObjectConfig, mesh_set: str) -> str:
+def _mesh_name_hash(item: ObjectConfig, mesh_set: str) -> str:
     """Return 8 hex digits of a hash of the mesh's name, which distinguish objects of the same name."""
     return sha256_bytes(f"{item.name} {mesh_set} {item.mesh.file}".encode())[:8]

@@ -65,16 +65,16 @@ def add_cloth(spec: mujoco.MjSpec, item: ObjectConfig) -> None:
     assert cloth is not None  # only called for cloth
     base = spec.worldbody.add_body(name=item.name)
     points, (columns, rows) = flat_points(cloth), cloth.grid
-    for k, (place, mass) in enumerate(zip(points, _masses(cloth), strict=True)):
+    for k, (place, mass) in enumerate(zip(points, _point_masses(cloth), strict=True)):
         body = base.add_body(name=f"{item.name}_{k}", pos=place)
         body.mass, body.inertia, body.explicitinertial = mass, [mass * _INERTIA_PER_MASS] * 3, True
         for axis, direction in zip("xyz", np.eye(3), strict=True):
             body.add_joint(name=f"{item.name}_{k}_{axis}", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=direction)
     sheet = spec.add_flex()
-    sheet.name, sheet.dim, sheet.radius = item.name, 2, cloth.radius
+    sheet.name, sheet.dim, sheet.radius = item.name, 2, cloth.half_thickness
     sheet.vertbody = [f"{item.name}_{k}" for k in range(len(points))]
     sheet.elem = grid_triangles(columns, rows).ravel().tolist()
-    sheet.young, sheet.poisson, sheet.thickness = cloth.elasticity
+    sheet.young, sheet.poisson, sheet.thickness = cloth.elastic_constants
     sheet.damping = cloth.damping_s
     sheet.elastic2d = 3
     sheet.selfcollide = mujoco.mjtFlexSelf.mjFLEXSELF_AUTO
@@ -84,7 +84,7 @@ def add_cloth(spec: mujoco.MjSpec, item: ObjectConfig) -> None:
         sheet.texcoord = (points[:, :2] / cloth.size[0] + 0.5).ravel().tolist()
 
 
-def _masses(cloth: Cloth) -> Array:
+def _point_masses(cloth: Cloth) -> Array:
     """Return each point's mass (n,), kg: a quarter of the mass of each cell around it."""
     columns, rows = (np.where(np.isin(np.arange(n), (0, n - 1)), 0.5, 1.0) / (n - 1) for n in cloth.grid)
     shares: Array = np.outer(rows, columns).ravel() * cloth.mass

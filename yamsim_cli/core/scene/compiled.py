@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from ..attempt_data import ArmPosture, Layout
+from ..attempt_data import ArmPosture, ObjectLayout
 from ..geometry.se3 import Array, pose, quat_from_rotation, rotation_z
 
 Ids = NDArray[np.int_]
@@ -27,9 +27,9 @@ class GeomOwner(IntEnum):
 
 
 # [i, j]: whether geoms of kinds i and j must not touch, which are an arm or finger and the table.
-FORBIDDEN = np.zeros((len(GeomOwner), len(GeomOwner)), dtype=bool)
+FORBIDDEN_OWNER_PAIRS = np.zeros((len(GeomOwner), len(GeomOwner)), dtype=bool)
 for _part in (GeomOwner.ARM, GeomOwner.LEFT_FINGER, GeomOwner.RIGHT_FINGER):
-    FORBIDDEN[_part, GeomOwner.TABLE] = FORBIDDEN[GeomOwner.TABLE, _part] = True
+    FORBIDDEN_OWNER_PAIRS[_part, GeomOwner.TABLE] = FORBIDDEN_OWNER_PAIRS[GeomOwner.TABLE, _part] = True
 
 
 @dataclass(frozen=True)
@@ -114,7 +114,7 @@ class ArmAddresses:
         return len(self.joint_qpos)
 
     @property
-    def drives(self) -> Ids:
+    def drive_ctrl(self) -> Ids:
         """Addresses in `ctrl` of the joints' drives, then of the gripper's, if any."""
         return self.arm_ctrl if self.fingers is None else np.append(self.arm_ctrl, self.fingers.ctrl)
 
@@ -150,14 +150,14 @@ class ClothAddresses:
     qpos: Ids
     dof: Ids
     constraints: Ids
-    radius: float
-    spacing: float
+    half_thickness: float
+    max_point_spacing: float
     held_by_layers: bool
 
     @property
     def thickness(self) -> float:
         """Distance between two layers, m."""
-        return 2 * self.radius
+        return 2 * self.half_thickness
 
     def set_flat_pose(self, qpos: Array, T_in_world: Array) -> None:
         """Write the positions of the flat cloth at a pose into `qpos` (nq,)."""
@@ -200,7 +200,7 @@ class CompiledScene:
     cloths: Mapping[str, ClothAddresses] = field(default_factory=dict)
 
     @property
-    def arm(self) -> ArmAddresses:
+    def first_arm(self) -> ArmAddresses:
         """The only arm, or the left one of two."""
         return self.arms[0]
 
@@ -210,28 +210,28 @@ class CompiledScene:
         return (*self.object_qpos, *self.cloths)
 
     @functools.cached_property
-    def drives(self) -> Ids:
+    def recorded_drive_ctrl(self) -> Ids:
         """Addresses of each arm's recorded drives in `ctrl` (arms, drives)."""
-        return np.array([arm.drives for arm in self.arms])
+        return np.array([arm.drive_ctrl for arm in self.arms])
 
     @property
     def T_base_in_world(self) -> Array:
-        """Pose of the base of `arm`, in whose frame poses are recorded."""
+        """Pose of the base of `first_arm`, in whose frame poses are recorded."""
         return self.arms[0].T_base_in_world
 
-    def forbidden(self, geoms: NDArray[np.int32]) -> NDArray[np.bool_]:
+    def mask_forbidden_contacts(self, geoms: NDArray[np.int32]) -> NDArray[np.bool_]:
         """Return whether each pair of geoms (n, 2) must not touch, as (n,): an arm and the table, or two arms."""
-        found: NDArray[np.bool_] = self._forbidden[geoms[:, 0], geoms[:, 1]]
+        found: NDArray[np.bool_] = self._forbidden_geom_pairs[geoms[:, 0], geoms[:, 1]]
         return found
 
     @functools.cached_property
-    def _forbidden(self) -> NDArray[np.bool_]:
+    def _forbidden_geom_pairs(self) -> NDArray[np.bool_]:
         """Shape (ngeom + 1, ngeom + 1): the last row and column are for cloth, geom -1."""
         kinds, arms = self.geom_kind, self.geom_arm
         two_arms = (arms[:, None] != arms) & (arms[:, None] >= 0) & (arms >= 0)
-        return np.pad(FORBIDDEN[kinds[:, None], kinds] | two_arms, (0, 1))
+        return np.pad(FORBIDDEN_OWNER_PAIRS[kinds[:, None], kinds] | two_arms, (0, 1))
 
-    def start_qpos(self, layout: Layout, postures: Sequence[ArmPosture]) -> Array:
+    def start_qpos(self, layout: ObjectLayout, postures: Sequence[ArmPosture]) -> Array:
         """Return the `qpos` (nq,) with the arms and fingers in `postures` and the objects at `layout`."""
         qpos: Array = self.model.qpos0.copy()
         for arm, posture in zip(self.arms, postures, strict=True):
@@ -260,7 +260,7 @@ class CompiledScene:
         mujoco.mj_resetData(self.model, data)
         data.qpos[:] = qpos
         for arm in self.arms:
-            data.ctrl[arm.drives] = qpos[arm.recorded_qpos]
+            data.ctrl[arm.drive_ctrl] = qpos[arm.recorded_qpos]
         for drive in np.flatnonzero(self.model.actuator_history[:, 0]):
             _fill_commands(self.model, data, int(drive), float((data.ctrl if commanded is None else commanded)[drive]))
         for arm in self.arms:

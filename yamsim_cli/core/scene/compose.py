@@ -11,7 +11,7 @@ from ..config.rendering import SHADOW_REACH
 from ..config.rig import ArmConfig, RigCamera, RigConfig
 from ..files.resources import Locations, Meshes
 from ..geometry.se3 import Array, quat_from_rotation
-from ..robots.dynamics import Dynamics
+from ..robots.dynamics import MeasuredArmDynamics
 from .arm_model import arm_spec, show_meshes_or_primitives
 from .assets import AssetStore, resolve_user_set
 from .blueprint import Blueprint, TaskPhysics
@@ -24,13 +24,13 @@ from .objects.scene_object import add_object
 from .randomized_model import add_randomized_parts
 
 _LINEAR = 1  # MuJoCo's code for linear interpolation of delayed commands and readings
-READING = "_reading"  # suffix of a joint's name that gives the name of its delayed sensor
-WELD = "grasp_weld"  # name, after the arm's prefix, of the weld by which the hand can hold an object
+READING_SUFFIX = "_reading"  # suffix of a joint's name that gives the name of its delayed sensor
+WELD_NAME = "grasp_weld"  # name, after the arm's prefix, of the weld by which the hand can hold an object
 
 
 def visual_mesh_sets(blueprint: Blueprint) -> tuple[str, ...]:
     """Return the names of the asset sets with a scene's visual meshes."""
-    things = (*blueprint.objects, *blueprint.randomization.extras)
+    things = (*blueprint.objects, *blueprint.randomization.distractor_configs)
     return tuple(sorted({*rig_mesh_sets(blueprint.rig), *(name for item in things for name in item.mesh_sets)}))
 
 
@@ -42,17 +42,17 @@ def rig_mesh_sets(rig: RigConfig) -> tuple[str, ...]:
 
 def _all_mesh_folders(locations: Locations, blueprint: Blueprint) -> Meshes:
     """Return the folders of the visual mesh sets, and of all sets of collision meshes, which physics needs."""
-    things = (*blueprint.objects, *blueprint.randomization.extras)
+    things = (*blueprint.objects, *blueprint.randomization.distractor_configs)
     needed = {item.mesh.set for item in things if item.needs_meshes and locations.meshes.get(item.mesh.set) is None}
     store = AssetStore(locations.assets)
     return {**locations.meshes, **{name: resolve_user_set(store, name) for name in sorted(needed)}}
 
 
-def compose(blueprint: Blueprint, locations: Locations) -> mujoco.MjSpec:
+def compose_scene(blueprint: Blueprint, locations: Locations) -> mujoco.MjSpec:
     """Return the spec of a scene. All names of an arm begin with its prefix, which may be empty."""
     rig, meshes = blueprint.rig, _all_mesh_folders(locations, blueprint)
     bases = [rig.T_base_in_world(k) for k in range(len(rig.arms))]
-    spec = _arms(rig, bases, locations, meshes)
+    spec = _compose_arms(rig, bases, locations, meshes)
     spec.modelname = blueprint.name or rig.name
     spec.compiler.autolimits = True
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
@@ -107,17 +107,17 @@ def set_friction_cones(spec: mujoco.MjSpec, impratio: float = 10.0) -> None:
 
 def _add_delays(spec: mujoco.MjSpec, arm: ArmConfig, timestep: float, ranges: ArmRanges | None) -> None:
     """Add the longest delays of an arm's drives and encoders, which `RandomizedArms` shortens."""
-    own = arm.dynamics or Dynamics(revision=arm.name, base=arm.model.name)
+    own = arm.dynamics or MeasuredArmDynamics(revision=arm.name, base=arm.model.name)
     most, robot = ranges or ArmRanges(), arm.robot
     if delay := (own.command_delay_ms + most.command_delay_ms[1]) / 1000:
-        for name in robot.drives:
+        for name in robot.drive_names:
             drive = spec.actuator(arm.prefix + name)
             # A delay may not be a whole number of steps.
             drive.delay, drive.nsample, drive.interp = delay, math.ceil(delay / timestep) + 2, _LINEAR
     if delay := (own.sensor_delay_ms + most.sensor_delay_ms[1]) / 1000:
         for name in (*robot.joint_names, *(robot.fingers.joints[:1] if robot.fingers else ())):
             spec.add_sensor(
-                name=arm.prefix + name + READING,
+                name=arm.prefix + name + READING_SUFFIX,
                 type=mujoco.mjtSensor.mjSENS_JOINTPOS,
                 objtype=mujoco.mjtObj.mjOBJ_JOINT,
                 objname=arm.prefix + name,
@@ -135,7 +135,7 @@ def _add_physics(spec: mujoco.MjSpec, physics: TaskPhysics, rig: RigConfig, rang
         _add_delays(spec, arm, physics.timestep, ranges)
     for arm in rig.arms if physics.weld_placeholder is not None else ():
         spec.add_equality(
-            name=arm.prefix + WELD,
+            name=arm.prefix + WELD_NAME,
             type=mujoco.mjtEq.mjEQ_WELD,
             objtype=mujoco.mjtObj.mjOBJ_BODY,
             name1=arm.prefix + arm.robot.flange,
@@ -144,7 +144,7 @@ def _add_physics(spec: mujoco.MjSpec, physics: TaskPhysics, rig: RigConfig, rang
         )
 
 
-def _arms(rig: RigConfig, bases: Sequence[Array], locations: Locations, meshes: Meshes) -> mujoco.MjSpec:
+def _compose_arms(rig: RigConfig, bases: Sequence[Array], locations: Locations, meshes: Meshes) -> mujoco.MjSpec:
     """An arm without a prefix is the root, because MuJoCo attaches only with a prefix."""
     specs = [arm_spec(arm, meshes) for arm in rig.arms]
     root = mujoco.MjSpec()
@@ -165,7 +165,7 @@ def _arms(rig: RigConfig, bases: Sequence[Array], locations: Locations, meshes: 
 
 
 def _add_housing(root: mujoco.MjSpec, rig: RigConfig, camera: RigCamera, locations: Locations, meshes: Meshes) -> None:
-    file = locations.file(f"robot_models/cameras/{camera.housing}.xml")
+    file = locations.find_data_file(f"robot_models/cameras/{camera.housing}.xml")
     child = show_meshes_or_primitives(mujoco.MjSpec.from_file(str(file)), camera.mesh_sets, meshes)
     T = rig.T_cam_in_world(camera)
     frame = root.worldbody.add_frame(pos=T[:3, 3], quat=quat_from_rotation(T[:3, :3]))

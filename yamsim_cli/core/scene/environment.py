@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from ..config.rendering import SHADOW_REACH, RenderConfig
 from ..config.scene import SceneConfig, Table
 from ..geometry.se3 import Array
-from ..geometry.stl import stl_bytes
-from .objects.object_geoms import SEEN_GROUP, contact_numbers
+from ..geometry.stl import encode_stl
+from .objects.object_geoms import SEEN_GROUP, contact_attributes
 
 _HALF_FLOOR, _TILE = 5.0, 0.5  # m, half the edge of the floor, and the edge of a tile
 _TILE_HEIGHT = 0.001  # m above the floor, sufficient for the depth buffer
@@ -42,7 +42,7 @@ def add_background(spec: mujoco.MjSpec, scene: SceneConfig) -> None:
     )
     # The tiles are a mesh. Without a GPU, texture look-ups would take longer than the rest of the floor.
     file = "meshes/surroundings/floor_tiles.stl"
-    spec.assets = {**spec.assets, file: stl_bytes(*_tiles())}
+    spec.assets = {**spec.assets, file: encode_stl(*_checkerboard_mesh())}
     spec.add_mesh(name="floor_tiles", file=file, inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL)
     spec.worldbody.add_geom(
         name="floor_tiles",
@@ -57,7 +57,7 @@ def add_background(spec: mujoco.MjSpec, scene: SceneConfig) -> None:
     )
 
 
-def _tiles() -> tuple[Array, NDArray[np.int32]]:
+def _checkerboard_mesh() -> tuple[Array, NDArray[np.int32]]:
     """Return every second tile of the floor: vertices (4 n, 3), m, and triangles (2 n, 3) that face up."""
     row, column = np.meshgrid(*2 * [np.arange(round(2 * _HALF_FLOOR / _TILE))], indexing="ij")
     low = np.stack([row, column], axis=-1)[(row + column) % 2 == 0] * _TILE - _HALF_FLOOR
@@ -91,11 +91,11 @@ def add_lights(spec: mujoco.MjSpec, scene: SceneConfig, centre: Sequence[float] 
 def add_table(spec: mujoco.MjSpec, table: Table, floor: float, bases: Sequence[Array]) -> None:
     """Add the table, its legs, and a post from each arm's base to the floor. Legs and posts have no contacts."""
     spec.add_material(name="table", rgba=table.rgba, specular=0.1, shininess=0.1, reflectance=table.reflectance)
-    _add_box(spec, "table", table.position, table.half_size, contact_numbers(table.contact))
+    _add_box(spec, "table", table.position, table.half_size, contact_attributes(table.contact))
     x, y, _ = table.position
     half_x, half_y, half_z = table.half_size
     inset = 0.03
-    bottom = table.top - 2 * half_z
+    bottom = table.top_height - 2 * half_z
     posts = [(x + i * (half_x - inset), y + j * (half_y - inset), bottom, 0.02) for i in (-1, 1) for j in (-1, 1)]
     # The posts end 1 mm below the bases. Coincident surfaces would flicker.
     posts += [(T[0, 3], T[1, 3], T[2, 3] - 0.001, 0.06) for T in bases]

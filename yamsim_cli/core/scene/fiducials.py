@@ -13,7 +13,7 @@ from ..config.rig import ArmConfig, BoardConfig, MountConfig
 from ..errors import ConfigError
 from ..geometry.board_mount import mount_mesh
 from ..geometry.se3 import Array, quat_from_rotation
-from ..geometry.stl import stl_bytes
+from ..geometry.stl import encode_stl
 from ..images.board_image import board_texture
 from ..images.png import encode_png
 from .objects.object_geoms import SEEN_GROUP
@@ -39,7 +39,7 @@ def _mocap_body(spec: mujoco.MjSpec, name: str, T_base_in_world: Array) -> mujoc
 
 
 def _add_board(spec: mujoco.MjSpec, arm: ArmConfig, config: BoardConfig, T_base_in_world: Array) -> None:
-    board, name = config.board, f"{arm.prefix}{BOARD_BODY}"
+    board, name = config.board_in_metres, f"{arm.prefix}{BOARD_BODY}"
     file = f"textures/{config.name}.png"
     spec.assets = {**spec.assets, file: encode_png(board_texture(board))}
     texture = spec.add_texture(name=name, type=mujoco.mjtTexture.mjTEXTURE_2D, file=file)
@@ -92,8 +92,8 @@ def _mount_stl(config: MountConfig, board: BoardConfig | None) -> bytes:
             raise ConfigError(f"mount {config.name!r}: stl {config.stl} cannot be read: {error.strerror}") from error
     if board is None:
         raise ConfigError(f"mount {config.name!r} has neither a board nor an stl; give one, or leave the mount out")
-    size_mm = (board.board.width * 1000, board.board.height * 1000)
+    size_mm = (board.board_in_metres.width * 1000, board.board_in_metres.height * 1000)
     vertices, faces = mount_mesh(
         config.x_mm, config.y_mm, config.z_mm, board.position_mm, size_mm, mirror_x=config.mirror_x
     )
-    return stl_bytes(vertices * 1000, faces)
+    return encode_stl(vertices * 1000, faces)

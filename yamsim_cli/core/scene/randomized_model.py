@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from ..config.randomization import RandomizationConfig, SurfaceRanges
 from ..config.recording import SCENE_CAMERA
 from ..config.scene import SceneConfig
-from ..config.variation import ArmVariation, LightVariation, SurfaceVariation, Variation
+from ..config.variation import ArmDynamicsSample, LightSample, RandomizationSample, SurfaceSample
 from ..files.resources import Meshes
 from ..geometry.se3 import Array, UprightPose, pose_from_quat, quat_from_rotation, rotation_from_vector, rotation_z
 from .compiled import ArmAddresses, CompiledScene
@@ -25,7 +25,7 @@ _TILES = "floor_tiles"
 _FLOOR_REPEAT = 8  # per repetition of the table's texture: the floor is ten times as wide
 _SURFACES = {"table": "table", "floor": "safety_plane"}  # surface in the config -> name of its geom
 
-_SAVED = (  # fields of `MjModel` that a variation can change; `apply` resets them
+_SAVED = (  # fields of `MjModel` that a variation can change; `apply_randomization` resets them
     "light_diffuse", "light_dir", "light_pos",
     "body_mass", "body_inertia", "body_subtreemass", "body_invweight0", "body_pos", "body_quat",
     "dof_M0", "dof_invweight0", "tendon_invweight0", "actuator_acc0", "cam_poscom0", "light_poscom0",
@@ -43,7 +43,7 @@ def _is_textured(ranges: SurfaceRanges | None, part: str) -> bool:
 
 def add_randomized_parts(spec: mujoco.MjSpec, config: RandomizationConfig, meshes: Meshes) -> None:
     """Add the distractors of a randomization config, and materials with an image texture, to a scene's spec."""
-    for item in config.extras:
+    for item in config.distractor_configs:
         add_object(spec, item, meshes, fixed=True)
     for part in _SURFACES:
         if _is_textured(getattr(config, part), part):
@@ -66,14 +66,14 @@ def add_randomized_parts(spec: mujoco.MjSpec, config: RandomizationConfig, meshe
 class RandomizedModel:
     """A compiled model with the parts of `add_randomized_parts`, which is reset and then varied for each attempt.
 
-    Renderers must upload `textures`, whose ids the last `apply` changed.
+    Renderers must upload `textures`, whose ids the last `apply_randomization` changed.
     """
 
     def __init__(self, model: mujoco.MjModel, config: RandomizationConfig, scene: SceneConfig) -> None:
         self._model = model
         self._camera = model.cam(SCENE_CAMERA).id
         self._lights = [model.light(f"light_{k}").id for k in range(len(scene.lights))]
-        self._extras = {item.name: model.body(item.name).id for item in config.extras}
+        self._extras = {item.name: model.body(item.name).id for item in config.distractor_configs}
         self._materials = {model.material(k).name: k for k in range(model.nmat)}
         of_body = model.body_rootid[model.geom_bodyid]
         self._distractor_geoms = {body: list(np.flatnonzero(of_body == body)) for body in self._extras.values()}
@@ -81,7 +81,7 @@ class RandomizedModel:
         self._headlight = {key: getattr(model.vis.headlight, key).copy() for key in _SAVED_HEADLIGHT}
         self.textures: list[int] = []
 
-    def apply(self, variation: Variation) -> None:
+    def apply_randomization(self, variation: RandomizationSample) -> None:
         """Reset the model to its compiled values, and apply a variation."""
         model = self._model
         for key, value in self._saved.items():
@@ -128,7 +128,7 @@ class RandomizedModel:
         for key in ("geom_group", "geom_contype", "geom_conaffinity"):
             getattr(model, key)[geoms] = self._saved[key][geoms]
 
-    def _apply_light(self, number: int, light: LightVariation) -> None:
+    def _apply_light(self, number: int, light: LightSample) -> None:
         model = self._model
         centre = model.light_pos[number] + model.light_dir[number]
         direction = rotation_from_vector(light.turn) @ model.light_dir[number]
@@ -151,7 +151,7 @@ class RandomizedModel:
         model.cam_pos[camera] += moved[:3]
         model.cam_quat[camera] = quat_from_rotation(rotation_from_vector(moved[3:]) @ R)
 
-    def _apply_surface(self, part: str, surface: SurfaceVariation) -> None:
+    def _apply_surface(self, part: str, surface: SurfaceSample) -> None:
         model = self._model
         tiles = part == "floor" and surface.texture in ("plain", "checker")
         if tiles or surface.texture == "plain":
@@ -179,7 +179,7 @@ def scale_masses(model: mujoco.MjModel, factors: Mapping[str, float]) -> None:
     mujoco.mj_setConst(model, mujoco.MjData(model))
 
 
-def texture_image(surface: SurfaceVariation, size: int = _TEXTURE_SIZE) -> NDArray[np.uint8]:
+def texture_image(surface: SurfaceSample, size: int = _TEXTURE_SIZE) -> NDArray[np.uint8]:
     """Return the RGB image (size, size, 3) of a surface's pattern. Opposite edges match, except for a gradient."""
     first, second = np.array(surface.colours) * 255.0
     match surface.texture:
@@ -191,14 +191,14 @@ def texture_image(surface: SurfaceVariation, size: int = _TEXTURE_SIZE) -> NDArr
             along = np.linspace(-0.5, 0.5, size)
             share = 0.5 + (along[:, None] * np.sin(turn) + along[None, :] * np.cos(turn)) / np.sqrt(2)
         case "noise":
-            share = _noise(np.random.default_rng(surface.seed), surface.repeat, size)
+            share = _smooth_noise(np.random.default_rng(surface.seed), surface.repeat, size)
         case _:
             share = np.zeros((size, size))
     image: NDArray[np.uint8] = np.rint(first + share[..., None] * (second - first)).astype(np.uint8)
     return image
 
 
-def _noise(rng: np.random.Generator, cells: int, size: int) -> NDArray[np.float64]:
+def _smooth_noise(rng: np.random.Generator, cells: int, size: int) -> NDArray[np.float64]:
     """Return smooth noise (size, size) in 0..1: a sum of random grids with decreasing cell size and amplitude."""
     total = np.zeros((size, size))
     for octave in range(_OCTAVES):
@@ -222,21 +222,21 @@ class RandomizedArms:
 
     def __init__(self, scene: CompiledScene) -> None:
         self._scene = scene
-        self.apply(())  # replaces the longest delays, with which the model was compiled
+        self.apply_randomization(())  # replaces the longest delays, with which the model was compiled
 
-    def apply(self, variations: Sequence[ArmVariation]) -> CompiledScene:
+    def apply_randomization(self, variations: Sequence[ArmDynamicsSample]) -> CompiledScene:
         """Return the scene with one variation for each arm, or none if empty. The model changes in place."""
         arms, model = self._scene.arms, self._scene.model
         if variations:
             arms = tuple(_randomized_arm(arm, by) for arm, by in zip(arms, variations, strict=True))
         for arm in arms:
-            model.actuator_delay[arm.drives] = arm.command_delay
+            model.actuator_delay[arm.drive_ctrl] = arm.command_delay
             if arm.sensors is not None:
                 model.sensor_delay[arm.sensors] = arm.sensor_delay
         return replace(self._scene, arms=arms)
 
 
-def _randomized_arm(arm: ArmAddresses, by: ArmVariation) -> ArmAddresses:
+def _randomized_arm(arm: ArmAddresses, by: ArmDynamicsSample) -> ArmAddresses:
     gravity = by.gravity if arm.gravity_error is None else arm.gravity_error + by.gravity
     return replace(
         arm,

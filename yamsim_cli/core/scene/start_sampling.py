@@ -45,7 +45,9 @@ def sample_roles(task: ProgramTask, job: AttemptJob) -> RoleAssignment:
             numbers += [int(k) for k in rng.permutation(len(one.of))]
         drawn[role] = tuple(numbers[: one.count])
         if one.sizes:
-            sizes |= {name: one.sizes[int(rng.integers(len(one.sizes)))] for name in task.names_of(role, drawn[role])}
+            sizes |= {
+                name: one.sizes[int(rng.integers(len(one.sizes)))] for name in task.object_names_of(role, drawn[role])
+            }
     return task.assign_roles(drawn, sizes)
 
 
@@ -110,7 +112,7 @@ def _sample_placement(
     table: Table,
     rng: np.random.Generator,
 ) -> ObjectPlacement | None:
-    T_on = pose((0.0, 0.0, table.top)) if on == TABLE else placed[on].T
+    T_on = pose((0.0, 0.0, table.top_height)) if on == TABLE else placed[on].T
     neighbours = [
         footprint_corners(box_of(other, there.joint_openings), there.T)
         for other, there in placed.items()

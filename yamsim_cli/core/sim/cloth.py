@@ -58,7 +58,7 @@ class ClothState:
         return self._cloth.points(self._data.qpos)
 
     @property
-    def rows(self) -> Array:
+    def point_grid(self) -> Array:
         """Positions (rows, columns, 3) of the points in `world`, m; rows run along the cloth's x axis."""
         columns, rows = self._cloth.grid
         return self.points.reshape(rows, columns, 3)
@@ -71,13 +71,13 @@ class ClothState:
     @property
     def aabb(self) -> tuple[Array, Array]:
         """Lowest and highest corner (3,) of the axis-aligned bounding box in `world`, m."""
-        points, radius = self.points, self._cloth.radius
+        points, radius = self.points, self._cloth.half_thickness
         return points.min(axis=0) - radius, points.max(axis=0) + radius
 
     @property
     def local_box(self) -> Array:
         """Lowest and highest corner (2, 3) of the flat cloth's bounding box in the cloth's frame, m."""
-        rest, radius = self._cloth.flat_points, self._cloth.radius
+        rest, radius = self._cloth.flat_points, self._cloth.half_thickness
         return np.array([rest.min(axis=0) - radius, rest.max(axis=0) + radius])
 
     @property
@@ -86,12 +86,12 @@ class ClothState:
         return float(np.linalg.norm(self._data.qvel[self._cloth.dof], axis=1).max())
 
     @property
-    def contacts(self) -> NDArray[np.bool_]:
+    def contact_sides(self) -> NDArray[np.bool_]:
         """Whether each of the two sides of each present contact is this cloth (n, 2)."""
         found: NDArray[np.bool_] = self._data.contact.flex == self._cloth.flex
         return found
 
-    def held(self, arm: int) -> bool:
+    def is_held_by(self, arm: int) -> bool:
         """Return whether the hand of arm number `arm` holds a point of the cloth."""
         return bool(self._data.eq_active[self._cloth.constraints[arm]].any())
 
@@ -111,7 +111,7 @@ class ClothConstraints:
             for k in range(len(scene.arms))
         ]
 
-    def update(self, data: mujoco.MjData, ctrl: Array) -> list[bool]:
+    def update_grasps(self, data: mujoco.MjData, ctrl: Array) -> list[bool]:
         """Grasp or release cloth for the next commands `ctrl` (nu,), and return whether each arm's hand holds cloth.
 
         The constraints are switched in `data`; their anchors are written into the scene's model.
@@ -133,9 +133,9 @@ class ClothConstraints:
             return False
         if opening > _CLOSED_OPENING or (opening - commanded) * fingers.gain < 2 * _MIN_FORCE:
             return False
-        return any(self._grasp(data, number, cloth) for cloth in self._scene.cloths.values())
+        return any(self._grasp_points(data, number, cloth) for cloth in self._scene.cloths.values())
 
-    def _grasp(self, data: mujoco.MjData, number: int, cloth: ClothAddresses) -> bool:
+    def _grasp_points(self, data: mujoco.MjData, number: int, cloth: ClothAddresses) -> bool:
         touching = (data.contact.flex == cloth.flex).any(axis=1)
         geoms = data.contact.geom[touching]
         if not all(np.isin(geoms, finger).any() for finger in self._fingers[number]):
@@ -161,7 +161,7 @@ def points_between_pads(cloth: ClothAddresses, points: Array, T_pinch_in_world: 
     """
     seen = (points - T_pinch_in_world[:3, 3]) @ T_pinch_in_world[:3, :3]
     deep = (-_PAD_LENGTH, _PAD_LENGTH + cloth.thickness + _BELOW_TIPS)
-    found = np.flatnonzero(mask_between_pads(seen, max(_PAD_WIDTH, cloth.spacing / 2), deep))
+    found = np.flatnonzero(mask_between_pads(seen, max(_PAD_WIDTH, cloth.max_point_spacing / 2), deep))
     if cloth.held_by_layers:
         found = np.union1d(found, nearest_per_layer(seen, grid_triangles(*cloth.grid), _LINES, deep))
     return found
@@ -193,7 +193,7 @@ def moving_points(
         model.body_mass[bodies], model.dof_M0[dof] = masses, inertias
 
 
-def crumple(
+def crumple_cloth(
     scene: CompiledScene, start: Array, cloth: str, rng: np.random.Generator, share: float, timestep: float
 ) -> Array:
     """Crumple a flat cloth, and return MuJoCo's positions (nq,) with the cloth at rest.
@@ -244,7 +244,7 @@ def drop_cloth(
     return dropped
 
 
-def simulated_pull(
+def simulate_pull(
     data: mujoco.MjData,
     model: mujoco.MjModel,
     cloth: ClothAddresses,

@@ -41,12 +41,12 @@ def _delayed_arm_positions(model: mujoco.MjModel, data: mujoco.MjData, arm: ArmA
     now: Array = data.qpos[arm.recorded_qpos]
     if arm.sensors is None:
         return now
-    delayed = np.array([_read(model, data, int(sensor)) for sensor in arm.sensors])
+    delayed = np.array([_read_delayed_sensor(model, data, int(sensor)) for sensor in arm.sensors])
     # The newest sample of a sensor is one step old. For a shorter delay, interpolate from there to the present.
     share = min(arm.sensor_delay / model.opt.timestep, 1.0)
     return delayed if share == 1.0 else now + share * (delayed - now)
 
 
-def _read(model: mujoco.MjModel, data: mujoco.MjData, sensor: int) -> float:
+def _read_delayed_sensor(model: mujoco.MjModel, data: mujoco.MjData, sensor: int) -> float:
     between, result = int(model.sensor_history[sensor, 1]), np.empty((1, 1))
     return float(mujoco.mj_readSensor(model, data, sensor, data.time, result, between).ravel()[0])

@@ -31,7 +31,7 @@ def geom_aabb(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> Array:
         case _GEOM.mjGEOM_BOX:
             half = np.abs(R) @ size
         case _:
-            points = _vertices(model, geom) @ R.T + at
+            points = _mesh_vertices(model, geom) @ R.T + at
             return np.array([points.min(axis=0), points.max(axis=0)])
     return np.array([at - half, at + half])
 
@@ -42,7 +42,7 @@ def body_box(model: mujoco.MjModel, geoms: Sequence[int], T: Array | None = None
     """
     boxes = []
     for geom in geoms:
-        R, at = _pose(model, geom)
+        R, at = _geom_pose(model, geom)
         boxes.append(_geom_box(model, geom, *((R, at) if T is None else (T[:3, :3] @ R, T[:3, :3] @ at + T[:3, 3]))))
     return enclosing_box(boxes)
 
@@ -57,7 +57,7 @@ def body_surface(model: mujoco.MjModel, geoms: Sequence[int]) -> Surface:
     """Return the triangle surface of geoms of one body in the body's frame, m; round primitives have 24 sides."""
     placed = []
     for geom in geoms:
-        R, at = _pose(model, geom)
+        R, at = _geom_pose(model, geom)
         vertices, faces = _geom_surface(model, geom)
         placed.append((vertices @ R.T + at, faces))
     return concatenate_surfaces(placed)
@@ -65,8 +65,12 @@ def body_surface(model: mujoco.MjModel, geoms: Sequence[int]) -> Surface:
 
 def geom_corners(model: mujoco.MjModel, geom: int) -> Array:
     """Return points (n, 3) whose convex hull is that of a geom, in its body's frame, m; circles have 24 sides."""
-    R, at = _pose(model, geom)
-    points = _vertices(model, geom) if model.geom_type[geom] in _MESHES else np.concatenate(_loops(model, geom))
+    R, at = _geom_pose(model, geom)
+    points = (
+        _mesh_vertices(model, geom)
+        if model.geom_type[geom] in _MESHES
+        else np.concatenate(_primitive_loops(model, geom))
+    )
     return points @ R.T + at
 
 
@@ -75,16 +79,16 @@ def geom_points(model: mujoco.MjModel, geoms: Sequence[int], count: int) -> tupl
 
     Overlaps of geoms count once. The same geoms always give the same points.
     """
-    placed = [(geom, _pose(model, geom)) for geom in geoms]
+    placed = [(geom, _geom_pose(model, geom)) for geom in geoms]
     low, high = body_box(model, geoms)
     found: list[Array] = []
     drawn, kept = 0, 0
     while kept < count and drawn < 200 * count:
-        points = low + _halton(drawn, 4 * count) * (high - low)
+        points = low + _halton_points(drawn, 4 * count) * (high - low)
         drawn += len(points)
         inside = np.zeros(len(points), bool)
         for geom, (R, at) in placed:
-            inside |= _inside(model, geom, (points - at) @ R)
+            inside |= _are_inside_geom(model, geom, (points - at) @ R)
         found.append(points[inside])
         kept += int(inside.sum())
     points, volume = np.concatenate(found)[:count], max(kept, 1) / drawn * float(np.prod(high - low))
@@ -92,7 +96,7 @@ def geom_points(model: mujoco.MjModel, geoms: Sequence[int], count: int) -> tupl
     return (points, volume) if len(points) else (np.array([(low + high) / 2]), volume)
 
 
-def _pose(model: mujoco.MjModel, geom: int) -> tuple[Array, Array]:
+def _geom_pose(model: mujoco.MjModel, geom: int) -> tuple[Array, Array]:
     R = np.empty(9)
     mujoco.mju_quat2Mat(R, model.geom_quat[geom])
     return R.reshape(3, 3), model.geom_pos[geom].copy()
@@ -104,7 +108,7 @@ def _geom_box(model: mujoco.MjModel, geom: int, R: Array, at: Array) -> Array:
     return np.array([middle - reach, middle + reach])
 
 
-def _inside(model: mujoco.MjModel, geom: int, points: Array) -> Array:
+def _are_inside_geom(model: mujoco.MjModel, geom: int, points: Array) -> Array:
     size, x, y, z = model.geom_size[geom], *points.T
     match _GEOM(model.geom_type[geom]):
         case _GEOM.mjGEOM_SPHERE:
@@ -128,13 +132,13 @@ def _inside(model: mujoco.MjModel, geom: int, points: Array) -> Array:
 
 def _geom_surface(model: mujoco.MjModel, geom: int) -> Surface:
     if model.geom_type[geom] not in _MESHES:
-        return loft(_loops(model, geom))
+        return loft(_primitive_loops(model, geom))
     mesh = int(model.geom_dataid[geom])
     first, number = int(model.mesh_faceadr[mesh]), int(model.mesh_facenum[mesh])
-    return _vertices(model, geom), model.mesh_face[first : first + number]
+    return _mesh_vertices(model, geom), model.mesh_face[first : first + number]
 
 
-def _loops(model: mujoco.MjModel, geom: int) -> list[Array]:
+def _primitive_loops(model: mujoco.MjModel, geom: int) -> list[Array]:
     """Return loops of points (k, 3) on a primitive in its own frame, from its bottom to its top."""
     size, kind = model.geom_size[geom], _GEOM(model.geom_type[geom])
     if kind == _GEOM.mjGEOM_BOX:
@@ -155,7 +159,7 @@ def _loops(model: mujoco.MjModel, geom: int) -> list[Array]:
     return [np.column_stack([r * circle, np.full(_SIDES, z)]) * stretch for r, z in rings]
 
 
-def _vertices(model: mujoco.MjModel, geom: int) -> Array:
+def _mesh_vertices(model: mujoco.MjModel, geom: int) -> Array:
     mesh = int(model.geom_dataid[geom])
     first, number = int(model.mesh_vertadr[mesh]), int(model.mesh_vertnum[mesh])
     vertices: Array = model.mesh_vert[first : first + number].astype(float)
@@ -163,6 +167,6 @@ def _vertices(model: mujoco.MjModel, geom: int) -> Array:
 
 
 @functools.cache
-def _halton(start: int, count: int) -> Array:
+def _halton_points(start: int, count: int) -> Array:
     """Return points (count, 3) of Halton's sequence in the unit cube, with bases 2, 3 and 5, from `start` on."""
     return np.array([[mujoco.mju_Halton(k, base) for base in (2, 3, 5)] for k in range(start + 1, start + count + 1)])

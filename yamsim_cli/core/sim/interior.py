@@ -49,13 +49,13 @@ class Interior:
         """Return whether each point (n, 3) lies inside, as (n,)."""
         held: NDArray[np.bool_] = ((points >= self._low) & (points <= self._high)).all(axis=1)
         if held.any():
-            down, up, *around = self._hits(points[held])
+            down, up, *around = self._view_rays_hit(points[held])
             half = len(around) // 2
             either = [one | opposite for one, opposite in zip(around[:half], around[half:], strict=True)]
             held[held] = down & (np.all(around, axis=0) | (up & np.all(either, axis=0)))
         return held
 
-    def _hits(self, points: Array) -> NDArray[np.bool_]:
+    def _view_rays_hit(self, points: Array) -> NDArray[np.bool_]:
         """Return whether the nearest ray of each of _VIEWS hits the body beyond each point (n, 3), as (views, n)."""
         x, y, z = (points @ _VIEWS[:, axis].T for axis in range(3))
         _, nx, ny = self._reach.shape

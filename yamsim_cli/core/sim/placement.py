@@ -27,7 +27,7 @@ class DistractorPlacer:
 
     def __init__(self, config: RecordConfig, scene: CompiledScene) -> None:
         self._distractors = config.randomization.distractors
-        self._table = config.table
+        self._table = config.widened_table
         self._model = copy.copy(scene.model)
         self._randomized_model = RandomizedModel(self._model, config.randomization, config.scene)
 
@@ -51,12 +51,12 @@ class DistractorPlacer:
         for item in (config.objects[k] for k in order):
             for _ in range(_MAX_TRIES):
                 x, y, yaw = rng.uniform(*config.x), rng.uniform(*config.y), rng.uniform(-math.pi, math.pi)
-                disc = _discs(item, x, y, yaw)
+                disc = _footprint_discs(item, x, y, yaw)
                 if not _on_table(disc, self._table) or any(
                     _disc_distance(disc, other) < config.clearance for other in discs
                 ):
                     continue
-                place = (float(x), float(y), self._table.top + item.rest_height, float(yaw))
+                place = (float(x), float(y), self._table.top_height + item.rest_height, float(yaw))
                 self._randomized_model.place_distractor(item.name, place)
                 if self._is_clear(data, item.name, config.clearance, positions):
                     placed[item.name] = place
@@ -88,10 +88,10 @@ class DistractorPlacer:
             model.geom_margin[geoms], model.body_margin[body.id] = before
 
 
-def _discs(item: ObjectConfig, x: float, y: float, yaw: float) -> Array:
+def _footprint_discs(item: ObjectConfig, x: float, y: float, yaw: float) -> Array:
     """Return an object's footprint as discs (n, 3) of x, y and radius in `world`, m."""
     c, s = math.cos(yaw), math.sin(yaw)
-    return np.array([[x + c * a - s * b, y + s * a + c * b, radius] for a, b, radius in item.footprint])
+    return np.array([[x + c * a - s * b, y + s * a + c * b, radius] for a, b, radius in item.footprint_discs])
 
 
 def _on_table(discs: Array, table: Table) -> bool:
@@ -116,7 +116,7 @@ class ArmCollisionCheck:
         objects = [model.body(name).id for name in scene.object_qpos]
         self._is_object = np.isin(model.body_rootid[model.geom_bodyid], objects)
 
-    def depth(self, qpos: Array, joints: Array) -> tuple[float, str]:
+    def deepest_penetration(self, qpos: Array, joints: Array) -> tuple[float, str]:
         """Return the deepest penetration of the arm, m, and the name of the penetrated geom; 0 and "" if none.
 
         `qpos` (nq,) are the positions of the rest of the scene.
@@ -133,8 +133,8 @@ class ArmCollisionCheck:
         if not concerned.any():
             return 0.0, ""
         worst = int(np.argmin(np.where(concerned, data.contact.dist, np.inf)))
-        return float(-data.contact.dist[worst]), self._name(pairs[worst])
+        return float(-data.contact.dist[worst]), self._other_geom_name(pairs[worst])
 
-    def _name(self, pair: Array) -> str:
+    def _other_geom_name(self, pair: Array) -> str:
         others = [int(geom) for geom in pair if not self._is_arm[geom]]
         return self._scene.model.geom(others[0]).name.replace("_", " ") if others else "the arm itself"

@@ -10,7 +10,7 @@ from ..scene.compiled import CompiledScene
 
 SETTLE_SECONDS = 2.0  # longest simulated time
 CHECK_STEPS = 25  # between two checks of the speeds
-AT_REST = 0.01  # m/s and rad/s
+MAX_REST_SPEED = 0.01  # m/s and rad/s
 
 
 class SettledScene(NamedTuple):
@@ -28,7 +28,7 @@ def settle_objects(scene: CompiledScene, start: Array, timestep: float) -> Settl
     dofs = np.concatenate([stiff, *(cloth.dof.ravel() for cloth in scene.cloths.values())])
     for _ in range(int(SETTLE_SECONDS / timestep / CHECK_STEPS)):
         scene.step(data, CHECK_STEPS)
-        if float(np.abs(data.qvel[dofs]).max()) < AT_REST:
+        if float(np.abs(data.qvel[dofs]).max()) < MAX_REST_SPEED:
             break
     settled: Array = data.qpos.copy()
     for arm in scene.arms:

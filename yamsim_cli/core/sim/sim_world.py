@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..config.goals.world import TABLE
-from ..geometry.se3 import Array, inverse, pose
+from ..geometry.se3 import Array, invert_pose, pose
 from ..scene.compiled import ArmAddresses, ClothAddresses, CompiledScene, Ids
 from .cloth import ClothState
 from .geom_shapes import body_box, body_surface, enclosing_box, geom_aabb, geom_points
@@ -90,17 +90,17 @@ class SimWorld:
             return self.pose(region.thing) @ region.T_in_object
         if cloth := self._cloths.get(thing):
             return cloth.pose
-        body = self._data.body(self._check(thing))
+        body = self._data.body(self._require_object(thing))
         return pose(body.xpos, body.xmat.reshape(3, 3))
 
     def handle_pose(self, thing: str, handle: str) -> Array:
         """Return the pose in `world` of a handle of an object; z points into the handle."""
-        site = self._data.site(f"{self._check(thing)}_{handle}")
+        site = self._data.site(f"{self._require_object(thing)}_{handle}")
         return pose(site.xpos, site.xmat.reshape(3, 3))
 
     def start_pose(self, thing: str) -> Array:
         """Return the pose in `world` that an object had at the last `store_start`."""
-        return self._starts[self._check(thing)]
+        return self._starts[self._require_object(thing)]
 
     def store_start(self) -> None:
         """Store the poses of all objects, and clear the records of holders and handovers."""
@@ -121,7 +121,7 @@ class SimWorld:
 
     def geom_aabbs(self, thing: str) -> Array:
         """Return the lowest and highest corner (n, 2, 3) of each collision geom in `world`, m."""
-        geoms = self._geoms[self._check(thing)]
+        geoms = self._geoms[self._require_object(thing)]
         solid = geoms[self._model.geom_contype[geoms] != 0]
         return np.array([geom_aabb(self._model, self._data, int(geom)) for geom in solid])
 
@@ -129,7 +129,7 @@ class SimWorld:
         """Return the linear speed of an object, or of the fastest point of a cloth, m/s."""
         if cloth := self._cloths.get(thing):
             return cloth.speed
-        dof = self._model.joint(self._check(thing)).dofadr[0]
+        dof = self._model.joint(self._require_object(thing)).dofadr[0]
         return float(np.linalg.norm(self._data.qvel[dof : dof + 3]))
 
     def are_touching(self, one: str, other: str) -> bool:
@@ -141,13 +141,15 @@ class SimWorld:
     def _in_contact(self, thing: str) -> NDArray[np.bool_]:
         """Return whether each of the two sides of each present contact is an object (n, 2)."""
         if cloth := self._cloths.get(thing):
-            return cloth.contacts
-        found: NDArray[np.bool_] = self._geom_object[self._data.contact.geom] == self._numbers[self._check(thing)]
+            return cloth.contact_sides
+        found: NDArray[np.bool_] = (
+            self._geom_object[self._data.contact.geom] == self._numbers[self._require_object(thing)]
+        )
         return found
 
     def cloth_points(self, thing: str) -> Array:
         """Return a cloth's points (rows, columns, 3) in `world`, m; rows run along its x axis."""
-        return self._cloths[thing].rows
+        return self._cloths[thing].point_grid
 
     def cloth_addresses(self, thing: str) -> ClothAddresses:
         """Return the addresses of a cloth's points in MuJoCo's arrays."""
@@ -155,7 +157,7 @@ class SimWorld:
 
     def holding_sides(self, thing: str) -> frozenset[str]:
         """Return the sides of the hands that hold an object by both fingers or a weld, or a cloth by constraints."""
-        return self.holding_sides_by_object()[self._check(thing)]
+        return self.holding_sides_by_object()[self._require_object(thing)]
 
     def holding_sides_by_object(self) -> dict[str, frozenset[str]]:
         """Return object -> sides of the hands that hold it."""
@@ -168,14 +170,14 @@ class SimWorld:
         found = {}
         for k, name in enumerate(self.object_names):
             if cloth := self._cloths.get(name):
-                found[name] = frozenset(side for arm, side in enumerate(self.sides) if cloth.held(arm))
+                found[name] = frozenset(side for arm, side in enumerate(self.sides) if cloth.is_held_by(arm))
             else:
                 found[name] = frozenset(
-                    side for arm, side in enumerate(self.sides) if gripped[k][arm] or self._welded(name, arm)
+                    side for arm, side in enumerate(self.sides) if gripped[k][arm] or self._is_welded(name, arm)
                 )
         return found
 
-    def _welded(self, thing: str, arm: int) -> bool:
+    def _is_welded(self, thing: str, arm: int) -> bool:
         weld = self.arms[arm].weld
         if weld is None or not self._data.eq_active[weld]:
             return False
@@ -184,7 +186,7 @@ class SimWorld:
     def sides_with_finger_under_cloth(self, thing: str) -> frozenset[str]:
         """Return the sides of the hands that have a finger under a cloth and would lift it."""
         contact = self._data.contact
-        flexes = self._cloths[thing].contacts
+        flexes = self._cloths[thing].contact_sides
         # A contact normal points from the first side to the second.
         up = np.where(flexes[:, 1], 1.0, -1.0) * contact.frame[:, 2]
         lifted = contact.geom[flexes.any(axis=1) & (up > _MIN_UPWARD_NORMAL)]
@@ -196,21 +198,21 @@ class SimWorld:
 
     def holders_since_rest(self, thing: str) -> tuple[str, ...]:
         """Return the sides of the hands that held an object since it last lay down, as `update_handovers` saw."""
-        return tuple(self._hands[self._check(thing)])
+        return tuple(self._hands[self._require_object(thing)])
 
     def handovers(self, thing: str) -> tuple[tuple[str, str], ...]:
         """Return giver's and receiver's side of all handovers in the attempt, as `update_handovers` saw."""
-        return tuple(self._handovers[self._check(thing)])
+        return tuple(self._handovers[self._require_object(thing)])
 
     def volume_fraction_inside(self, thing: str, container: str) -> float:
         """Return the share, 0..1, of an object's volume in a container's interior, estimated by sample points."""
-        return self._fraction(thing, lambda points: self.points_inside(container, points))
+        return self._volume_fraction(thing, lambda points: self.points_inside(container, points))
 
     def volume_fraction_in_box(self, thing: str, container: str) -> float:
         """Return the share, 0..1, of an object's volume in a container's local bounding box."""
-        return self._fraction(thing, lambda points: self._in_local_box(container, points))
+        return self._volume_fraction(thing, lambda points: self._in_local_box(container, points))
 
-    def _fraction(self, thing: str, held: Callable[[Array], NDArray[np.bool_]]) -> float:
+    def _volume_fraction(self, thing: str, held: Callable[[Array], NDArray[np.bool_]]) -> float:
         shares, volumes = zip(
             *((held(points).mean(), volume) for points, volume in self.volume_samples(thing)), strict=True
         )
@@ -227,7 +229,7 @@ class SimWorld:
         if container in self._regions:
             return self._in_local_box(container, points)
         held = np.zeros(len(points), bool)
-        for body, geoms in self._bodies[self._check(container)].items():
+        for body, geoms in self._bodies[self._require_object(container)].items():
             if body not in self._interiors:
                 self._interiors[body] = Interior(body_surface(self._model, geoms))
             T = self._body_pose(body)
@@ -236,13 +238,13 @@ class SimWorld:
 
     def joint_opening(self, thing: str, joint: str) -> float:
         """Return how far a joint is open: 0 at the lower end of its range, 1 at the upper end."""
-        found = self._model.joint(f"{self._check(thing)}_{joint}")
+        found = self._model.joint(f"{self._require_object(thing)}_{joint}")
         low, high = found.range
         return float((self._data.qpos[found.qposadr[0]] - low) / (high - low))
 
     def part_pose(self, thing: str, part: str) -> Array:
         """Return the pose in `world` of a moving part of an object."""
-        body = self._data.body(f"{self._check(thing)}_{part}")
+        body = self._data.body(f"{self._require_object(thing)}_{part}")
         return pose(body.xpos, body.xmat.reshape(3, 3))
 
     def update_handovers(self) -> dict[str, frozenset[str]]:
@@ -254,7 +256,7 @@ class SimWorld:
         for thing, holders in holding_sides_by_object.items():
             hands = self._hands[thing]
             if not holders:
-                if hands and self._supported(thing):
+                if hands and self._is_supported(thing):
                     hands.clear()
                 continue
             for side in sorted(holders):
@@ -264,10 +266,10 @@ class SimWorld:
                     hands.append(side)
         return holding_sides_by_object
 
-    def _supported(self, thing: str) -> bool:
+    def _is_supported(self, thing: str) -> bool:
         return any(self.are_touching(thing, other) for other in (TABLE, *self.object_names) if other != thing)
 
-    def _check(self, thing: str) -> str:
+    def _require_object(self, thing: str) -> str:
         if thing not in self._geoms:
             raise KeyError(thing)
         return thing
@@ -278,7 +280,7 @@ class SimWorld:
             return region.corners
         if cloth := self._cloths.get(thing):
             return cloth.local_box
-        root, T = int(self._model.body(self._check(thing)).id), inverse(self.pose(thing))
+        root, T = int(self._model.body(self._require_object(thing)).id), invert_pose(self.pose(thing))
         return enclosing_box(
             [
                 body_box(self._model, geoms, None if body == root else T @ self._body_pose(body))
@@ -301,7 +303,7 @@ class SimWorld:
         if cloth := self._cloths.get(thing):
             yield cloth.points, 1.0
             return
-        for body, geoms in self._bodies[self._check(thing)].items():
+        for body, geoms in self._bodies[self._require_object(thing)].items():
             if body not in self._volumes:
                 self._volumes[body] = geom_points(self._model, geoms, _VOLUME_POINTS)
             T, (points, volume) = self._body_pose(body), self._volumes[body]

@@ -7,7 +7,7 @@ import numpy as np
 
 from ..config.objects.object_config import ObjectConfig
 from ..geometry.camera import Intrinsics, opencv_from_mujoco
-from ..geometry.se3 import Array, inverse, pose
+from ..geometry.se3 import Array, invert_pose, pose
 from ..scene.compiled import CompiledScene
 from .cloth import ClothState
 
@@ -21,7 +21,7 @@ class StateReplay:
     def __init__(self, scene: CompiledScene) -> None:
         self.scene = scene
         self.data = mujoco.MjData(scene.model)
-        self._T_world_in_base = inverse(scene.T_base_in_world)
+        self._T_world_in_base = invert_pose(scene.T_base_in_world)
         self._cloths = {name: ClothState(cloth, self.data) for name, cloth in scene.cloths.items()}
         self._fixed = np.flatnonzero(scene.model.body_mocapid >= 0)
 
@@ -38,11 +38,11 @@ class StateReplay:
         mujoco.mj_camlight(model, self.data)
         mujoco.mj_flex(model, self.data)
 
-    def joints(self) -> Array:
+    def joint_positions(self) -> Array:
         """Return each arm's joint positions, rad, and left finger's position, m, as (arms, drives)."""
         return np.array([self.data.qpos[arm.recorded_qpos] for arm in self.scene.arms])
 
-    def openings(self) -> Array:
+    def finger_openings(self) -> Array:
         """Return each arm's left finger's position (arms,), m; 0 for an arm without fingers."""
         fingers = [arm.fingers for arm in self.scene.arms]
         return np.array([self.data.qpos[one.qpos[0]] if one else 0.0 for one in fingers])

@@ -14,7 +14,7 @@ from multiprocessing.connection import Connection
 from typing import Any
 
 from ..errors import YamsimError
-from .executors import Factory, JobRunner
+from .executors import JobRunner, RunnerFactory
 from .worker_pool import Event, JobFailed, JobFinished, WorkerCrashed, WorkerReady
 
 # All processes of the parent's group receive these signals, but only the parent reacts.
@@ -27,7 +27,7 @@ HEADER = struct.Struct("!QQ")
 class WorkerJobRunner:
     """Creates a runner, and then runs one job after the other.
 
-    `open` and `run` return a pickled `worker_pool.Event`, which also reports errors, and never raise.
+    `create_runner` and `run` return a pickled `worker_pool.Event`, which also reports errors, and never raise.
     """
 
     def __init__(self) -> None:
@@ -39,24 +39,24 @@ class WorkerJobRunner:
         """Whether the runner exists."""
         return self._runner is not None
 
-    def open(self, factory: bytes) -> bytes:
+    def create_runner(self, factory: bytes) -> bytes:
         """Create the runner from a pickled `executors.Factory`, and return a pickled event: `WorkerReady` or an error.
 
         Unpickling imports the runner's modules, which takes seconds.
         """
 
         def make() -> Event[Any]:
-            opened: Factory[Any, Any] = pickle.loads(factory)
+            opened: RunnerFactory[Any, Any] = pickle.loads(factory)
             self._runner = self._stack.enter_context(opened())
             return WorkerReady()
 
-        return _answer(make)
+        return _run_to_event(make)
 
     def run(self, job: Any) -> bytes:
         """Run one job, and return a pickled event: `JobFinished` with the result, or an error."""
         runner = self._runner
         assert runner is not None, "call open first"
-        return _answer(lambda: JobFinished(runner.run(job)))
+        return _run_to_event(lambda: JobFinished(runner.run(job)))
 
     def close(self) -> None:
         """Close the runner."""
@@ -70,7 +70,7 @@ def serve_jobs(pipe: Connection, factory: bytes) -> None:
     """
     # The parent closed the pipe, or has ended.
     with contextlib.closing(WorkerJobRunner()) as server, contextlib.suppress(EOFError, OSError):
-        pipe.send_bytes(HEADER.pack(os.getpid(), 0) + server.open(factory))
+        pipe.send_bytes(HEADER.pack(os.getpid(), 0) + server.create_runner(factory))
         while server.is_ready:
             number, job = pipe.recv()
             pipe.send_bytes(HEADER.pack(os.getpid(), number) + server.run(job))
@@ -84,7 +84,7 @@ def end_with_parent() -> None:
     os._exit(1)
 
 
-def _answer(work: Callable[[], Event[Any]]) -> bytes:
+def _run_to_event(work: Callable[[], Event[Any]]) -> bytes:
     try:
         with kill_forks_at_exit():
             return pickle.dumps(work(), pickle.HIGHEST_PROTOCOL)

@@ -17,7 +17,7 @@ from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 from typing import Any, Generic, cast
 
-from .executors import Factory, J, R
+from .executors import J, R, RunnerFactory
 from .job_server import HEADER, STOP_SIGNALS, end_with_parent, serve_jobs
 from .worker_pool import JOB_SECONDS, BaseWorkerPool, Event, Worker, WorkerDied
 
@@ -31,7 +31,7 @@ _BLOCKED_SIGNALS = (*STOP_SIGNALS, signal.SIGALRM)
 class ProcessPool(BaseWorkerPool[J, R]):
     """An `Executor` that runs jobs in processes of this machine. `factory` creates the runner in each process."""
 
-    def __init__(self, factory: Factory[J, R], workers: int, job_seconds: float = JOB_SECONDS) -> None:
+    def __init__(self, factory: RunnerFactory[J, R], workers: int, job_seconds: float = JOB_SECONDS) -> None:
         super().__init__(_Processes(factory), workers, job_seconds)
         # At exit, multiprocessing would send SIGTERM to remaining workers, which ignore it, and wait forever.
         atexit.register(self.close)
@@ -87,7 +87,7 @@ class _Process(Generic[J, R]):
 
 
 class _Processes(Generic[J, R]):
-    def __init__(self, factory: Factory[J, R]) -> None:
+    def __init__(self, factory: RunnerFactory[J, R]) -> None:
         # The worker unpickles the factory itself, after its signal setup.
         self._factory = pickle.dumps(factory)
 
@@ -134,7 +134,7 @@ def start_process(name: str, work: Callable[..., None], *arguments: Any) -> tupl
     """
     context = multiprocessing.get_context("spawn")
     ours, theirs = context.Pipe()
-    process = context.Process(target=_run, args=(work, theirs, arguments), name=name, daemon=True)
+    process = context.Process(target=_run_worker_process, args=(work, theirs, arguments), name=name, daemon=True)
     try:
         with stop_signals_blocked():
             process.start()
@@ -148,7 +148,7 @@ def start_process(name: str, work: Callable[..., None], *arguments: Any) -> tupl
     return process, ours
 
 
-def _run(work: Callable[..., None], pipe: Connection, arguments: tuple[Any, ...]) -> None:
+def _run_worker_process(work: Callable[..., None], pipe: Connection, arguments: tuple[Any, ...]) -> None:
     for number in STOP_SIGNALS:
         signal.signal(number, signal.SIG_IGN)
     threading.Thread(target=end_with_parent, daemon=True).start()

@@ -22,7 +22,7 @@ class StopRequest:
         """Seconds since the request; 0 without one."""
         return 0.0 if self._asked_at is None else time.monotonic() - self._asked_at
 
-    def request(self) -> None:
+    def request_stop(self) -> None:
         """Request the end of the job."""
         if self._asked_at is None:
             self._asked_at = time.monotonic()

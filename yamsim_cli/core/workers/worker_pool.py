@@ -104,7 +104,7 @@ class _Task(Generic[J]):
     losses: int = 0
 
     @property
-    def last_try(self) -> bool:
+    def is_last_try(self) -> bool:
         return self.losses == _MAX_TRIES - 1
 
 
@@ -129,7 +129,7 @@ class BaseWorkerPool(Closable, Generic[J, R]):
         self._started = 0
         try:
             for _ in range(workers):
-                self._slots.append(_Slot(self._start()))
+                self._slots.append(_Slot(self._start_worker()))
         except BaseException:
             self.close()
             raise
@@ -138,24 +138,24 @@ class BaseWorkerPool(Closable, Generic[J, R]):
     def idle(self) -> int:
         """Number of jobs that can be submitted now; 0 before and during a job's last try."""
         tasks = [*self._waiting, *(slot.task for slot in self._slots if slot.task)]
-        if any(task.last_try for task in tasks):
+        if any(task.is_last_try for task in tasks):
             return 0
         return max(0, len(self._slots) - len(tasks))
 
     @property
     def in_flight(self) -> int:
         """See `Executor.in_flight`."""
-        return self._working + len(self._waiting) + len(self._done)
+        return self._busy_workers + len(self._waiting) + len(self._done)
 
     @property
-    def _working(self) -> int:
+    def _busy_workers(self) -> int:
         return sum(slot.task is not None for slot in self._slots)
 
     def submit(self, job: J) -> None:
         """See `Executor.submit`."""
         assert self.idle
         self._waiting.append(_Task(job))
-        self._assign()
+        self._assign_jobs()
 
     def result(self, timeout: float | None = None) -> tuple[J, R]:
         """See `Executor.result`."""
@@ -165,13 +165,13 @@ class BaseWorkerPool(Closable, Generic[J, R]):
             left = end - time.monotonic()
             if left <= 0:
                 raise TimeoutError
-            self._listen(min(_POLL_SECONDS, left))
+            self._receive_events(min(_POLL_SECONDS, left))
         done = self._done.popleft()
         if isinstance(done, Exception):
             raise done
         return done
 
-    def _listen(self, timeout: float) -> None:
+    def _receive_events(self, timeout: float) -> None:
         began = time.monotonic()
         events = self._backend.wait([slot.worker for slot in self._slots], timeout)
         # While the machine or this process slept, the workers slept too: count at most `timeout`.
@@ -180,14 +180,14 @@ class BaseWorkerPool(Closable, Generic[J, R]):
         for worker, event in events:
             slot = next(slot for slot in self._slots if slot.worker is worker)
             heard.append(slot)
-            self._handle(slot, event)
+            self._handle_event(slot, event)
         for slot in [slot for slot in self._slots if slot not in heard]:
             if slot.task or not slot.ready:
                 slot.busy += passed
-                self._check(slot)
-        self._assign()
+                self._check_timeout(slot)
+        self._assign_jobs()
 
-    def _handle(self, slot: _Slot[J], event: Event[R]) -> None:
+    def _handle_event(self, slot: _Slot[J], event: Event[R]) -> None:
         match event:
             case WorkerReady():
                 slot.ready, slot.busy, slot.failed_starts = True, 0.0, 0
@@ -203,15 +203,15 @@ class BaseWorkerPool(Closable, Generic[J, R]):
                 slot.task = None
                 self._done.append(WorkerBugError(f"in {slot.worker.name}{on}:\n{trace}"))
             case WorkerDied(how):
-                self._replace(slot, how)
+                self._replace_worker(slot, how)
 
-    def _check(self, slot: _Slot[J]) -> None:
+    def _check_timeout(self, slot: _Slot[J]) -> None:
         limit = self._job_seconds if slot.ready else START_SECONDS
         if slot.busy > limit:
             slot.worker.kill()
-            self._replace(slot, f"was ended after {limit:g} s without a result")
+            self._replace_worker(slot, f"was ended after {limit:g} s without a result")
 
-    def _replace(self, slot: _Slot[J], how: str) -> None:
+    def _replace_worker(self, slot: _Slot[J], how: str) -> None:
         task, slot.task = slot.task, None
         if task:
             task.losses += 1
@@ -221,16 +221,16 @@ class BaseWorkerPool(Closable, Generic[J, R]):
             self._waiting.appendleft(task)
         slot.failed_starts += not slot.ready
         if slot.failed_starts < _MAX_STARTS:
-            slot.worker, slot.ready, slot.busy = self._start(), False, 0.0
+            slot.worker, slot.ready, slot.busy = self._start_worker(), False, 0.0
             return
         self._slots.remove(slot)
         if not self._slots:
             raise PartialJobError(f"workers do not start: each failed {_MAX_STARTS} times, and the last one {how}")
 
-    def _assign(self) -> None:
+    def _assign_jobs(self) -> None:
         """Give waiting jobs to ready workers; a last try only while no other worker is busy."""
         for slot in self._slots:
-            if not self._waiting or (self._waiting[0].last_try and self._working):
+            if not self._waiting or (self._waiting[0].is_last_try and self._busy_workers):
                 return
             if slot.ready and slot.task is None:
                 slot.task, slot.busy = self._waiting.popleft(), 0.0
@@ -241,7 +241,7 @@ class BaseWorkerPool(Closable, Generic[J, R]):
                     self._waiting.appendleft(slot.task)
                     slot.task = None
 
-    def _start(self) -> Worker[J]:
+    def _start_worker(self) -> Worker[J]:
         self._started += 1
         return self._backend.start(self._started - 1)
 

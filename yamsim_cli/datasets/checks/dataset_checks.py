@@ -8,10 +8,17 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
-from yamsim_cli.core.config.mesh_provenance import describe
+from yamsim_cli.core.config.mesh_provenance import describe_mesh_content
 from yamsim_cli.core.dataset.checks.context import CheckContext, looks_like_episode
 from yamsim_cli.core.dataset.checks.problem import DatasetProblem, ProblemCollector
-from yamsim_cli.core.dataset.dataset_paths import ATTEMPTS, EPISODE, MANIFEST, RECORDINGS, STAGING, episode_name
+from yamsim_cli.core.dataset.dataset_paths import (
+    EPISODE_FILE,
+    LEDGER_FILE,
+    MANIFEST_FILE,
+    RECORDINGS_FOLDER,
+    STAGING_FOLDER,
+    episode_name,
+)
 from yamsim_cli.core.dataset.records import AttemptRecord, Manifest, from_json
 from yamsim_cli.core.errors import DatasetError
 
@@ -19,7 +26,7 @@ from .episode_facts import EpisodeFacts
 
 _LAYOUT_DIGITS = 6  # decimals of m and rad; independent samples never agree so closely
 _MAX_MANIFEST_BYTES = 2**30  # bytes, largest manifest that is read
-_PART = re.compile(r"\..+\.part")  # temporary file that a crash left
+_PART_FILE_NAME = re.compile(r"\..+\.part")  # temporary file that a crash left
 
 
 def check_dataset(
@@ -40,18 +47,18 @@ def check_dataset(
         found += compare_ledger(dataset, attempts, episodes, problems)
         listed, differing = check_manifest(dataset, numbers, problems) if episodes or attempts else (set(), [])
         logged = {attempt.episode for attempt in attempts if attempt.episode is not None}
-        found += differing + _missing(set(numbers), listed | logged)
+        found += differing + _find_missing_episodes(set(numbers), listed | logged)
         _note_leftovers(dataset, {episode.name for episode in episodes}, problems)
     else:
         if not context.real:
             problems.add("dataset.plain")
         _note_missing_numbers([episode.name for episode in episodes], problems)
-    found += _duplicates(episodes)
+    found += _find_duplicate_episodes(episodes)
     _note_mixed_settings(episodes, problems)
     return found
 
 
-def _missing(present: set[int], listed: set[int]) -> list[DatasetProblem]:
+def _find_missing_episodes(present: set[int], listed: set[int]) -> list[DatasetProblem]:
     """Return a fault for each gap: numbers start at 0, and listed episodes existed."""
     known = sorted(present | listed)
     runs = [(low + 1, high - 1) for low, high in itertools.pairwise([-1, *known]) if high - low > 1]
@@ -66,7 +73,7 @@ def _missing(present: set[int], listed: set[int]) -> list[DatasetProblem]:
     for low, high in joined:
         own = ProblemCollector(episode_name(low))
         own.add("episode.missing", "", f"to {episode_name(high)}, {high - low + 1} episodes" if high > low else "")
-        found += own.list()
+        found += own.all_problems()
     return found
 
 
@@ -83,7 +90,7 @@ def _note_missing_numbers(names: Sequence[str], problems: ProblemCollector) -> N
         problems.add("episode.gap", "", shown)
 
 
-def _duplicates(episodes: Sequence[EpisodeFacts]) -> list[DatasetProblem]:
+def _find_duplicate_episodes(episodes: Sequence[EpisodeFacts]) -> list[DatasetProblem]:
     """Return faults of episodes that equal an earlier one in all values or in the layout."""
     contents: dict[str, str] = {}
     layouts: dict[tuple[tuple[str, tuple[float, ...]], ...], str] = {}
@@ -99,7 +106,7 @@ def _duplicates(episodes: Sequence[EpisodeFacts]) -> list[DatasetProblem]:
             own.add("episode.layout", "", f"all objects have the poses of {layouts[places]}")
         contents.setdefault(episode.content, episode.name)
         layouts.setdefault(places, episode.name)
-        found += own.list()
+        found += own.all_problems()
     return found
 
 
@@ -112,7 +119,7 @@ def _note_mixed_settings(episodes: Sequence[EpisodeFacts], problems: ProblemColl
     drawn = [record.meshes for record in records]
     for name in sorted({name for meshes in drawn if meshes for name in meshes}):
         _note_differences(
-            f"meshes {name}", ("not told" if m is None else describe(m.get(name)) for m in drawn), problems
+            f"meshes {name}", ("not told" if m is None else describe_mesh_content(m.get(name)) for m in drawn), problems
         )
     for package in sorted({package for record in records for package in record.versions}):
         _note_differences(package, (record.versions.get(package, "none") for record in records), problems)
@@ -126,10 +133,10 @@ def _note_differences(what: str, values: Iterable[str], problems: ProblemCollect
 
 def _note_leftovers(dataset: Path, known: set[str], problems: ProblemCollector) -> None:
     for path in sorted(dataset.iterdir()):
-        if path.name in (STAGING, RECORDINGS):
+        if path.name in (STAGING_FOLDER, RECORDINGS_FOLDER):
             for staged in sorted(path.glob("*")):
                 problems.add("leftover.staging", f"{path.name}/{staged.name}")
-        elif _PART.fullmatch(path.name):
+        elif _PART_FILE_NAME.fullmatch(path.name):
             problems.add("leftover.staging", path.name)
         elif path.name not in known and looks_like_episode(path):
             problems.add("leftover.directory", path.name)
@@ -137,7 +144,7 @@ def _note_leftovers(dataset: Path, known: set[str], problems: ProblemCollector) 
 
 def read_ledger(dataset: Path, problems: ProblemCollector) -> list[AttemptRecord]:
     """Return all readable attempts, in order. Add damaged lines and missing attempts to `problems`."""
-    file = dataset / ATTEMPTS
+    file = dataset / LEDGER_FILE
     attempts: list[AttemptRecord] = []
     if not file.is_file():
         return attempts
@@ -151,15 +158,15 @@ def read_ledger(dataset: Path, problems: ProblemCollector) -> list[AttemptRecord
                     attempt = from_json(AttemptRecord, line, f"line {number}")
                 except DatasetError as error:
                     cut = not line.endswith(b"\n")
-                    problems.add("ledger.cut" if cut else "ledger.damaged", ATTEMPTS, str(error))
+                    problems.add("ledger.cut" if cut else "ledger.damaged", LEDGER_FILE, str(error))
                     expected += 1
                     continue
                 if attempt.attempt != expected:
-                    problems.add("ledger.gap", ATTEMPTS, f"line {number} is attempt {attempt.attempt}", expected)
+                    problems.add("ledger.gap", LEDGER_FILE, f"line {number} is attempt {attempt.attempt}", expected)
                 expected = attempt.attempt + 1
                 attempts.append(attempt)
     except OSError as error:
-        problems.add("ledger.damaged", ATTEMPTS, error.strerror)
+        problems.add("ledger.damaged", LEDGER_FILE, error.strerror)
     return attempts
 
 
@@ -168,20 +175,20 @@ def compare_ledger(
 ) -> list[DatasetProblem]:
     """Return faults of episodes that differ from the ledger. Add faults of the ledger itself to `problems`."""
     recorded = [episode for episode in episodes if episode.record]
-    if not (dataset / ATTEMPTS).is_file():
+    if not (dataset / LEDGER_FILE).is_file():
         if recorded:
-            problems.add("ledger.missing", ATTEMPTS)
+            problems.add("ledger.missing", LEDGER_FILE)
         return []
     logged = {attempt.episode: attempt for attempt in attempts}
     unlogged = [episode.name for episode in recorded if episode.number not in logged]
     if unlogged and not problems.has_code_prefix("ledger."):
-        problems.add("ledger.unlogged", ATTEMPTS, ", ".join(unlogged))
+        problems.add("ledger.unlogged", LEDGER_FILE, ", ".join(unlogged))
     found = []
     for episode in recorded:
         own = ProblemCollector(episode.name)
         if (attempt := logged.get(episode.number)) and (differing := _find_difference(attempt, episode)):
-            own.add("ledger.differs", EPISODE, differing[0], differing[1])
-        found += own.list()
+            own.add("ledger.differs", EPISODE_FILE, differing[0], differing[1])
+        found += own.all_problems()
     return found
 
 
@@ -191,11 +198,14 @@ def _find_difference(attempt: AttemptRecord, episode: EpisodeFacts) -> tuple[str
     for key in ("attempt", "seed", "outcome", "layout"):
         ours, theirs = getattr(record, key), getattr(attempt, key)
         if ours != theirs:
-            return f"{key} {_shown(ours, theirs)}", f"{_shown(theirs, ours)}, as in {ATTEMPTS}"
+            return (
+                f"{key} {_differing_entries_text(ours, theirs)}",
+                f"{_differing_entries_text(theirs, ours)}, as in {LEDGER_FILE}",
+            )
     return None
 
 
-def _shown(value: object, other: object) -> str:
+def _differing_entries_text(value: object, other: object) -> str:
     if hasattr(value, "model_dump") and hasattr(other, "model_dump"):
         mine, theirs = value.model_dump(), other.model_dump()
         return ", ".join(f"{key} {mine[key]}" for key in mine if mine[key] != theirs.get(key))
@@ -206,17 +216,17 @@ def check_manifest(
     dataset: Path, episodes: Mapping[int, EpisodeFacts], problems: ProblemCollector
 ) -> tuple[set[int], list[DatasetProblem]]:
     """Return the numbers of the episodes in the manifest, and faults of episodes that differ from it."""
-    file = dataset / MANIFEST
+    file = dataset / MANIFEST_FILE
     if not file.is_file():
-        problems.add("manifest.missing", MANIFEST)
+        problems.add("manifest.missing", MANIFEST_FILE)
         return set(), []
     try:
         if file.stat().st_size > _MAX_MANIFEST_BYTES:
             raise DatasetError(f"{file.stat().st_size} bytes")
-        manifest = from_json(Manifest, file.read_bytes(), MANIFEST)
+        manifest = from_json(Manifest, file.read_bytes(), MANIFEST_FILE)
     except (DatasetError, OSError) as error:
-        text = error.strerror if isinstance(error, OSError) else str(error).removeprefix(f"{MANIFEST}: ")
-        problems.add("manifest.damaged", MANIFEST, text)
+        text = error.strerror if isinstance(error, OSError) else str(error).removeprefix(f"{MANIFEST_FILE}: ")
+        problems.add("manifest.damaged", MANIFEST_FILE, text)
         return set(), []
 
     found = []
@@ -232,14 +242,14 @@ def check_manifest(
             ("sha256", episode.record_sha256, entry.sha256),
         ):
             if value != listed:
-                own.add("manifest.differs", EPISODE, f"{key} {value}", f"{listed}, as in {MANIFEST}")
+                own.add("manifest.differs", EPISODE_FILE, f"{key} {value}", f"{listed}, as in {MANIFEST_FILE}")
                 break
-        found += own.list()
+        found += own.all_problems()
     listed_numbers = {entry.episode for entry in manifest.episodes}
     if unlisted := [episode.name for number, episode in sorted(episodes.items()) if number not in listed_numbers]:
-        problems.add("manifest.stale", MANIFEST, f"{len(unlisted)}, first {unlisted[0]}")
+        problems.add("manifest.stale", MANIFEST_FILE, f"{len(unlisted)}, first {unlisted[0]}")
     totals = sum(entry.frames for entry in manifest.episodes), sum(entry.bytes for entry in manifest.episodes)
     if totals != (manifest.frames, manifest.bytes):
         value = f"{manifest.frames} frames and {manifest.bytes} bytes in all"
-        problems.add("manifest.differs", MANIFEST, value, f"{totals[0]} and {totals[1]}, the sum of its entries")
+        problems.add("manifest.differs", MANIFEST_FILE, value, f"{totals[0]} and {totals[1]}, the sum of its entries")
     return listed_numbers, found

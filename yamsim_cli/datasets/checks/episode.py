@@ -14,15 +14,15 @@ from yamsim_cli.core.dataset.checks.motion import (
     check_fingers,
     check_intrinsics,
     check_limits,
+    check_objects_in_view,
     check_pose,
     check_speeds,
     check_times,
-    check_view,
-    each_arm,
     read_timestamps,
+    split_by_arm,
 )
 from yamsim_cli.core.dataset.checks.problem import ProblemCollector
-from yamsim_cli.core.dataset.dataset_paths import EPISODE, lowdim_path
+from yamsim_cli.core.dataset.dataset_paths import EPISODE_FILE, lowdim_path
 from yamsim_cli.core.dataset.imported_records import RealEpisodeRecord
 from yamsim_cli.core.dataset.lowdim import content_hash
 from yamsim_cli.core.dataset.records import EpisodeRecord, from_json
@@ -30,7 +30,7 @@ from yamsim_cli.core.errors import DatasetError
 from yamsim_cli.core.files.writing import sha256_bytes
 
 from .episode_facts import (
-    POSE,
+    POSE_SUFFIX,
     EpisodeFacts,
     Values,
     initial_layout,
@@ -101,48 +101,50 @@ class _EpisodeCheck:
             layout=initial_layout(lowdim.values, self._record),
             outcome=self._record.outcome if self._record else outcome,
             content=self._content,
-            problems=self._problems.list(),
+            problems=self._problems.all_problems(),
             noted=self._imported.problems if self._imported else (),
         )
 
-    def _read(self, name: str) -> bytes | None:
+    def _read_episode_file(self, name: str) -> bytes | None:
         return read_file(self._episode.path, name, self._files, self._problems)
 
     def _read_record(self) -> None:
-        if EPISODE not in self._files.sizes:
-            self._problems.add("record.missing", EPISODE)
+        if EPISODE_FILE not in self._files.sizes:
+            self._problems.add("record.missing", EPISODE_FILE)
             return
-        text = self._read(EPISODE)
+        text = self._read_episode_file(EPISODE_FILE)
         if text is None:
             return
         self._record_sha256 = sha256_bytes(text)
         try:
-            self._record = _require_sane(from_json(EpisodeRecord, text, EPISODE))
+            self._record = _require_sane(from_json(EpisodeRecord, text, EPISODE_FILE))
         except DatasetError as error:
-            self._problems.add("record.damaged", EPISODE, str(error).removeprefix(f"{EPISODE}: "))
+            self._problems.add("record.damaged", EPISODE_FILE, str(error).removeprefix(f"{EPISODE_FILE}: "))
             return
         if self._record.episode != self._episode.number:
-            self._problems.add("episode.number", EPISODE, self._record.episode, self._episode.number)
+            self._problems.add("episode.number", EPISODE_FILE, self._record.episode, self._episode.number)
         if not self._record.outcome.success:
-            self._problems.add("episode.failed", EPISODE, self._record.outcome.cause)
+            self._problems.add("episode.failed", EPISODE_FILE, self._record.outcome.cause)
 
     def _read_imported(self) -> None:
-        text = self._read(EPISODE)
+        text = self._read_episode_file(EPISODE_FILE)
         if text is None:
-            self._problems.add("record.missing", EPISODE)
+            self._problems.add("record.missing", EPISODE_FILE)
             return
         self._record_sha256 = sha256_bytes(text)
         try:
-            self._imported = from_json(RealEpisodeRecord, text, EPISODE)
+            self._imported = from_json(RealEpisodeRecord, text, EPISODE_FILE)
         except DatasetError as error:
-            self._problems.add("record.damaged", EPISODE, str(error).removeprefix(f"{EPISODE}: "))
+            self._problems.add("record.damaged", EPISODE_FILE, str(error).removeprefix(f"{EPISODE_FILE}: "))
 
     def _check_imported(self, record: RealEpisodeRecord, frames: int) -> None:
         for name in record.files:
             if name not in self._files.sizes:
                 self._problems.add("file.missing", name)
         if frames != record.frames:
-            self._problems.add("frames.count", "lowdim", f"{frames} in lowdim", f"{record.frames}, as in {EPISODE}")
+            self._problems.add(
+                "frames.count", "lowdim", f"{frames} in lowdim", f"{record.frames}, as in {EPISODE_FILE}"
+            )
 
     def _hash_fits(self, name: str, data: bytes) -> bool:
         record = self._record or self._imported
@@ -162,14 +164,14 @@ class _EpisodeCheck:
         checks = LowdimChecks(recorded_specs(record) if record else None, self._problems)
         unchanged = True
         for number, name in sorted(self._files.lowdim.items()):
-            data = self._read(name)
-            if data is not None and checks.check(number, name, data):
+            data = self._read_episode_file(name)
+            if data is not None and checks.check_file(number, name, data):
                 unchanged &= self._hash_fits(name, data)
         if checks.frames and len(checks.frames) == len(self._files.lowdim):
             found = self._content = content_hash(checks.frames[k] for k in sorted(checks.frames))
             if record and unchanged and len(checks.frames) == record.frames and found != record.content_sha256:
                 value, valid = found[:_SHOWN_HASH_DIGITS], record.content_sha256[:_SHOWN_HASH_DIGITS]
-                self._problems.add("lowdim.content", EPISODE, f"content_sha256 {value}...", f"{valid}...")
+                self._problems.add("lowdim.content", EPISODE_FILE, f"content_sha256 {value}...", f"{valid}...")
         return checks
 
     def _check_images(self) -> dict[str, CameraChecks]:
@@ -178,7 +180,7 @@ class _EpisodeCheck:
             size = self._record.cameras.get(camera) if self._record else None
             checks = cameras[camera] = CameraChecks(camera, size, self._reader, self._problems)
             for number, name in sorted(names.items()):
-                data = self._read(name)
+                data = self._read_episode_file(name)
                 if data is not None and checks.check(number, name, data):
                     self._hash_fits(name, data)
         return cameras
@@ -187,7 +189,7 @@ class _EpisodeCheck:
         record = self._record
         if record is None or not record.truth:
             return
-        checks = TruthChecks(record, self._reader, self._read, self._hash_fits, self._problems)
+        checks = TruthChecks(record, self._reader, self._read_episode_file, self._hash_fits, self._problems)
         checks.check_missing(self._files.sizes)
         for camera in record.cameras:
             checks.check_arrays(camera)
@@ -199,7 +201,7 @@ class _EpisodeCheck:
     def _check_others(self) -> None:
         for name in self._files.others:
             record = self._record or self._imported
-            if record and name in record.files and (data := self._read(name)) is not None:
+            if record and name in record.files and (data := self._read_episode_file(name)) is not None:
                 self._hash_fits(name, data)
 
     def _frame_name(self, number: int) -> str:
@@ -216,7 +218,7 @@ class _EpisodeCheck:
         """Return frame number -> time in s, from the first camera that has a file of capture times."""
         for camera, names in sorted(self._files.images.items()):
             name = f"rgb/{camera}/{TIMESTAMPS}"
-            data = self._read(name) if name in self._files.others else None
+            data = self._read_episode_file(name) if name in self._files.others else None
             times = read_timestamps(data) if data is not None else None
             if times and len(times) != len(names):
                 self._problems.add("frames.count", name, f"{len(times)} times", f"{len(names)}, the number of images")
@@ -226,7 +228,7 @@ class _EpisodeCheck:
 
     def _check_joints(self, values: Values, cameras: Mapping[str, CameraChecks], period: float | None) -> None:
         joints = values_by_frame(values, "joints")
-        arms = each_arm(joints, self._context.arms, repeated=not self._context.recorded)
+        arms = split_by_arm(joints, self._context.arms, repeated=not self._context.recorded)
         for arm in arms:
             check_limits(arm.joints, arm.limits.joints, self._frame_name, self._problems)
             check_speeds(arm.joints, period, arm.limits.joints, self._frame_name, self._problems)
@@ -246,14 +248,14 @@ class _EpisodeCheck:
             matrices = {k: K for k, K in values_by_frame(values, key).items() if np.shape(K) == (3, 3)}
             check_intrinsics(key, matrices, checks.size, self._frame_name, self._problems)
         if len(self._problems) == before:
-            points = {key: T for key, T in poses.items() if key.partition("[")[0].endswith(POSE)}
+            points = {key: T for key, T in poses.items() if key.partition("[")[0].endswith(POSE_SUFFIX)}
             for camera, checks in cameras.items():
-                check_view(camera, values, points, checks.size, self._problems)
+                check_objects_in_view(camera, values, points, checks.size, self._problems)
 
     def _compare_outcomes(self, seen: float | None, stored: float | None) -> None:
         if seen is not None and (stored is None or abs(seen - stored) > _OUTCOME_TOLERANCE):
             value = "nothing" if stored is None else f"{stored * 1000:.1f} mm from the target's centre"
-            self._problems.add("episode.outcome", EPISODE, value, f"{seen * 1000:.1f} mm")
+            self._problems.add("episode.outcome", EPISODE_FILE, value, f"{seen * 1000:.1f} mm")
 
 
 def _require_sane(record: EpisodeRecord) -> EpisodeRecord:

@@ -8,14 +8,14 @@ import numpy as np
 
 from yamsim_cli.core.dataset.checks.context import CheckContext
 from yamsim_cli.core.dataset.checks.problem import DatasetProblem
-from yamsim_cli.core.dataset.lowdim import BETWEEN_BASES
+from yamsim_cli.core.dataset.lowdim import RIGHT_IN_LEFT_BASE_KEY
 from yamsim_cli.core.dataset.records import EpisodeRecord, OutcomeRecord
 from yamsim_cli.core.geometry.se3 import Array, yaw
 
 # Frame number -> flat key, such as `intrinsics[camera]` -> value, for values that passed `lowdim.LowdimChecks`.
 Values = Mapping[int, Mapping[str, Any]]
 
-POSE = "_pose"  # end of the keys of poses
+POSE_SUFFIX = "_pose"  # end of the keys of poses
 _HAND = "ee_pose"
 
 
@@ -65,7 +65,11 @@ def rigid_poses(values: Values) -> dict[str, dict[int, Array]]:
     Two arms have `ee_pose[0]` and `ee_pose[1]`.
     """
     keys = dict.fromkeys(key for entries in values.values() for key in entries)
-    named = [key for key in keys if key.endswith(POSE) or key.startswith("extrinsics[") or key == BETWEEN_BASES]
+    named = [
+        key
+        for key in keys
+        if key.endswith(POSE_SUFFIX) or key.startswith("extrinsics[") or key == RIGHT_IN_LEFT_BASE_KEY
+    ]
     found = {key: values_by_frame(values, key) for key in named}
     poses = {key: by_frame for key, by_frame in found.items() if _have_shape(by_frame, (4, 4))}
     hands = found.get(_HAND, {})
@@ -81,9 +85,9 @@ def _have_shape(by_frame: Mapping[int, Array], shape: tuple[int, ...]) -> bool:
 def object_poses(values: Values, frame: int) -> dict[str, Array]:
     """Return object -> pose (4, 4) in the robot base."""
     return {
-        key.removesuffix(POSE): np.asarray(by_frame[frame], dtype=np.float64)
+        key.removesuffix(POSE_SUFFIX): np.asarray(by_frame[frame], dtype=np.float64)
         for key, by_frame in rigid_poses(values).items()
-        if key.endswith(POSE) and key != _HAND and frame in by_frame
+        if key.endswith(POSE_SUFFIX) and key != _HAND and frame in by_frame
     }
 
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from yamsim_cli.core.dataset.checks.problem import ProblemCollector
-from yamsim_cli.core.dataset.dataset_paths import EPISODE, depth_name, image_path, lowdim_path, segmentation_name
+from yamsim_cli.core.dataset.dataset_paths import EPISODE_FILE, depth_path, image_path, lowdim_path, segmentation_path
 from yamsim_cli.core.dataset.records import EpisodeRecord
 
 _MAX_DEPTH = 4  # folder levels: a link may form a loop
@@ -18,10 +18,10 @@ _MAX_DEPTH = 4  # folder levels: a link may form a loop
 _MAX_BYTES = {".pkl": 2**20, ".jpg": 2**26, ".jpeg": 2**26, ".json": 2**26, ".png": 2**26, ".npz": 2**27}
 _MAX_OTHER_BYTES = 2**28  # bytes, largest read file with another extension
 
-_IMAGE = re.compile(r"rgb/([^/]+)/([0-9]{1,12})\.jpe?g")
-_LOWDIM = re.compile(r"lowdim/([0-9]{1,12})\.pkl")
-_TRUTH = re.compile(r"(depth|segmentation)/([^/]+)/([0-9]{1,12})\.(?:npz|png)")
-_TRUTH_NAMES = {"depth": depth_name, "segmentation": segmentation_name}
+_IMAGE_NAME = re.compile(r"rgb/([^/]+)/([0-9]{1,12})\.jpe?g")
+_LOWDIM_NAME = re.compile(r"lowdim/([0-9]{1,12})\.pkl")
+_TRUTH_NAME = re.compile(r"(depth|segmentation)/([^/]+)/([0-9]{1,12})\.(?:npz|png)")
+_TRUTH_NAME_FUNCTIONS = {"depth": depth_path, "segmentation": segmentation_path}
 
 
 @dataclass
@@ -36,7 +36,9 @@ class EpisodeFiles:
     sizes: dict[str, int] = field(default_factory=dict)
     lowdim: dict[int, str] = field(default_factory=dict)
     images: dict[str, dict[int, str]] = field(default_factory=dict)
-    truth: dict[str, dict[str, dict[int, str]]] = field(default_factory=lambda: {kind: {} for kind in _TRUTH_NAMES})
+    truth: dict[str, dict[str, dict[int, str]]] = field(
+        default_factory=lambda: {kind: {} for kind in _TRUTH_NAME_FUNCTIONS}
+    )
     others: list[str] = field(default_factory=list)
 
 
@@ -46,17 +48,17 @@ def list_files(directory: Path, recorded: bool, problems: ProblemCollector) -> E
     `recorded` states that yamsim recorded the episode, so that frame numbers have at least six digits.
     """
     files = EpisodeFiles()
-    for name in _walk(directory, directory, 0, files, problems):
-        image, lowdim, truth = _IMAGE.fullmatch(name), _LOWDIM.fullmatch(name), _TRUTH.fullmatch(name)
+    for name in _list_folder(directory, directory, 0, files, problems):
+        image, lowdim, truth = _IMAGE_NAME.fullmatch(name), _LOWDIM_NAME.fullmatch(name), _TRUTH_NAME.fullmatch(name)
         if lowdim and (not recorded or name == lowdim_path(int(lowdim[1]))):
             stream, number = files.lowdim, int(lowdim[1])
         elif image and (not recorded or name == image_path(image[1], int(image[2]))):
             stream, number = files.images.setdefault(image[1], {}), int(image[2])
-        elif truth and recorded and name == _TRUTH_NAMES[truth[1]](truth[2], int(truth[3])):
+        elif truth and recorded and name == _TRUTH_NAME_FUNCTIONS[truth[1]](truth[2], int(truth[3])):
             stream, number = files.truth[truth[1]].setdefault(truth[2], {}), int(truth[3])
         else:
             stream, number = {}, 0
-            if name != EPISODE:
+            if name != EPISODE_FILE:
                 files.others.append(name)
         if number in stream:
             problems.add("file.unexpected", name, f"frame {number} is also {stream[number]}")
@@ -65,7 +67,7 @@ def list_files(directory: Path, recorded: bool, problems: ProblemCollector) -> E
     return files
 
 
-def _walk(top: Path, folder: Path, depth: int, files: EpisodeFiles, problems: ProblemCollector) -> list[str]:
+def _list_folder(top: Path, folder: Path, depth: int, files: EpisodeFiles, problems: ProblemCollector) -> list[str]:
     found: list[str] = []
     try:
         entries = sorted(os.scandir(folder), key=lambda entry: entry.name)
@@ -77,7 +79,7 @@ def _walk(top: Path, folder: Path, depth: int, files: EpisodeFiles, problems: Pr
         try:
             if entry.is_dir():
                 if depth < _MAX_DEPTH:
-                    found += _walk(top, Path(entry.path), depth + 1, files, problems)
+                    found += _list_folder(top, Path(entry.path), depth + 1, files, problems)
                 continue
             status = entry.stat()
         except OSError as error:
@@ -122,7 +124,7 @@ def check_missing_files(files: EpisodeFiles, record: EpisodeRecord | None, probl
             problems.add("file.unexpected", f"rgb/{camera}", f"camera {camera}", ", ".join(record.cameras))
             del files.images[camera]
         streams = {"lowdim": files.lowdim} | {f"rgb/{name}": files.images.get(name, {}) for name in record.cameras}
-        for kind in _TRUTH_NAMES if record.truth else ():
+        for kind in _TRUTH_NAME_FUNCTIONS if record.truth else ():
             streams |= {f"{kind}/{name}": files.truth[kind].get(name, {}) for name in record.cameras}
     else:
         streams = {"lowdim": files.lowdim} | {f"rgb/{name}": numbers for name, numbers in files.images.items()}
@@ -133,7 +135,7 @@ def check_missing_files(files: EpisodeFiles, record: EpisodeRecord | None, probl
     expected = record.frames if record else counts["lowdim"] or max(counts.values())
     for name, count in counts.items():
         if count != expected:
-            source = EPISODE if record else "lowdim" if counts["lowdim"] else "another camera"
+            source = EPISODE_FILE if record else "lowdim" if counts["lowdim"] else "another camera"
             problems.add("frames.count", name, f"{count} in {name}", f"{expected}, as in {source}")
         # Frame numbers of plain recordings may begin at 1.
         present = sorted(streams[name])
@@ -147,7 +149,9 @@ def check_missing_files(files: EpisodeFiles, record: EpisodeRecord | None, probl
 
 def _is_numbered(name: str, record: EpisodeRecord) -> bool:
     """Whether a file belongs to a sequence of frames, whose gaps are reported separately."""
-    return bool(_IMAGE.fullmatch(name) or _LOWDIM.fullmatch(name) or (record.truth and _TRUTH.fullmatch(name)))
+    return bool(
+        _IMAGE_NAME.fullmatch(name) or _LOWDIM_NAME.fullmatch(name) or (record.truth and _TRUTH_NAME.fullmatch(name))
+    )
 
 
 def _drop_unrecorded_truth(files: EpisodeFiles, record: EpisodeRecord) -> None:
@@ -161,4 +165,4 @@ def _frame_name(stream: str, number: int) -> str:
     kind, _, camera = stream.partition("/")
     if kind == "lowdim":
         return lowdim_path(number)
-    return _TRUTH_NAMES.get(kind, image_path)(camera, number)
+    return _TRUTH_NAME_FUNCTIONS.get(kind, image_path)(camera, number)

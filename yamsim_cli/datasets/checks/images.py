@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from yamsim_cli.core.dataset.checks.problem import ProblemCollector
-from yamsim_cli.core.dataset.dataset_paths import TRUTH_LABELS, truth_name
+from yamsim_cli.core.dataset.dataset_paths import TRUTH_LABELS_FILE, truth_path
 from yamsim_cli.core.dataset.ground_truth_files import TruthLabels, array_faults, load_depth, load_truth
 from yamsim_cli.core.dataset.records import EpisodeRecord, from_json
 from yamsim_cli.core.errors import DatasetError
@@ -38,11 +38,11 @@ class ImageReader(Protocol):
         """Return size and channels; None without a complete image."""
         ...
 
-    def measure(self, data: bytes) -> ImageStats | None:
+    def compute_stats(self, data: bytes) -> ImageStats | None:
         """Return statistics of the decoded image; None if it is damaged."""
         ...
 
-    def labels(self, data: bytes) -> NDArray[np.uint8] | None:
+    def read_labels(self, data: bytes) -> NDArray[np.uint8] | None:
         """Return a decoded segmentation image (height, width); None if it is damaged."""
         ...
 
@@ -85,7 +85,7 @@ class CameraChecks:
             )
         if header.channels != 3:
             self._add("image.colour", name, f"{header.channels} channel", "3 channels")
-        look = self._reader.measure(data)
+        look = self._reader.compute_stats(data)
         if look is None or look.decoder_warning:
             self._problems.add("image.decode", name, look.decoder_warning if look else f"{len(data)} bytes")
             return False
@@ -146,27 +146,32 @@ class TruthChecks:
         self._labels = self._read_labels()
 
     def _read_labels(self) -> TruthLabels | None:
-        data = self._read(TRUTH_LABELS)
+        data = self._read(TRUTH_LABELS_FILE)
         if data is None:
             return None
         try:
-            labels = from_json(TruthLabels, data, TRUTH_LABELS)
+            labels = from_json(TruthLabels, data, TRUTH_LABELS_FILE)
         except DatasetError as error:
-            self._problems.add("truth.damaged", TRUTH_LABELS, str(error).removeprefix(f"{TRUTH_LABELS}: "))
+            self._problems.add("truth.damaged", TRUTH_LABELS_FILE, str(error).removeprefix(f"{TRUTH_LABELS_FILE}: "))
             return None
         if labels.cloths != self._record.cloths:
-            self._problems.add("truth.cloth", TRUTH_LABELS, _grids(labels.cloths), _grids(self._record.cloths))
+            self._problems.add(
+                "truth.cloth",
+                TRUTH_LABELS_FILE,
+                _cloth_grids_text(labels.cloths),
+                _cloth_grids_text(self._record.cloths),
+            )
         return labels
 
     def check_missing(self, present: Mapping[str, int]) -> None:
         """Report ground truth files that are neither in `present` (path -> bytes) nor in the record."""
-        for name in (TRUTH_LABELS, *map(truth_name, self._record.cameras)):
+        for name in (TRUTH_LABELS_FILE, *map(truth_path, self._record.cameras)):
             if name not in present and name not in self._record.files:
                 self._problems.add("truth.missing", name)
 
     def check_arrays(self, camera: str) -> None:
         """Check keys, dtypes and shapes of one camera's poses, keypoints and boxes."""
-        name = truth_name(camera)
+        name = truth_path(camera)
         data = self._read(name)
         if data is None:
             return
@@ -197,7 +202,7 @@ class TruthChecks:
         data = self._read(name)
         if data is None:
             return
-        labels = self._reader.labels(data)
+        labels = self._reader.read_labels(data)
         if labels is None:
             self._problems.add("segmentation.decode", name, f"{len(data)} bytes")
             return
@@ -217,5 +222,5 @@ class TruthChecks:
             self._problems.add(code, name, f"{width}x{height}", f"{wanted[0]}x{wanted[1]}", about=(code, camera))
 
 
-def _grids(cloths: Mapping[str, tuple[int, int]]) -> str:
+def _cloth_grids_text(cloths: Mapping[str, tuple[int, int]]) -> str:
     return ", ".join(f"{name} of {x} x {y} points" for name, (x, y) in sorted(cloths.items())) or "no cloth"

@@ -10,11 +10,11 @@ from yamsim_cli.core.markup import (
     Markup,
     captioned_jpeg,
     html_page,
+    html_section,
     html_tag,
     key_figures,
-    section,
     table_rows,
-    verdict,
+    verdict_sentence,
 )
 
 # Caption and JPEG of each picture.
@@ -40,21 +40,23 @@ def certificate_page(
         (f"{found['collision']['parts']:,}", f"collision parts: {found['collision']['kind']}"),
         (f"{len(checks) - failed - skipped} of {len(checks)}", f"checks passed; {skipped} skipped"),
     ]
-    sections = [_section(check, titles[check["code"]], pictures.get(check["code"], ())) for check in checks]
+    sections = [_check_section(check, titles[check["code"]], pictures.get(check["code"], ())) for check in checks]
     thing = str(found["thing"])
-    body = [_verdict(failed, skipped), key_figures(figures), sections]
+    body = [_certificate_verdict(failed, skipped), key_figures(figures), sections]
     return html_page(f"{thing}: certificate", "Certificate", thing, body, made)
 
 
-def _verdict(failed: int, skipped: int) -> Markup:
+def _certificate_verdict(failed: int, skipped: int) -> Markup:
     if failed:
-        return verdict(f"{failed} of its checks failed: correct the object before you record with it.", "error")
+        return verdict_sentence(
+            f"{failed} of its checks failed: correct the object before you record with it.", "error"
+        )
     if skipped:
-        return verdict("No check failed, but some could not run; each gives its reason below.", "fine")
-    return verdict("All checks passed.", "fine")
+        return verdict_sentence("No check failed, but some could not run; each gives its reason below.", "fine")
+    return verdict_sentence("All checks passed.", "fine")
 
 
-def _section(check: Mapping[str, Any], texts: tuple[str, str], pictures: Pictures) -> Markup:
+def _check_section(check: Mapping[str, Any], texts: tuple[str, str], pictures: Pictures) -> Markup:
     title, advice = texts
     word, kind = {True: ("passed", "fine"), False: ("failed", "error"), None: ("not checked", "warning")}[check["ok"]]
     content: list[Child] = [html_tag("p", html_tag("code", check["code"], class_=kind), f" {word}", class_="note")]
@@ -66,4 +68,4 @@ def _section(check: Mapping[str, Any], texts: tuple[str, str], pictures: Picture
         content.append(html_tag("table", html_tag("tbody", figures)))
     if pictures:
         content.append(html_tag("div", [captioned_jpeg(*picture, 320) for picture in pictures], class_="strips"))
-    return section(check["code"], content)
+    return html_section(check["code"], content)

@@ -35,43 +35,43 @@ class ObjectCheck:
     code: str
     title: str
     advice: str
-    make: Callable[[TestedObject], CheckOutcome]
-    needs: tuple[str, ...] = ()
+    run_check: Callable[[TestedObject], CheckOutcome]
+    needed_checks: tuple[str, ...] = ()
 
 
-_SURFACES = ("size.implausible", "mesh.open", "mesh.inverted")
-_MASS = ("size.implausible", "mass.density", "mass.centre", "inertia.impossible")
+_SURFACE_CHECKS = ("size.implausible", "mesh.open", "mesh.inverted")
+_MASS_CHECKS = ("size.implausible", "mass.density", "mass.centre", "inertia.impossible")
 
-_ALL = (
+_ALL_CHECKS = (
     ObjectCheck("size.implausible", "its size is not plausible for an object", "give the unit of its file",
                static.check_size),
     ObjectCheck("mesh.open", "a surface has holes", "close the holes in the program that made it", static.check_closed,
-               _SURFACES[:1]),
+               _SURFACE_CHECKS[:1]),
     ObjectCheck("mesh.inverted", "a surface is inside out", "flip its faces in the program that made it",
-               static.check_normals, _SURFACES[:2]),
+               static.check_normals, _SURFACE_CHECKS[:2]),
     ObjectCheck("mass.density", "its density is not plausible", "give its mass in kg", static.check_density,
-               _SURFACES),
+               _SURFACE_CHECKS),
     ObjectCheck("mass.centre", "its centre of mass is outside its surface", "correct `inertia.centre`, m",
-               static.check_centre_of_mass, _SURFACES[:1]),
+               static.check_centre_of_mass, _SURFACE_CHECKS[:1]),
     ObjectCheck("inertia.impossible", "its moments of inertia are impossible", "import it without them, or correct "
                "`inertia.diagonal`, kg m2", static.check_inertia,
                ("size.implausible", "mass.density", "mass.centre")),
     ObjectCheck("collision.differs", "its collision parts differ from its visible surface",
                "import it with another `--collision`",
-               static.check_collision_geometry, _SURFACES),
+               static.check_collision_geometry, _SURFACE_CHECKS),
     ObjectCheck("rest.moves", "it does not come to rest", "flatten its underside, or give it rolling friction",
-               physics.check_rest, _MASS),
+               physics.check_rest, _MASS_CHECKS),
     ObjectCheck("drop.breaks", "it falls through the ground, or physics breaks down", "thicken its collision parts",
-               physics.check_drop, _MASS),
+               physics.check_drop, _MASS_CHECKS),
     ObjectCheck("hollow.filled", "a ball dropped into it does not stay in", "import it with `--collision decompose`",
-               physics.check_hollow, (*_MASS, "mesh.open", "mesh.inverted")),
+               physics.check_hollow, (*_MASS_CHECKS, "mesh.open", "mesh.inverted")),
     ObjectCheck("joint.jams", "a joint does not move from limit to limit", "check what its parts touch on their way",
-               physics.check_articulation, _MASS),
+               physics.check_articulation, _MASS_CHECKS),
     ObjectCheck("grasp.slips", "a gripper cannot pick it up and hold it", "correct `grasp`, or leave it out",
-               grasp.check_grasp, _MASS),
+               grasp.check_grasp, _MASS_CHECKS),
 )  # fmt: skip
 
-CHECKS: Mapping[str, ObjectCheck] = {check.code: check for check in _ALL}
+CHECKS: Mapping[str, ObjectCheck] = {check.code: check for check in _ALL_CHECKS}
 
 
 @dataclass(frozen=True)
@@ -84,10 +84,10 @@ class CertificationResult:
     @property
     def ok(self) -> bool:
         """Whether no check failed; some may have been skipped."""
-        return not self.failed
+        return not self.failed_codes
 
     @property
-    def failed(self) -> tuple[str, ...]:
+    def failed_codes(self) -> tuple[str, ...]:
         """Codes of the failed checks."""
         return tuple(code for code, outcome in self.outcomes.items() if outcome.ok is False)
 
@@ -109,7 +109,7 @@ class CertificationResult:
         }
 
 
-def certify(
+def run_object_checks(
     item: ObjectConfig,
     meshes: Mapping[str, Path | None],
     locations: Locations,
@@ -130,9 +130,9 @@ def certify(
     outcomes: dict[str, CheckOutcome] = {}
     for number, (code, check) in enumerate(CHECKS.items()):
         progress(number, len(CHECKS), code)
-        failed = [other for other in check.needs if outcomes[other].ok is False]
+        failed = [other for other in check.needed_checks if outcomes[other].ok is False]
         if failed:
             outcomes[code] = skipped_check(f"needs {', '.join(failed)} to pass first")
         else:
-            outcomes[code] = check.make(subject)
+            outcomes[code] = check.run_check(subject)
     return CertificationResult(subject, outcomes)

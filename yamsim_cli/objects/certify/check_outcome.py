@@ -12,7 +12,7 @@ import numpy as np
 from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.core.scene.objects.object_geoms import HIDDEN_GROUP, SEEN_GROUP
 
-from .tested_object import TestedObject, compile_or_raise, object_spec, with_camera
+from .tested_object import TestedObject, add_view_camera, compile_or_raise, object_spec
 
 _MARKER_RGBA = (0.85, 0.15, 0.10, 1.0)  # of the sphere or box that shows mass properties
 _OBJECT_OPACITY = 0.35  # the object around that shape
@@ -56,12 +56,12 @@ def round_significant(value: Any, digits: int = 4) -> float:
 
 def object_view(tested_object: TestedObject, caption: str, *, steep: float = 0.75) -> CheckView:
     """View the object in its initial pose; a negative `steep` looks up from below."""
-    return _view(_spec(tested_object, steep), caption)
+    return _initial_view(_scene_spec(tested_object, steep), caption)
 
 
 def collision_view(tested_object: TestedObject) -> CheckView:
     """Return a view of the collision geoms."""
-    view = _view(_spec(tested_object, 0.75), "collision parts")
+    view = _initial_view(_scene_spec(tested_object, 0.75), "collision parts")
     touches = (view.model.geom_contype > 0) | (view.model.geom_conaffinity > 0)
     view.model.geom_group[:] = np.where(touches, SEEN_GROUP, HIDDEN_GROUP)
     return view
@@ -70,8 +70,8 @@ def collision_view(tested_object: TestedObject) -> CheckView:
 def inertia_view(tested_object: TestedObject, *, block: bool) -> CheckView:
     """View the transparent object with its centre of mass, or if `block` a box of equal inertia."""
     inertia = tested_object.item.inertia
-    spec = _spec(tested_object, 0.75)
-    size = np.full(3, 0.03 * tested_object.size)
+    spec = _scene_spec(tested_object, 0.75)
+    size = np.full(3, 0.03 * tested_object.bounding_diagonal)
     if block:
         # A box with edges a, b and c has the moment m (b2 + c2) / 12 about the axis along a.
         moments = np.array(inertia.diagonal)
@@ -83,15 +83,15 @@ def inertia_view(tested_object: TestedObject, *, block: bool) -> CheckView:
     )  # fmt: skip
     for material in spec.materials:
         material.rgba = (*material.rgba[:3], _OBJECT_OPACITY)
-    return _view(spec, "box of equal inertia" if block else "centre of mass")
+    return _initial_view(spec, "box of equal inertia" if block else "centre of mass")
 
 
-def _spec(tested_object: TestedObject, steep: float) -> mujoco.MjSpec:
-    low, high = tested_object.outline.min(axis=0), tested_object.outline.max(axis=0)
+def _scene_spec(tested_object: TestedObject, steep: float) -> mujoco.MjSpec:
+    low, high = tested_object.surface_points.min(axis=0), tested_object.surface_points.max(axis=0)
     size = float(np.linalg.norm(high - low))
-    return with_camera(object_spec(tested_object.item, tested_object.meshes), (low + high) / 2, size, steep)
+    return add_view_camera(object_spec(tested_object.item, tested_object.meshes), (low + high) / 2, size, steep)
 
 
-def _view(spec: mujoco.MjSpec, caption: str) -> CheckView:
+def _initial_view(spec: mujoco.MjSpec, caption: str) -> CheckView:
     model = compile_or_raise(spec)
     return CheckView(model, model.qpos0.copy(), caption)

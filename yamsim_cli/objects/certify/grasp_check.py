@@ -16,7 +16,7 @@ from yamsim_cli.core.expert.skills.planning_context import SkillFailedError
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.geometry.se3 import (
     Array,
-    inverse,
+    invert_pose,
     pose,
     pose_from_quat,
     quat_from_rotation,
@@ -30,7 +30,7 @@ from yamsim_cli.core.scene.compose import set_friction_cones
 from yamsim_cli.objects.certify.single_object_pick import PICK_RIG, PickedGrasp, simulate_pick
 
 from .check_outcome import CheckOutcome, CheckView, round_significant, skipped_check
-from .tested_object import TestedObject, compile_or_raise, object_spec, step_seconds, with_camera
+from .tested_object import TestedObject, add_view_camera, compile_or_raise, object_spec, step_seconds
 
 _CLOSE_TIME, _LIFT_TIME, _TURN_TIME, _SHAKE_TIME = 0.8, 0.8, 1.6, 1.0  # s
 _COMMAND_PERIOD = 0.02  # s
@@ -69,15 +69,15 @@ def check_grasp(tested_object: TestedObject) -> CheckOutcome:
 
 
 def _check_hold(hand: _GripperRig, taken: PickedGrasp, clearance: float) -> CheckOutcome:
-    T = inverse(taken.T_thing_in_pinch)
+    T = invert_pose(taken.T_thing_in_pinch)
     gravity = hand.model.opt.gravity.copy()
     # Gravity is off until the pads press.
     hand.model.opt.gravity[:] = 0.0
-    hand.reset(T, min(taken.opening + clearance, _full_opening(hand.subject.locations)))
+    hand.reset_at(T, min(taken.opening + clearance, _full_opening(hand.subject.locations)))
     for share in np.linspace(0, 1, round(_CLOSE_TIME / 2 / _COMMAND_PERIOD)):
-        hand.squeeze(taken.opening + clearance * (1 - share))
+        hand.command_opening(taken.opening + clearance * (1 - share))
         hand.run(_COMMAND_PERIOD)
-    hand.squeeze(taken.opening - 2 * taken.force / hand.drive_gain)
+    hand.command_opening(taken.opening - 2 * taken.force / hand.drive_gain)
     hand.run(_CLOSE_TIME / 2)
     hand.model.opt.gravity[:] = gravity
     held = hand.T_thing_in_pinch
@@ -111,9 +111,9 @@ def _move_along(
     """Move the hand along `at(T, share)`; return the object's largest slip (m) and rotation (rad) from `held`."""
     most = (0.0, 0.0)
     for share in path:
-        hand.aim(at(T, float(share)))
+        hand.command_pinch_pose(at(T, float(share)))
         hand.run(_COMMAND_PERIOD)
-        moved, turned = _slip(held, hand.T_thing_in_pinch)
+        moved, turned = _object_displacement(held, hand.T_thing_in_pinch)
         most = (max(most[0], moved), max(most[1], turned))
     return most
 
@@ -131,12 +131,12 @@ def _shake_pose(T: Array, time: float, axis: int) -> Array:
     return pose(np.array([0, 0, _LIFT_HEIGHT]) + by) @ T
 
 
-def _arm(locations: Locations) -> ArmConfig:
+def _load_pick_arm(locations: Locations) -> ArmConfig:
     return load_config(RigConfig, "rigs", PICK_RIG, locations).arms[0]
 
 
 def _full_opening(locations: Locations) -> float:
-    fingers = _arm(locations).robot.fingers
+    fingers = _load_pick_arm(locations).robot.fingers
     assert fingers is not None
     return fingers.full_opening
 
@@ -156,7 +156,7 @@ class _GripperRig:
 
     @classmethod
     def for_object(cls, tested_object: TestedObject) -> _GripperRig:
-        arm = _arm(tested_object.locations)
+        arm = _load_pick_arm(tested_object.locations)
         child, robot = arm_spec(arm, None), arm.robot
         for actuator in list(child.actuators):
             if actuator.name in robot.joint_drives:
@@ -164,11 +164,11 @@ class _GripperRig:
         child.delete(child.joint(robot.joint_names[-1]))
         link, pinch = child.body(robot.flange), child.site("pinch_site")
         link.pos, link.quat = (0, 0, 0), (1, 0, 0, 0)
-        T = inverse(pose_from_quat(pinch.pos, pinch.quat))
-        spec = with_camera(
+        T = invert_pose(pose_from_quat(pinch.pos, pinch.quat))
+        spec = add_view_camera(
             object_spec(tested_object.item, tested_object.meshes),
             (0, 0, 0.04),
-            max(tested_object.size, 0.22),
+            max(tested_object.bounding_diagonal, 0.22),
             steep=0.35,
         )
         base = spec.worldbody.add_body(name=_BASE, mass=_BASE_MASS, inertia=[0.2, 0.2, 0.2], gravcomp=1)
@@ -192,22 +192,22 @@ class _GripperRig:
         model = compile_or_raise(spec)
         return cls(tested_object, robot, model, mujoco.MjData(model), np.eye(4))
 
-    def reset(self, T_pinch: Array, opening: float) -> None:
+    def reset_at(self, T_pinch: Array, opening: float) -> None:
         body = self.model.body(_BASE)
         body.pos, body.quat = T_pinch[:3, 3], quat_from_rotation(T_pinch[:3, :3])
         self.T_start = T_pinch
         mujoco.mj_resetData(self.model, self.data)
         address, sign = finger_addresses(self.model, self.robot, _PREFIX)
         self.data.qpos[address] = opening * sign
-        self.squeeze(opening)
+        self.command_opening(opening)
         mujoco.mj_forward(self.model, self.data)
 
-    def aim(self, T_pinch: Array) -> None:
-        T = inverse(self.T_start) @ T_pinch
-        for number, value in enumerate((*T[:3, 3], *_angles(T[:3, :3]))):
+    def command_pinch_pose(self, T_pinch: Array) -> None:
+        T = invert_pose(self.T_start) @ T_pinch
+        for number, value in enumerate((*T[:3, 3], *_euler_angles(T[:3, :3]))):
             self.data.ctrl[self.model.actuator(f"{_BASE}_{number}").id] = value
 
-    def squeeze(self, opening: float) -> None:
+    def command_opening(self, opening: float) -> None:
         """Command each finger's opening, m; below half the object's width, it exerts a force."""
         drive = self.model.actuator(f"{_PREFIX}gripper").id
         self.data.ctrl[drive] = np.clip(opening, *self.model.actuator_ctrlrange[drive])
@@ -223,17 +223,17 @@ class _GripperRig:
     @property
     def T_thing_in_pinch(self) -> Array:
         site, body = self.data.site(f"{_PREFIX}pinch_site"), self.data.body(self.subject.item.name)
-        T: Array = inverse(pose(site.xpos, site.xmat.reshape(3, 3))) @ pose(body.xpos, body.xmat.reshape(3, 3))
+        T: Array = invert_pose(pose(site.xpos, site.xmat.reshape(3, 3))) @ pose(body.xpos, body.xmat.reshape(3, 3))
         return T
 
 
-def _slip(before: Array, after: Array) -> tuple[float, float]:
+def _object_displacement(before: Array, after: Array) -> tuple[float, float]:
     """Return translation at the pads (m) and rotation (rad) between two object poses."""
-    T = after @ inverse(before)
+    T = after @ invert_pose(before)
     return float(np.linalg.norm(T[:3, 3])), float(np.linalg.norm(rotation_vector(T[:3, :3])))
 
 
-def _angles(rotation: Array) -> Array:
+def _euler_angles(rotation: Array) -> Array:
     """Return intrinsic x-y-z Euler angles (3,), rad."""
     y = np.arcsin(np.clip(rotation[0, 2], -1, 1))
     return np.array([np.arctan2(-rotation[1, 2], rotation[2, 2]), y, np.arctan2(-rotation[0, 1], rotation[0, 0])])

@@ -15,19 +15,26 @@ from yamsim_cli.core.scene.compilation import physics_failure
 
 from .check_outcome import CheckOutcome, CheckView, round_significant, skipped_check
 from .static_checks import NO_MESHES
-from .tested_object import TestedObject, compile_or_raise, object_on_ground_spec, object_spec, step_seconds, with_camera
+from .tested_object import (
+    TestedObject,
+    add_view_camera,
+    compile_or_raise,
+    object_on_ground_spec,
+    object_spec,
+    step_seconds,
+)
 
 # Checks of rest and of drops.
 _MAX_SETTLE_TIME, _SETTLE_INTERVAL = 6.0, 0.2  # s, longest time to come to rest, and interval between tests
 _STILL_TIME, _DROP_TIME = 2.0, 1.5  # s, time for which the object must then stay at rest; duration of a drop
-_TILT, _DRIFT, _SINK = np.radians(3.0), 0.003, 0.0015  # rad, m, m: tilt, drift, penetration allowed at rest
-_DROP_HEIGHT, _DROPS = 0.10, 8  # m, height from which the object falls; number of falls
+_MAX_TILT, _MAX_DRIFT, _MAX_SINK = np.radians(3.0), 0.003, 0.0015  # rad, m, m: tilt, drift, penetration allowed at rest
+_DROP_HEIGHT, _DROP_COUNT = 0.10, 8  # m, height from which the object falls; number of falls
 _MAX_PENETRATION = 0.05  # m, limit at impact: half the slab's thickness; deeper objects come out on its underside
 _MAX_ENERGY_GAIN, _MIN_FALL_ENERGY = 0.02, 1e-4  # limit, as a share of the fall's energy; J, least value of that energy
 _REST_SPEED = 0.0002  # m/s; slower objects are at rest, if they also turn at less than ten times this number in rad/s
-_FIXED = "its base is fixed, so it has no other pose"
+_FIXED_NOTE = "its base is fixed, so it has no other pose"
 
-_CELLS = 56  # columns of the height map along the longer side
+_HEIGHT_MAP_CELLS = 56  # columns of the height map along the longer side
 _MIN_DEPTH, _MIN_ROOM = 0.010, 0.0045  # m, of a hollow: depth, and distance to its walls
 _MIN_HOLLOW_SHARE = 0.02  # volume over the bounding box's; smaller hollows are dents
 _BALL_SOLREF = (0.004, 1.0)  # MuJoCo's; stiff, so that the ball does not sink through a thin floor
@@ -42,7 +49,7 @@ _END_TOLERANCE = 0.03  # share of the range that a push may miss
 _JOINT_REST_SPEED = 0.02  # joint ranges per s
 _EFFORT_FACTOR = 3.0  # effort of a push over the sum of friction, detent and weight
 _MIN_EFFORT = {True: 0.02, False: 1.0}  # N m on a rotary joint (True), N on a slide
-_FREQUENCY = 6.0  # Hz, of the controller that pushes a joint
+_PUSH_FREQUENCY = 6.0  # Hz, of the controller that pushes a joint
 
 
 @dataclass
@@ -53,12 +60,16 @@ class _TestScene:
 
     @classmethod
     def for_object(cls, tested_object: TestedObject) -> _TestScene:
-        spec = with_camera(object_on_ground_spec(tested_object), (0, 0, tested_object.size * 0.15), tested_object.size)
+        spec = add_view_camera(
+            object_on_ground_spec(tested_object),
+            (0, 0, tested_object.bounding_diagonal * 0.15),
+            tested_object.bounding_diagonal,
+        )
         spec.option.enableflags |= mujoco.mjtEnableBit.mjENBL_ENERGY
         model = compile_or_raise(spec)
         return cls(tested_object, model, mujoco.MjData(model))
 
-    def reset(self, turn: Array, gap: float) -> None:
+    def place_object(self, turn: Array, gap: float) -> None:
         """Put the object at rest, rotated (3, 3), its lowest point `gap` (m) over the slab."""
         mujoco.mj_resetData(self.model, self.data)
         low = float((self.subject.collision_points @ turn.T)[:, 2].min())
@@ -68,7 +79,7 @@ class _TestScene:
         self.data.qpos[at + 3 : at + 7] = quat_from_rotation(turn)
         mujoco.mj_forward(self.model, self.data)
 
-    def run(self, seconds: float) -> tuple[float, float]:
+    def run_and_measure(self, seconds: float) -> tuple[float, float]:
         """Return deepest contact (m) and greatest energy (J); `ArithmeticError` if unstable."""
         deep, energy = 0.0, -np.inf
         for _ in range(round(seconds / self.model.opt.timestep)):
@@ -81,24 +92,24 @@ class _TestScene:
         return deep, energy
 
     @property
-    def T(self) -> Array:
+    def T_object_in_world(self) -> Array:
         body = self.data.body(self.subject.item.name)
         return pose(body.xpos, body.xmat.reshape(3, 3))
 
-    def settle(self) -> None:
+    def settle_object(self) -> None:
         for _ in range(round(_MAX_SETTLE_TIME / _SETTLE_INTERVAL)):
-            self.run(_SETTLE_INTERVAL)
+            self.run_and_measure(_SETTLE_INTERVAL)
             if np.abs(self.data.qvel[:3]).max() < _REST_SPEED and np.abs(self.data.qvel[3:6]).max() < 10 * _REST_SPEED:
                 break
 
-    def view(self, caption: str) -> CheckView:
+    def current_view(self, caption: str) -> CheckView:
         return CheckView(self.model, self.data.qpos.copy(), caption)
 
 
 def check_rest(tested_object: TestedObject) -> CheckOutcome:
     """Check rest in the initial pose and on each stable face."""
     if tested_object.item.base == "fixed":
-        return skipped_check(_FIXED)
+        return skipped_check(_FIXED_NOTE)
     world = _TestScene.for_object(tested_object)
     upright = StablePose(np.array([0.0, 0.0, -1.0]), 0.0, 1.0)
     others = stable_poses(tested_object.collision_points, np.array(tested_object.item.inertia.centre))
@@ -112,9 +123,13 @@ def check_rest(tested_object: TestedObject) -> CheckOutcome:
             return CheckOutcome(
                 False, {"faces": len(faces)}, f"physics broke down on face {number}: {error}", tuple(views)
             )
-        views.append(world.view("as it stands" if number == 0 else f"face {number}"))
+        views.append(world.current_view("as it stands" if number == 0 else f"face {number}"))
         worst = {key: max(worst[key], value) for key, value in found.items()}
-        if found["tilt_deg"] > np.degrees(_TILT) or found["drift_mm"] > _DRIFT * 1e3 or found["sinks_mm"] > _SINK * 1e3:
+        if (
+            found["tilt_deg"] > np.degrees(_MAX_TILT)
+            or found["drift_mm"] > _MAX_DRIFT * 1e3
+            or found["sinks_mm"] > _MAX_SINK * 1e3
+        ):
             shown = ", ".join(f"{key} {value:.3g}" for key, value in found.items())
             faults.append(f"face {number}: {shown}")
     figures = {"faces": len(faces)} | {key: round_significant(value, 3) for key, value in worst.items()}
@@ -126,14 +141,14 @@ def _measure_rest(world: _TestScene, face: StablePose, *, must_stay: bool) -> di
 
     Unless it `must_stay` from the first step, the object comes to rest first.
     """
-    world.reset(face.rotation, 0.0)
-    before = world.T
+    world.place_object(face.rotation, 0.0)
+    before = world.T_object_in_world
     if not must_stay:
-        world.settle()
-        before = world.T
+        world.settle_object()
+        before = world.T_object_in_world
     middle = np.array([*world.subject.item.inertia.centre, 1.0])
-    deep, _ = world.run(_STILL_TIME)
-    after = world.T
+    deep, _ = world.run_and_measure(_STILL_TIME)
+    after = world.T_object_in_world
     up = before[:3, :3].T @ [0, 0, 1.0]
     tilt = float(np.arccos(np.clip((after[:3, :3] @ up)[2], -1, 1)))
     drift = float(np.linalg.norm(((after - before) @ middle)[:2]))
@@ -143,31 +158,37 @@ def _measure_rest(world: _TestScene, face: StablePose, *, must_stay: bool) -> di
 def check_drop(tested_object: TestedObject) -> CheckOutcome:
     """Check that 10 cm falls in random orientations end over the ground, without energy gain."""
     if tested_object.item.base == "fixed":
-        return skipped_check(_FIXED)
+        return skipped_check(_FIXED_NOTE)
     world = _TestScene.for_object(tested_object)
     rng = np.random.default_rng(0)
     deepest, gained, speed = 0.0, 0.0, 0.0
     views = list[CheckView]()
-    for number in range(_DROPS):
+    for number in range(_DROP_COUNT):
         quat = rng.normal(size=4)
-        turn = _rotation(quat / np.linalg.norm(quat))
-        world.reset(turn, _DROP_HEIGHT)
+        turn = _rotation_from_quat(quat / np.linalg.norm(quat))
+        world.place_object(turn, _DROP_HEIGHT)
         start = float(world.data.energy.sum())
         fall = max(tested_object.item.inertia.mass * 9.81 * _DROP_HEIGHT, _MIN_FALL_ENERGY)
         try:
-            deep, energy = world.run(_DROP_TIME)
+            deep, energy = world.run_and_measure(_DROP_TIME)
         except ArithmeticError as error:
-            return CheckOutcome(False, {"drops": _DROPS}, f"drop {number}: physics broke down: {error}", tuple(views))
+            return CheckOutcome(
+                False, {"drops": _DROP_COUNT}, f"drop {number}: physics broke down: {error}", tuple(views)
+            )
         deepest, gained = max(deepest, deep), max(gained, (energy - start) / fall)
         speed = max(speed, float(np.abs(world.data.qvel[:3]).max()))
         if number < 3:
-            views.append(world.view(f"drop {number}"))
-        lowest = float((tested_object.collision_points @ world.T[:3, :3].T + world.T[:3, 3])[:, 2].min())
-        if lowest < -_SINK and abs(world.T[:2, 3]).max() < 0.9:
+            views.append(world.current_view(f"drop {number}"))
+        lowest = float(
+            (tested_object.collision_points @ world.T_object_in_world[:3, :3].T + world.T_object_in_world[:3, 3])[
+                :, 2
+            ].min()
+        )
+        if lowest < -_MAX_SINK and abs(world.T_object_in_world[:2, 3]).max() < 0.9:
             note = f"drop {number}: it ends {-lowest * 1000:.3g} mm below the ground"
-            return CheckOutcome(False, {"drops": _DROPS}, note, tuple(views))
+            return CheckOutcome(False, {"drops": _DROP_COUNT}, note, tuple(views))
     figures = {
-        "drops": _DROPS,
+        "drops": _DROP_COUNT,
         "sinks_mm": round_significant(deepest * 1000, 3),
         "gains": round_significant(max(gained, 0.0), 3),
         "last_speed_m_s": round_significant(speed, 3),
@@ -179,7 +200,7 @@ def check_drop(tested_object: TestedObject) -> CheckOutcome:
     return CheckOutcome(True, figures, views=tuple(views))
 
 
-def _rotation(quat: Array) -> Array:
+def _rotation_from_quat(quat: Array) -> Array:
     angle = 2 * np.arccos(np.clip(quat[0], -1, 1))
     axis = quat[1:] / max(float(np.linalg.norm(quat[1:])), 1e-12)
     return rotation_from_vector(axis * angle)
@@ -205,13 +226,13 @@ class Hollow:
 
 def find_hollow(tested_object: TestedObject) -> Hollow | None:
     """Return the deepest hollow in the initial pose; None if too shallow, small or narrow."""
-    grid = compute_height_map(tested_object.surface, _CELLS)
+    grid = compute_height_map(tested_object.merged_visual_surface, _HEIGHT_MAP_CELLS)
     level = water_level(grid.top)
     covered = np.isfinite(grid.top)
     depth = np.where(covered, level - np.where(covered, grid.top, 0.0), 0.0)
     if depth.max(initial=0.0) < _MIN_DEPTH:
         return None
-    block = float(np.prod(np.ptp(tested_object.surface[0], axis=0)))
+    block = float(np.prod(np.ptp(tested_object.merged_visual_surface[0], axis=0)))
     if depth.sum() * grid.cell_size**2 < _MIN_HOLLOW_SHARE * block:
         return None
     i, j = np.unravel_index(int(depth.argmax()), depth.shape)
@@ -237,8 +258,11 @@ def check_hollow(tested_object: TestedObject) -> CheckOutcome:
     if found is None:
         return skipped_check("it has no interior that can hold a ball")
     radius = min(0.7 * found.wall_distance, _MAX_BALL_RADIUS)
-    spec = with_camera(
-        object_on_ground_spec(tested_object), (0, 0, tested_object.size * 0.2), tested_object.size, steep=1.2
+    spec = add_view_camera(
+        object_on_ground_spec(tested_object),
+        (0, 0, tested_object.bounding_diagonal * 0.2),
+        tested_object.bounding_diagonal,
+        steep=1.2,
     )
     high = max(found.water_height, float(tested_object.collision_points[:, 2].max())) + _BALL_CLEARANCE
     body = spec.worldbody.add_body(name="certificate_ball", pos=[*found.place, high + tested_object.item.rest_height])
@@ -283,7 +307,9 @@ def check_articulation(tested_object: TestedObject) -> CheckOutcome:
     if not links:
         return skipped_check("it has no joint")
     spec = object_spec(tested_object.item, tested_object.meshes, fixed=True)
-    model = compile_or_raise(with_camera(spec, (0, 0, tested_object.size * 0.2), tested_object.size))
+    model = compile_or_raise(
+        add_view_camera(spec, (0, 0, tested_object.bounding_diagonal * 0.2), tested_object.bounding_diagonal)
+    )
     data = mujoco.MjData(model)
     reached: dict[str, float] = {}
     views, faults, fastest = list[CheckView](), list[str](), 0.0
@@ -316,7 +342,7 @@ def _missing_range(model: mujoco.MjModel, data: mujoco.MjData, link: Link, name:
     goal, travel = float(joint.range[end]), float(np.ptp(joint.range))
     effort = _push_effort(model, data, link, name)
     inertia = 1.0 / max(float(model.dof_invweight0[dof]), 1e-6)
-    stiff = max(inertia * (2 * np.pi * _FREQUENCY) ** 2, effort / (0.02 * travel))
+    stiff = max(inertia * (2 * np.pi * _PUSH_FREQUENCY) ** 2, effort / (0.02 * travel))
     damp = 2 * np.sqrt(stiff * inertia)
     for _ in range(round(_PUSH_TIME / model.opt.timestep)):
         wanted = stiff * (goal - data.qpos[address]) - damp * data.qvel[dof]

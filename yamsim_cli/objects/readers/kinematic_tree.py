@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from yamsim_cli.core.files.untrusted.refusals import RefusedError
-from yamsim_cli.core.geometry.se3 import Array, inverse
+from yamsim_cli.core.geometry.se3 import Array, invert_pose
 
 from .object_parts import MassProperties, RigidPart, Surface
 
@@ -63,7 +63,7 @@ def build_parts(
     for joint in order:
         link, parent = by_name[joint.child], owner[joint.parent or ""]
         if joint.moves is None:
-            _merge(parent, link)
+            _merge_link(parent, link)
             owner[link.name] = parent
         else:
             owner[link.name] = link
@@ -82,7 +82,7 @@ def build_parts(
         )
         if above is not None:
             parent = owner[above.parent or ""]
-            T = inverse(parent.T) @ link.T
+            T = invert_pose(parent.T) @ link.T
             part = replace(part, parent=place[parent.name], T_in_parent=T, joint=above.moves)
         parts.append(part)
     return tuple(parts), fixed
@@ -129,8 +129,8 @@ def _breadth_first(root: str, joints: Sequence[JointDescription]) -> list[JointD
     return found
 
 
-def _merge(parent: LinkDescription, link: LinkDescription) -> None:
-    T = inverse(parent.T) @ link.T
+def _merge_link(parent: LinkDescription, link: LinkDescription) -> None:
+    T = invert_pose(parent.T) @ link.T
     parent.visual_surfaces += [surface.transform(T) for surface in link.visual_surfaces]
     parent.shapes += [transform_shape(shape, T) for shape in link.shapes]
     parent.handles += [transform_handle(handle, T) for handle in link.handles]

@@ -26,39 +26,39 @@ def check_header(data: bytes, suffix: str, max_faces: int) -> None:
         raise RefusedError("empty", "it has no bytes")
     match suffix:
         case ".stl":
-            _stl(data, max_faces)
+            _check_stl_header(data, max_faces)
         case ".ply":
-            _ply(data, max_faces)
+            _check_ply_header(data, max_faces)
         case ".glb":
-            _glb(data, max_faces)
+            _check_glb_header(data, max_faces)
         case ".gltf":
-            _check_gltf_tree(_json(data), None, max_faces)
+            _check_gltf_tree(_parse_gltf_json(data), None, max_faces)
         case ".obj":
             if len(re.findall(rb"^f\s", data, re.MULTILINE)) > max_faces:
-                raise _too_many_faces(max_faces)
+                raise _too_many_faces_error(max_faces)
 
 
-def _too_many_faces(maximum: int) -> RefusedError:
+def _too_many_faces_error(maximum: int) -> RefusedError:
     return RefusedError("too-many-faces", f"it has more than {maximum:,} faces: reduce it first")
 
 
-def _stl(data: bytes, maximum: int) -> None:
+def _check_stl_header(data: bytes, maximum: int) -> None:
     count = int.from_bytes(data[80:84], "little")
     if len(data) == 84 + 50 * count and count:
         if count > maximum:
-            raise _too_many_faces(maximum)
+            raise _too_many_faces_error(maximum)
         return
     if not data.lstrip()[:5].lower() == b"solid":
         raise RefusedError(
             "damaged", f"its header gives {count:,} faces, but its bytes hold {max(0, len(data) - 84) // 50:,}"
         )
     if data.count(b"facet normal") > maximum:
-        raise _too_many_faces(maximum)
+        raise _too_many_faces_error(maximum)
     if b"endsolid" not in data:
         raise RefusedError("damaged", "the text is cut off: it has no endsolid")
 
 
-def _ply(data: bytes, maximum: int) -> None:
+def _check_ply_header(data: bytes, maximum: int) -> None:
     end = data.find(b"end_header")
     if not data.startswith(b"ply") or end < 0 or end > 100_000:
         raise RefusedError("damaged", "it has no PLY header")
@@ -70,14 +70,14 @@ def _ply(data: bytes, maximum: int) -> None:
                 raise RefusedError("damaged", f"its header has the line {line.strip()[:60]!r}")
             count = int(words[2])
             if words[1] == "face" and count > maximum:
-                raise _too_many_faces(maximum)
+                raise _too_many_faces_error(maximum)
         elif words[:1] == ["property"] and len(words) >= 3:
             least += count * (_PLY_BYTES.get(words[1] if words[1] != "list" else words[2], 1) if binary else 2)
     if least > len(data) - end:
         raise RefusedError("damaged", f"its header needs {least:,} bytes or more, but {len(data) - end:,} follow")
 
 
-def _glb(data: bytes, maximum: int) -> None:
+def _check_glb_header(data: bytes, maximum: int) -> None:
     if data[:4] != b"glTF" or len(data) < 20:
         raise RefusedError("damaged", "it does not begin with the header of a GLB")
     version, total = (int.from_bytes(data[k : k + 4], "little") for k in (4, 8))
@@ -92,10 +92,10 @@ def _glb(data: bytes, maximum: int) -> None:
     binary = int.from_bytes(data[start : start + 4], "little") if len(data) >= start + 8 else 0
     if start + 8 + binary > len(data) and binary:
         raise RefusedError("damaged", f"its buffer of {binary:,} bytes is cut off")
-    _check_gltf_tree(_json(data[20:start]), binary, maximum)
+    _check_gltf_tree(_parse_gltf_json(data[20:start]), binary, maximum)
 
 
-def _json(text: bytes) -> Any:
+def _parse_gltf_json(text: bytes) -> Any:
     try:
         tree = json.loads(text)
     except (ValueError, RecursionError) as error:
@@ -107,13 +107,13 @@ def _json(text: bytes) -> Any:
 
 def _check_gltf_tree(tree: Any, binary: int | None, maximum: int) -> None:
     try:
-        _accessors(tree, binary, maximum)
-        _nodes(tree)
+        _check_accessors(tree, binary, maximum)
+        _check_node_tree(tree)
     except (TypeError, KeyError, AttributeError, IndexError, ValueError) as error:
         raise RefusedError("damaged", f"its JSON is inconsistent ({type(error).__name__}: {error})") from error
 
 
-def _accessors(tree: Any, binary: int | None, maximum: int) -> None:
+def _check_accessors(tree: Any, binary: int | None, maximum: int) -> None:
     views = tree.get("bufferViews", [])
     for view in views:
         if min(view.get("byteOffset", 0), view["byteLength"], view["buffer"]) < 0:
@@ -125,7 +125,7 @@ def _accessors(tree: Any, binary: int | None, maximum: int) -> None:
     for accessor in tree.get("accessors", []):
         count, width = accessor["count"], _WIDTHS[accessor["type"]] * _COMPONENTS[accessor["componentType"]]
         if count < 0 or count > 3 * maximum:
-            raise _too_many_faces(maximum)
+            raise _too_many_faces_error(maximum)
         if "bufferView" in accessor:
             view = views[accessor["bufferView"]]
             stride = view.get("byteStride", width)
@@ -135,7 +135,7 @@ def _accessors(tree: Any, binary: int | None, maximum: int) -> None:
             raise RefusedError("damaged", "an accessor without a buffer view is too long")
 
 
-def _nodes(tree: Any) -> None:
+def _check_node_tree(tree: Any) -> None:
     nodes = tree.get("nodes", [])
     if len(nodes) > 10_000:
         raise RefusedError("too-many-faces", f"it has {len(nodes):,} nodes; at most 10,000")

@@ -15,7 +15,7 @@ from yamsim_cli.core.errors import ResourceError
 from yamsim_cli.core.files.untrusted.confined_folder import ConfinedFolder
 from yamsim_cli.core.files.untrusted.refusals import RefusedError
 from yamsim_cli.core.geometry.se3 import Array
-from yamsim_cli.core.geometry.stl import Faces, is_binary_stl, read_stl
+from yamsim_cli.core.geometry.stl import Faces, decode_stl, is_binary_stl
 
 from .mesh_headers import check_header
 from .object_parts import GREY, Rgba, Surface, SurfaceMaterial
@@ -24,7 +24,7 @@ from .textures import bake_colours, encode_png_texture, open_image
 MAX_FACES = 2_000_000  # triangles; no scan needs more
 
 # Ending -> trimesh's file type, unit (m), up axis; None if the format defines none.
-FORMATS: dict[str, tuple[str, float | None, str | None]] = {
+MESH_FORMATS: dict[str, tuple[str, float | None, str | None]] = {
     # Source: glTF 2.0 specification, section 3.4: metres, +Y up.
     ".glb": ("glb", 1.0, "y"),
     ".gltf": ("gltf", 1.0, "y"),
@@ -36,7 +36,7 @@ FORMATS: dict[str, tuple[str, float | None, str | None]] = {
 }
 
 # Image files that materials may name; only PNG and JPEG are accepted.
-_PICTURES = (".png", ".jpg", ".jpeg", ".bmp", ".tga", ".tif", ".tiff", ".gif", ".webp", ".dds", ".exr", ".hdr")
+_PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tga", ".tif", ".tiff", ".gif", ".webp", ".dds", ".exr", ".hdr")
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ class _Resolver:
 
     def get(self, name: str) -> bytes:
         data = self._folder.read(name, self._base)
-        if Path(name).suffix.lower() in _PICTURES:
+        if Path(name).suffix.lower() in _PICTURE_SUFFIXES:
             # trimesh ignores images that it cannot open.
             try:
                 open_image(data, name)
@@ -88,10 +88,12 @@ def read_mesh(data: bytes, suffix: str, folder: ConfinedFolder, base: Path) -> M
     Raises:
         RefusedError: the file is damaged or too large, or names a file outside `folder`.
     """
-    if suffix not in FORMATS:
-        raise RefusedError("unknown-kind", f"{suffix or 'no suffix'} is not supported; valid: {', '.join(FORMATS)}")
+    if suffix not in MESH_FORMATS:
+        raise RefusedError(
+            "unknown-kind", f"{suffix or 'no suffix'} is not supported; valid: {', '.join(MESH_FORMATS)}"
+        )
     check_header(data, suffix, MAX_FACES)
-    kind, unit, up = FORMATS[suffix]
+    kind, unit, up = MESH_FORMATS[suffix]
     if suffix == ".stl" and is_binary_stl(data):
         return MeshFile((_binary_stl(data),), unit, up)
     try:
@@ -107,18 +109,18 @@ def read_mesh(data: bytes, suffix: str, folder: ConfinedFolder, base: Path) -> M
         scene = trimesh.load_scene(
             io.BytesIO(data), file_type=kind, resolver=resolver, process=False, allow_remote=False
         )
-        meshes = _meshes(scene)
+        meshes = _placed_meshes(scene)
     except RefusedError:
         raise
     except MemoryError:
         raise RefusedError("too-much-memory", "reading it takes too much memory for a file of its size") from None
     except Exception as error:
-        raise folder.refused or _damaged(suffix, error) from error
+        raise folder.refused or _damaged_file_error(suffix, error) from error
     if folder.refused is not None:
         raise folder.refused
     if suffix in (".glb", ".gltf"):
         _check_textures(data, suffix, meshes)
-    surfaces = tuple(surface for mesh, T in meshes if (surface := _surface(mesh, T)) is not None)
+    surfaces = tuple(surface for mesh, T in meshes if (surface := _surface_from_mesh(mesh, T)) is not None)
     if not surfaces:
         raise RefusedError("empty", "it has no triangles")
     if sum(len(surface.faces) for surface in surfaces) > MAX_FACES:
@@ -128,7 +130,7 @@ def read_mesh(data: bytes, suffix: str, folder: ConfinedFolder, base: Path) -> M
 
 def _binary_stl(data: bytes) -> Surface:
     try:
-        vertices, faces = read_stl(data)
+        vertices, faces = decode_stl(data)
     except ResourceError as error:
         raise RefusedError("no-numbers", "it has coordinates that are not finite numbers") from error
     if not len(faces):
@@ -136,12 +138,12 @@ def _binary_stl(data: bytes) -> Surface:
     return Surface(vertices, faces)
 
 
-def _damaged(suffix: str, error: Exception) -> RefusedError:
+def _damaged_file_error(suffix: str, error: Exception) -> RefusedError:
     reason = " ".join(str(error).split())[:120]
     return RefusedError("damaged", f"it cannot be read as {suffix[1:].upper()} ({type(error).__name__}: {reason})")
 
 
-def _meshes(scene: Any) -> list[tuple[Any, Array]]:
+def _placed_meshes(scene: Any) -> list[tuple[Any, Array]]:
     import trimesh
 
     found, faces = [], 0
@@ -157,7 +159,7 @@ def _meshes(scene: Any) -> list[tuple[Any, Array]]:
     return found
 
 
-def _surface(mesh: Any, T: Array) -> Surface | None:
+def _surface_from_mesh(mesh: Any, T: Array) -> Surface | None:
     vertices = np.asarray(mesh.vertices, np.float64)
     faces = np.asarray(mesh.faces, np.int64)
     if not np.isfinite(vertices).all() or not np.isfinite(T).all():
@@ -169,7 +171,7 @@ def _surface(mesh: Any, T: Array) -> Surface | None:
     texture = None
     visual = mesh.visual
     if visual.kind == "texture":
-        material, image = _textured(visual.material)
+        material, image = _colour_and_texture(visual.material)
         if image is not None and visual.uv is not None and len(visual.uv) == len(vertices):
             corners = np.asarray(visual.uv, np.float64)[triangles]
             if not np.isfinite(corners).all():
@@ -177,7 +179,7 @@ def _surface(mesh: Any, T: Array) -> Surface | None:
             uv, texture = corners, encode_png_texture(image, "of a material")
         colour = visual.vertex_attributes.get("color") if uv is None and hasattr(visual, "vertex_attributes") else None
         if colour is not None and len(colour) == len(vertices):
-            colours = _as_bytes(np.asarray(colour))
+            colours = _colour_bytes(np.asarray(colour))
     elif visual.kind == "vertex":
         colours = np.asarray(visual.vertex_colors, np.uint8)
     elif visual.kind == "face":
@@ -186,14 +188,14 @@ def _surface(mesh: Any, T: Array) -> Surface | None:
         vertices = vertices[triangles].reshape(-1, 3)
         triangles = np.arange(3 * len(triangles), dtype=np.int32).reshape(-1, 3)
     if colours is not None and (colours == colours[0]).all():
-        material, colours = _rgba(colours[0] / 255), None
+        material, colours = _clipped_rgba(colours[0] / 255), None
     if colours is not None:
         uv, texture = bake_colours(vertices, triangles, colours)
         material = (1.0, 1.0, 1.0, 1.0)
     return Surface(vertices, triangles, SurfaceMaterial(material, texture), uv).transform(T)
 
 
-def _textured(material: Any) -> tuple[Rgba, Any]:
+def _colour_and_texture(material: Any) -> tuple[Rgba, Any]:
     from trimesh.visual.material import PBRMaterial
 
     if isinstance(material, PBRMaterial):
@@ -205,10 +207,10 @@ def _textured(material: Any) -> tuple[Rgba, Any]:
             return (1.0, 1.0, 1.0, 1.0), image
     if factor is None:
         return ((1.0, 1.0, 1.0, 1.0) if image is not None else GREY), image
-    return _rgba(_as_bytes(np.asarray(factor).ravel()) / 255), image
+    return _clipped_rgba(_colour_bytes(np.asarray(factor).ravel()) / 255), image
 
 
-def _as_bytes(colours: Any) -> Any:
+def _colour_bytes(colours: Any) -> Any:
     if np.issubdtype(colours.dtype, np.floating):
         colours = np.clip(np.nan_to_num(colours), 0, 1) * 255
     colours = np.clip(colours, 0, 255).astype(np.uint8)
@@ -217,7 +219,7 @@ def _as_bytes(colours: Any) -> Any:
     return colours
 
 
-def _rgba(values: Any) -> Rgba:
+def _clipped_rgba(values: Any) -> Rgba:
     red, green, blue, alpha = (round(min(1.0, max(0.0, float(v))), 4) for v in (*values, 1.0)[:4])
     return red, green, blue, alpha
 

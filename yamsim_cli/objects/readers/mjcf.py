@@ -15,7 +15,7 @@ import mujoco
 import numpy as np
 
 from yamsim_cli.core.files.untrusted.confined_folder import ConfinedFolder
-from yamsim_cli.core.files.untrusted.mjcf_includes import with_includes
+from yamsim_cli.core.files.untrusted.mjcf_includes import expand_includes
 from yamsim_cli.core.files.untrusted.refusals import RefusedError
 from yamsim_cli.core.geometry.se3 import Array, pose_from_quat
 
@@ -49,16 +49,16 @@ _SHAPE_KINDS = {
     mujoco.mjtGeom.mjGEOM_ELLIPSOID: "ellipsoid",
 }
 # Shape -> values in MuJoCo's `geom_size`.
-_SIZES = {"box": 3, "sphere": 1, "capsule": 2, "cylinder": 2, "ellipsoid": 3}
+_SIZE_COUNTS = {"box": 3, "sphere": 1, "capsule": 2, "cylinder": 2, "ellipsoid": 3}
 
 
 def read_mjcf(data: bytes, folder: ConfinedFolder, base: Path) -> ObjectDescription:
     """Read an MJCF file. Raises `RefusedError` if it is damaged or not supported."""
-    root = with_includes(data, folder, base, parse_untrusted_xml)
+    root = expand_includes(data, folder, base, parse_untrusted_xml)
     if root.tag != "mujoco":
         raise RefusedError("damaged", f"its root is <{root.tag}>, not <mujoco>, <sdf> or <robot>")
     name = root.get("model", "")
-    assets = _take_files(root, folder, base)
+    assets = _collect_files(root, folder, base)
     for tag in ("keyframe", "sensor", "actuator", "contact"):
         for section in root.findall(tag):
             root.remove(section)
@@ -70,10 +70,10 @@ def read_mjcf(data: bytes, folder: ConfinedFolder, base: Path) -> ObjectDescript
     except (ValueError, TypeError, RuntimeError) as error:
         reason = " ".join(str(error).split())[:200]
         raise RefusedError("damaged", f"MuJoCo cannot read it: {reason}") from error
-    return _read(model, name)
+    return _describe_model(model, name)
 
 
-def _take_files(root: Element, folder: ConfinedFolder, base: Path) -> dict[str, bytes]:
+def _collect_files(root: Element, folder: ConfinedFolder, base: Path) -> dict[str, bytes]:
     """Rename all named files in a document, and return new name -> content."""
     compiler: dict[str, str] = {}
     for element in root.iter("compiler"):
@@ -113,16 +113,16 @@ def _take_files(root: Element, folder: ConfinedFolder, base: Path) -> dict[str, 
     return assets
 
 
-def _read(model: mujoco.MjModel, name: str) -> ObjectDescription:
+def _describe_model(model: mujoco.MjModel, name: str) -> ObjectDescription:
     notes: list[str] = []
     world = [geom for geom in range(model.ngeom) if model.geom_bodyid[geom] == 0]
     if model.nbody == 1 and world:
-        links, joints = [_link(model, 0, "base", notes)], []
+        links, joints = [_describe_link(model, 0, "base", notes)], []
     else:
         if world:
             notes.append("left out: geometry of the world body")
-        links = [_link(model, body, _body_name(model, body), notes) for body in range(1, model.nbody)]
-        joints = [joint for body in range(1, model.nbody) if (joint := _joint(model, body, notes)) is not None]
+        links = [_describe_link(model, body, _body_name(model, body), notes) for body in range(1, model.nbody)]
+        joints = [joint for body in range(1, model.nbody) if (joint := _describe_joint(model, body, notes)) is not None]
     if model.neq:
         notes.append("left out: equality constraints")
     parts, _ = build_parts(links, joints)
@@ -135,7 +135,7 @@ def _body_name(model: mujoco.MjModel, body: int) -> str:
     return model.body(body).name or f"body_{body}"
 
 
-def _link(model: mujoco.MjModel, body: int, name: str, notes: list[str]) -> LinkDescription:
+def _describe_link(model: mujoco.MjModel, body: int, name: str, notes: list[str]) -> LinkDescription:
     link = LinkDescription(name, _T_in_model(model, body))
     if model.body_mass[body] > 0:
         turn = pose_from_quat((0, 0, 0), model.body_iquat[body])[:3, :3]
@@ -152,12 +152,14 @@ def _link(model: mujoco.MjModel, body: int, name: str, notes: list[str]) -> Link
         if kind is None and model.geom_dataid[geom] < 0:
             notes.append("left out: planes and other unbounded geometry")
             continue
-        size = model.geom_size[geom, : _SIZES[kind]].copy() if kind else np.zeros(0)
+        size = model.geom_size[geom, : _SIZE_COUNTS[kind]].copy() if kind else np.zeros(0)
         if geom in only_seen or not only_seen:
-            surface = visual_surface(kind, size, _material(model, geom)) if kind else _mesh(model, geom)
+            surface = visual_surface(kind, size, _geom_material(model, geom)) if kind else _mesh_surface(model, geom)
             link.visual_surfaces.append(surface.transform(T))
         if touch:
-            link.shapes.append(collision_shape(kind, size, T) if kind else _mesh(model, geom, convex=True).transform(T))
+            link.shapes.append(
+                collision_shape(kind, size, T) if kind else _mesh_surface(model, geom, convex=True).transform(T)
+            )
     for site in range(model.nsite):
         label = model.site(site).name
         if model.site_bodyid[site] == body and label.lower().startswith("handle"):
@@ -174,7 +176,7 @@ def _T_in_model(model: mujoco.MjModel, body: int) -> Array:
     return T
 
 
-def _joint(model: mujoco.MjModel, body: int, notes: list[str]) -> JointDescription | None:
+def _describe_joint(model: mujoco.MjModel, body: int, notes: list[str]) -> JointDescription | None:
     name, parent = _body_name(model, body), int(model.body_parentid[body])
     count, first = int(model.body_jntnum[body]), int(model.body_jntadr[body])
     if parent == 0:
@@ -207,14 +209,14 @@ def _joint(model: mujoco.MjModel, body: int, notes: list[str]) -> JointDescripti
     return JointDescription(name, above, name, moves)
 
 
-def _mesh(model: mujoco.MjModel, geom: int, *, convex: bool = False) -> Surface:
+def _mesh_surface(model: mujoco.MjModel, geom: int, *, convex: bool = False) -> Surface:
     mesh = int(model.geom_dataid[geom])
     start, count = int(model.mesh_vertadr[mesh]), int(model.mesh_vertnum[mesh])
     vertices = model.mesh_vert[start : start + count].astype(np.float64)
     first, faces = int(model.mesh_faceadr[mesh]), int(model.mesh_facenum[mesh])
     triangles = model.mesh_face[first : first + faces].copy()
     uv = None
-    material = SurfaceMaterial() if convex else _material(model, geom)
+    material = SurfaceMaterial() if convex else _geom_material(model, geom)
     if material.texture is not None and model.mesh_texcoordadr[mesh] >= 0:
         at = int(model.mesh_texcoordadr[mesh])
         coordinates = model.mesh_texcoord[at : at + int(model.mesh_texcoordnum[mesh])]
@@ -226,7 +228,7 @@ def _mesh(model: mujoco.MjModel, geom: int, *, convex: bool = False) -> Surface:
     return Surface(vertices, triangles.astype(np.int32), material, uv, convex)
 
 
-def _material(model: mujoco.MjModel, geom: int) -> SurfaceMaterial:
+def _geom_material(model: mujoco.MjModel, geom: int) -> SurfaceMaterial:
     number, rgba = int(model.geom_matid[geom]), model.geom_rgba[geom]
     texture = None
     specular, shininess = 0.2, 0.3
@@ -236,12 +238,12 @@ def _material(model: mujoco.MjModel, geom: int) -> SurfaceMaterial:
         specular, shininess = float(model.mat_specular[number]), float(model.mat_shininess[number])
         place = int(model.mat_texid[number, mujoco.mjtTextureRole.mjTEXROLE_RGB])
         if place >= 0 and model.tex_type[place] == mujoco.mjtTexture.mjTEXTURE_2D:
-            texture = _png(model, place)
+            texture = _texture_png(model, place)
     red, green, blue, alpha = (float(min(1.0, max(0.0, value))) for value in rgba)
     return SurfaceMaterial((red, green, blue, alpha), texture, min(1.0, specular), min(1.0, shininess))
 
 
-def _png(model: mujoco.MjModel, texture: int) -> bytes:
+def _texture_png(model: mujoco.MjModel, texture: int) -> bytes:
     from PIL import Image
 
     shape = int(model.tex_height[texture]), int(model.tex_width[texture]), int(model.tex_nchannel[texture])

@@ -108,7 +108,7 @@ class ObjectDescription:
     friction: float | None = None
     notes: tuple[str, ...] = ()
 
-    def poses(self) -> list[Array]:
+    def part_poses(self) -> list[Array]:
         """Return parts' poses (4, 4) in the base's frame with joints at 0."""
         poses: list[Array] = []
         for part in self.parts:

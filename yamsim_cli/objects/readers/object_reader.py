@@ -18,14 +18,14 @@ from yamsim_cli.core.geometry.se3 import Array, pose
 from yamsim_cli.core.scene.assets.child_process import python_call, run_child
 from yamsim_cli.core.scene.assets.sources import SourceError
 
-from . import ENDINGS, reader_process
+from . import OBJECT_SUFFIXES, reader_process
 from .object_parts import ObjectDescription
-from .reader_process import REFUSAL_FILE, read_written
+from .reader_process import REFUSAL_FILE, read_written_object
 
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}  # unit -> m
 
 _MAX_SIZE, _MIN_SIZE = 2.0, 0.003  # m, of objects that an arm can handle
-_LIKELY = (0.01, 0.8)  # m; the error for a missing unit suggests units that give these sizes
+_LIKELY_SIZES = (0.01, 0.8)  # m; the error for a missing unit suggests units that give these sizes
 _CPU_SECONDS, _CPU_SECONDS_PER_MB = 15.0, 0.7  # s of CPU time, and per megabyte of the file
 _WALL_CLOCK_FACTOR = 4.0  # elapsed over CPU time, for a busy machine
 _PACKAGES = ("trimesh", "PIL", "defusedxml", "collada")  # of the extra `import`; binary STL needs none
@@ -58,9 +58,10 @@ def _read_as_is(path: Path) -> ObjectDescription:
     missing = [name for name in _PACKAGES if find_spec(name) is None]
     if missing and path.suffix.lower() != ".stl":
         raise ResourceError(f"reading {path.name} needs {' and '.join(missing)}: pip install 'yamsim[import]'")
-    if path.suffix.lower() not in ENDINGS:
+    if path.suffix.lower() not in OBJECT_SUFFIXES:
         raise RefusedError(
-            "unknown-kind", f"files with the suffix {path.suffix!r} are not supported; valid: {', '.join(ENDINGS)}"
+            "unknown-kind",
+            f"files with the suffix {path.suffix!r} are not supported; valid: {', '.join(OBJECT_SUFFIXES)}",
         )
     try:
         status = path.stat()
@@ -91,7 +92,7 @@ def _read_in_child(path: Path, scratch: Path, seconds: float) -> ObjectDescripti
         raise RefusedError(refusal["code"], refusal["text"])
     if result.returncode == 0:
         try:
-            return read_written(out)
+            return read_written_object(out)
         except (OSError, ValueError, KeyError, TypeError) as error:
             raise RefusedError("crashed", f"the reader's result is incomplete ({error})") from error
     last = (result.stderr.strip().splitlines() or ["no message"])[-1]
@@ -104,11 +105,11 @@ def _read_in_child(path: Path, scratch: Path, seconds: float) -> ObjectDescripti
 
 def convert_to_metres(thing: ObjectDescription, units: UnitOptions) -> ObjectDescription:
     """Convert to metres, z up. Raises `RefusedError` for an unknown unit or up axis, or an absurd size."""
-    size = _extent(thing)
+    size = _object_extent(thing)
     no_up = units.up is None and thing.up is None
     if units.unit is None and thing.unit_m is None:
         sizes = {unit: size * metre * units.scale for unit, metre in UNITS.items()}
-        likely = [unit for unit, lengths in sizes.items() if _LIKELY[0] <= lengths.max() <= _LIKELY[1]]
+        likely = [unit for unit, lengths in sizes.items() if _LIKELY_SIZES[0] <= lengths.max() <= _LIKELY_SIZES[1]]
         shown = " or ".join(f"--unit {unit} ({_format_size(sizes[unit])})" for unit in likely or UNITS)
         also = ", and --up z, y or x" if no_up else ""
         raise RefusedError("unit", f"it does not state its unit: add {shown}{also}")
@@ -126,7 +127,9 @@ def _check_size(size: Array, units: UnitOptions) -> None:
     bare = longest / (UNITS[units.unit] if units.unit else 1.0)
     mends = {f"--unit {unit}": bare * metre for unit, metre in UNITS.items()}
     fitting = [
-        f"{flag} makes it {length:.3g} m long" for flag, length in mends.items() if _LIKELY[0] <= length <= _LIKELY[1]
+        f"{flag} makes it {length:.3g} m long"
+        for flag, length in mends.items()
+        if _LIKELY_SIZES[0] <= length <= _LIKELY_SIZES[1]
     ]
     mend = "; ".join(fitting) or "give --scale"
     raise RefusedError(
@@ -140,8 +143,8 @@ def _format_size(size: Array) -> str:
     return " x ".join(f"{length:.3g}" for length in size) + " m"
 
 
-def _extent(thing: ObjectDescription) -> Array:
-    poses = zip(thing.parts, thing.poses(), strict=True)
+def _object_extent(thing: ObjectDescription) -> Array:
+    poses = zip(thing.parts, thing.part_poses(), strict=True)
     corners = [surface.transform(T).vertices for part, T in poses for surface in part.looks]
     if not corners:
         raise RefusedError("empty", "it has no visible surface")

@@ -18,7 +18,7 @@ _SEGMENTS = 40  # facets around the axis
 _AXIS_TOLERANCE = 1e-6  # deviation of a vertical axis's z component from 1
 
 
-def _revolve(outline: Array, material: SurfaceMaterial) -> Surface:
+def _revolve_outline(outline: Array, material: SurfaceMaterial) -> Surface:
     """Revolve an outline (n, 2): radius and height, m, from the lowest point upwards."""
     middle = outline[1:-1]
     angle = 2 * np.pi * np.arange(_SEGMENTS) / _SEGMENTS
@@ -73,22 +73,22 @@ def visual_surface(kind: str, size: Array, material: SurfaceMaterial) -> Surface
         raise RefusedError("impossible", f"it has a primitive of size {' x '.join(f'{length:g}' for length in size)}")
     match kind:
         case "box":
-            return _box(size, material)
+            return _box_surface(size, material)
         case "cylinder":
             radius, half = (float(length) for length in size)
-            return _revolve(np.array([[0, -half], [radius, -half], [radius, half], [0, half]]), material)
+            return _revolve_outline(np.array([[0, -half], [radius, -half], [radius, half], [0, half]]), material)
         case "capsule":
             radius, half = (float(length) for length in size)
             angle = np.linspace(0, np.pi / 2, _SEGMENTS // 4 + 1)
             top = np.stack([radius * np.cos(angle), half + radius * np.sin(angle)], axis=1)
-            return _revolve(np.concatenate([top[::-1] * [1, -1], top]), material)
+            return _revolve_outline(np.concatenate([top[::-1] * [1, -1], top]), material)
         case _:
             angle = np.linspace(-np.pi / 2, np.pi / 2, _SEGMENTS // 2 + 1)
-            unit = _revolve(np.stack([np.cos(angle), np.sin(angle)], axis=1), material)
+            unit = _revolve_outline(np.stack([np.cos(angle), np.sin(angle)], axis=1), material)
             return Surface(unit.vertices * size, unit.faces, material)
 
 
-def _box(half: Array, material: SurfaceMaterial) -> Surface:
+def _box_surface(half: Array, material: SurfaceMaterial) -> Surface:
     signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], np.float64)
     quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
     faces = [tri for a, b, c, d in quads for tri in ((a, b, c), (a, c, d))]

@@ -21,7 +21,7 @@ from yamsim_cli.core.files.untrusted.refusals import RefusedError
 from .object_parts import MassProperties, ObjectDescription, RigidPart, Surface, SurfaceMaterial
 
 REFUSAL_FILE = "refused.json"  # written if the child refuses the file
-_DESCRIPTION_FILE, _ARRAYS = "thing.json", "arrays.npz"
+_DESCRIPTION_FILE, _ARRAYS_FILE = "thing.json", "arrays.npz"
 
 _BASE_BYTES = 3_000_000_000  # bytes, address space of Python and its libraries, mostly only reserved
 _MEMORY_FACTOR = 60  # bytes of address space per byte of the file
@@ -36,11 +36,11 @@ def main(file: str, root: str, out: str, seconds: int) -> None:
     try:
         _write_object(read_file(path, Path(root)), Path(out))
     except RefusedError as error:
-        _refuse(out, error.code, str(error))
+        _write_refusal(out, error.code, str(error))
     except MemoryError:
-        _refuse(out, "too-much-memory", "reading it takes too much memory for a file of its size")
+        _write_refusal(out, "too-much-memory", "reading it takes too much memory for a file of its size")
     except RecursionError:
-        _refuse(out, "damaged", "it is nested too deeply")
+        _write_refusal(out, "damaged", "it is nested too deeply")
 
 
 def _set_process_limits(size: int, seconds: int) -> None:
@@ -56,7 +56,7 @@ def _set_process_limits(size: int, seconds: int) -> None:
             resource.setrlimit(kind, (limit, limit))
 
 
-def _refuse(out: str, code: str, text: str) -> None:
+def _write_refusal(out: str, code: str, text: str) -> None:
     (Path(out) / REFUSAL_FILE).write_text(json.dumps({"code": code, "text": text}))
 
 
@@ -67,7 +67,7 @@ def read_file(path: Path, root: Path) -> ObjectDescription:
         raise RefusedError("too-large", f"it has more than {MAX_BYTES // 10**6} MB")
     data = folder.read(path.name, base)
     if suffix in (".sdf", ".urdf", ".xml", ".mjcf"):
-        return _description(data, folder, base)
+        return _read_description(data, folder, base)
     from .meshes import read_mesh
 
     mesh = read_mesh(data, suffix, folder, base)
@@ -75,7 +75,7 @@ def read_file(path: Path, root: Path) -> ObjectDescription:
     return ObjectDescription("", (part,), unit_m=mesh.unit_m, up=mesh.up)
 
 
-def _description(data: bytes, folder: ConfinedFolder, base: Path) -> ObjectDescription:
+def _read_description(data: bytes, folder: ConfinedFolder, base: Path) -> ObjectDescription:
     """Read a file by its root element, not its ending."""
     from .untrusted_xml import parse_untrusted_xml
 
@@ -98,11 +98,11 @@ def _write_object(thing: ObjectDescription, folder: Path) -> None:
     arrays: dict[str, Any] = {}
     pictures: dict[bytes, str] = {}
 
-    def plain(value: Any) -> Any:
+    def json_value(value: Any) -> Any:
         if is_dataclass(value):
-            return {field.name: plain(getattr(value, field.name)) for field in fields(value)}
+            return {field.name: json_value(getattr(value, field.name)) for field in fields(value)}
         if isinstance(value, tuple | list):
-            return [plain(item) for item in value]
+            return [json_value(item) for item in value]
         if isinstance(value, np.ndarray):
             name = f"a{len(arrays)}"
             arrays[name] = value
@@ -111,41 +111,41 @@ def _write_object(thing: ObjectDescription, folder: Path) -> None:
             return pictures.setdefault(value, f"{len(pictures)}.png")
         return value
 
-    text = json.dumps(plain(thing))
+    text = json.dumps(json_value(thing))
     for data, name in pictures.items():
         (folder / name).write_bytes(data)
-    np.savez(folder / _ARRAYS, **arrays)
+    np.savez(folder / _ARRAYS_FILE, **arrays)
     (folder / _DESCRIPTION_FILE).write_text(text)
 
 
-def read_written(folder: Path) -> ObjectDescription:
+def read_written_object(folder: Path) -> ObjectDescription:
     """Return the object that the child wrote. Raises OSError, ValueError, KeyError or TypeError."""
     data = json.loads((folder / _DESCRIPTION_FILE).read_bytes())
-    with np.load(folder / _ARRAYS, allow_pickle=False) as stored:
+    with np.load(folder / _ARRAYS_FILE, allow_pickle=False) as stored:
         arrays = {name: stored[name] for name in stored.files}
-    data["parts"] = tuple(_part(entry, arrays, folder) for entry in data["parts"])
+    data["parts"] = tuple(_restore_part(entry, arrays, folder) for entry in data["parts"])
     data["notes"] = tuple(data["notes"])
     return ObjectDescription(**data)
 
 
-def _part(entry: dict[str, Any], arrays: Mapping[str, Any], folder: Path) -> RigidPart:
+def _restore_part(entry: dict[str, Any], arrays: Mapping[str, Any], folder: Path) -> RigidPart:
     if weight := entry["weight"]:
         centre, tensor = (np.asarray(arrays[weight[key]], np.float64) for key in ("centre", "tensor"))
         weight = MassProperties(float(weight["mass"]), centre, tensor)
     shapes = entry["shapes"] and tuple(
-        _surface(shape, arrays, folder) if "vertices" in shape else shape for shape in entry["shapes"]
+        _restore_surface(shape, arrays, folder) if "vertices" in shape else shape for shape in entry["shapes"]
     )
     made: dict[str, Any] = {
         "T_in_parent": np.asarray(arrays[entry["T_in_parent"]], np.float64).reshape(4, 4),
         "weight": weight,
-        "looks": tuple(_surface(look, arrays, folder) for look in entry["looks"]),
+        "looks": tuple(_restore_surface(look, arrays, folder) for look in entry["looks"]),
         "shapes": shapes,
         "handles": tuple(entry["handles"]),
     }
     return RigidPart(**{**entry, **made})
 
 
-def _surface(entry: Mapping[str, Any], arrays: Mapping[str, Any], folder: Path) -> Surface:
+def _restore_surface(entry: Mapping[str, Any], arrays: Mapping[str, Any], folder: Path) -> Surface:
     vertices = np.asarray(arrays[entry["vertices"]], np.float64).reshape(-1, 3)
     faces = np.asarray(arrays[entry["faces"]], np.int32).reshape(-1, 3)
     uv = None if entry["uv"] is None else np.asarray(arrays[entry["uv"]], np.float64).reshape(-1, 3, 2)

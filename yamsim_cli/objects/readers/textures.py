@@ -14,7 +14,7 @@ from yamsim_cli.core.geometry.stl import Faces
 
 _MAX_PIXELS = 64_000_000
 _MAX_SIDE = 2048  # px, of a stored texture
-_TILE = 2  # px, a triangle's square: one texel per corner, a fourth for interpolation
+_TILE_PX = 2  # px, a triangle's square: one texel per corner, a fourth for interpolation
 
 
 def open_image(data: bytes, name: str) -> Any:
@@ -23,14 +23,14 @@ def open_image(data: bytes, name: str) -> Any:
 
     Image.MAX_IMAGE_PIXELS = _MAX_PIXELS
     try:
-        return _checked(Image.open(io.BytesIO(data), formats=("PNG", "JPEG")), name)
+        return _check_pixel_count(Image.open(io.BytesIO(data), formats=("PNG", "JPEG")), name)
     except (UnidentifiedImageError, OSError, SyntaxError, ValueError) as error:
         raise RefusedError("texture-unreadable", f"the texture {name} is not a PNG or JPEG") from error
     except (Image.DecompressionBombError, Image.DecompressionBombWarning) as error:
         raise RefusedError("texture-too-large", f"the texture {name} is too large to be decoded: {error}") from error
 
 
-def _checked(image: Any, name: str) -> Any:
+def _check_pixel_count(image: Any, name: str) -> Any:
     width, height = image.size
     if width * height > _MAX_PIXELS:
         raise RefusedError(
@@ -43,7 +43,7 @@ def _checked(image: Any, name: str) -> Any:
 
 def encode_png_texture(image: Any, name: str) -> bytes:
     """Encode as RGB PNG of at most 2048 x 2048 pixels. Raises `RefusedError` if undecodable."""
-    _checked(image, name)
+    _check_pixel_count(image, name)
     try:
         if "transparency" in image.info or image.mode in ("RGBA", "LA", "PA"):
             image = image.convert("RGBA")
@@ -67,9 +67,9 @@ def bake_colours(vertices: Array, faces: Faces, colours: NDArray[np.uint8]) -> t
     rows = -(-len(faces) // columns)
     place = np.empty(len(faces), np.int64)
     place[_morton_order(vertices[faces].mean(axis=1))] = np.arange(len(faces))
-    x, y = _TILE * (place % columns), _TILE * (place // columns)
+    x, y = _TILE_PX * (place % columns), _TILE_PX * (place // columns)
     corner = colours[faces][..., :3].astype(np.int64)
-    texels = np.zeros((_TILE * rows, _TILE * columns, 3), np.uint8)
+    texels = np.zeros((_TILE_PX * rows, _TILE_PX * columns, 3), np.uint8)
     texels[y, x], texels[y, x + 1], texels[y + 1, x] = corner[:, 0], corner[:, 1], corner[:, 2]
     texels[y + 1, x + 1] = np.clip(corner[:, 1] + corner[:, 2] - corner[:, 0], 0, 255)
     centres = np.stack([np.stack([x, y], 1), np.stack([x + 1, y], 1), np.stack([x, y + 1], 1)], axis=1) + 0.5

@@ -46,7 +46,7 @@ def _check_shape(root: Element) -> None:
             element.tag = element.tag.rpartition("}")[2]
 
 
-def numbers(text: str | None, count: int, default: tuple[float, ...] | None = None) -> list[float]:
+def parse_numbers(text: str | None, count: int, default: tuple[float, ...] | None = None) -> list[float]:
     """Return `count` finite numbers, or `default` for an empty text, else raise `RefusedError`."""
     words = (text or "").split()
     if not words and default is not None:
@@ -62,9 +62,9 @@ def numbers(text: str | None, count: int, default: tuple[float, ...] | None = No
     return values
 
 
-def number(text: str | None, default: float | None = None) -> float:
-    """Return one finite number, as `numbers`."""
-    return numbers(text, 1, None if default is None else (default,))[0]
+def parse_number(text: str | None, default: float | None = None) -> float:
+    """Return one finite number, as `parse_numbers`."""
+    return parse_numbers(text, 1, None if default is None else (default,))[0]
 
 
 def collada_asset(data: bytes) -> tuple[float, str]:
@@ -72,7 +72,7 @@ def collada_asset(data: bytes) -> tuple[float, str]:
     root = parse_untrusted_xml(data)
     unit, up = root.find("asset/unit"), root.find("asset/up_axis")
     axis = "" if up is None else (up.text or "").strip()
-    metre = number(None if unit is None else unit.get("meter"), 1.0)
+    metre = parse_number(None if unit is None else unit.get("meter"), 1.0)
     if not 1e-6 <= metre <= 1e4:
         raise RefusedError("impossible", f"its unit is {metre:g} m; valid: 1e-6 to 1e4 m")
     return metre, {"X_UP": "x", "Y_UP": "y", "Z_UP": "z"}.get(axis, "y")

@@ -20,7 +20,7 @@ from ..lens_distortion import project_points
 from .fitting.blur_kernel import BlurKernel
 from .fitting.normal_equations import MarkerTile
 from .fitting.pose_alignment import Alignment, marginalize_shape, measure_agreement
-from .fitting.pose_fits import PoseFit, angle_between, find_competing_fit, is_clearly_better, without_outliers
+from .fitting.pose_fits import PoseFit, angle_between, find_competing_fit, is_clearly_better, refit_without_outliers
 from .fitting.print_shape import CREASED_SHARE
 from .fitting.print_view import whole_board_piece
 
@@ -140,16 +140,16 @@ def judge_detection(
         fit: the best of `fits`, which are from different start poses.
         predicted_poses: approximate poses (4, 4) from other boards, which resolve an ambiguity.
     """
-    fit = without_outliers(photo, camera, board, fit)
+    fit = refit_without_outliers(photo, camera, board, fit)
     rival = find_competing_fit(photo, camera, board, fit, fits, predicted_poses)
     if rival is not None and is_clearly_better(rival, fit):
         # The fit started at the wrong one of a flat board's two poses.
         fit, rival = rival, find_competing_fit(photo, camera, board, rival, [*fits, fit], predicted_poses)
-    ids = tuple(sorted(board.ids[k] for k in fit.agreeing))
+    ids = tuple(sorted(board.marker_ids[k] for k in fit.agreeing_markers))
     rms = marker_shift_rms(fit.alignment.tiles[0])
     advice = suggest_improvements(measure_appearance(board, camera, photo, fit.alignment))
     if rival is not None:
-        apart = math.degrees(angle_between(fit.T, rival.T))
+        apart = math.degrees(angle_between(fit.T_board_in_cam, rival.T_board_in_cam))
         reason = (
             f"two poses, {apart:.0f} degrees apart, explain the {len(ids)} markers about equally well: take the photo "
             "from closer or at a slant"
@@ -159,7 +159,9 @@ def judge_detection(
             board, ids, BoardStatus.AMBIGUOUS, reason, reprojection_rms=rms, blur=kernel, advice=advice
         )
     creased = _CREASED_SHARE_IF_DISPLACED if _has_displaced_markers(photo, camera, board, fit) else CREASED_SHARE
-    shaped = marginalize_shape(photo, camera, [whole_board_piece(board, fit.agreeing)], fit.alignment, creased=creased)
+    shaped = marginalize_shape(
+        photo, camera, [whole_board_piece(board, fit.agreeing_markers)], fit.alignment, creased=creased
+    )
     covariance, shared = pose_covariance(shaped, camera, np.zeros(3))
     detection = BoardDetection(
         board, ids, BoardStatus.OK, "", shaped.T_ref_in_cam, covariance, shared, rms, shaped.blur
@@ -182,12 +184,14 @@ def judge_detection(
 
 
 def _has_displaced_markers(photo: NDArray[np.float32], camera: CameraModel, board: Board, fit: PoseFit) -> bool:
-    if fit.contradicting < _MIN_DISPLACED:
+    if fit.contradicting_count < _MIN_DISPLACED:
         return False
-    check = measure_agreement(photo, camera, [whole_board_piece(board)], fit.T, fit.alignment.blur, fit.alignment.noise)
+    check = measure_agreement(
+        photo, camera, [whole_board_piece(board)], fit.T_board_in_cam, fit.alignment.blur, fit.alignment.noise
+    )
     if check is None:
         return False
-    left_out = [tile for k, tile in check.tiles[0].items() if k not in fit.agreeing]
+    left_out = [tile for k, tile in check.tiles[0].items() if k not in fit.agreeing_markers]
     displaced = [
         t for t in left_out if t.correlation > _MIN_DISPLACED_CORRELATION and math.hypot(*t.shift) > _DISPLACED_PX
     ]
@@ -240,7 +244,7 @@ def measure_appearance(
     part = photo[top : bottom + 1, left : right + 1]
     low, high = np.percentile(part, _RANGE_PERCENTILES) if part.size else (0.0, 0.0)
     shorter = area / max(longer, 1.0)
-    return BoardAppearance(shorter / across, fit.blur.blur, fit.blur.length, float(high - low), fit.noise)
+    return BoardAppearance(shorter / across, fit.blur.blur, fit.blur.motion_length, float(high - low), fit.noise)
 
 
 def suggest_improvements(looks: BoardAppearance) -> tuple[str, ...]:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from yamsim_cli.core.geometry.board import Board
 from yamsim_cli.core.geometry.camera import CameraModel
-from yamsim_cli.core.geometry.se3 import Array, inverse
+from yamsim_cli.core.geometry.se3 import Array, invert_pose
 
 from .board_detection import (
     PRINT_SIGMA,
@@ -30,7 +30,7 @@ from .board_detection import (
     pose_covariance,
 )
 from .fitting.pose_alignment import (
-    INFLATION,
+    SIGMA_INFLATION,
     USUAL_BLUR,
     LogScalePrior,
     align_pose,
@@ -95,7 +95,7 @@ def _poses_by_other_boards(
     if not T_boards_in_ref:
         return []
     return [
-        T @ inverse(T_boards_in_ref[j]) @ T_boards_in_ref[k]
+        T @ invert_pose(T_boards_in_ref[j]) @ T_boards_in_ref[k]
         for j, other in enumerate(detections)
         if j != k and other.status is BoardStatus.OK and (T := other.T_board_in_cam) is not None
     ]
@@ -112,12 +112,14 @@ def boards_without_pose(
     sightings = []
     for board in boards:
         found = group_markers(markers[board.dictionary], board, camera)
-        ids = tuple(sorted(board.ids[k] for k in found[0].places)) if found else ()
-        sightings.append(BoardDetection(board, ids, BoardStatus.POOR_FIT, reason) if ids else _not_found(board))
+        ids = tuple(sorted(board.marker_ids[k] for k in found[0].places)) if found else ()
+        sightings.append(
+            BoardDetection(board, ids, BoardStatus.POOR_FIT, reason) if ids else _not_found_detection(board)
+        )
     return sightings, markers
 
 
-def _not_found(board: Board) -> BoardDetection:
+def _not_found_detection(board: Board) -> BoardDetection:
     return BoardDetection(board, (), BoardStatus.NOT_FOUND, "none of its markers was found")
 
 
@@ -130,9 +132,9 @@ def _locate_read_board(
 ) -> BoardDetection:
     found = group_markers(markers[board.dictionary], board, camera)
     if not found:
-        return _not_found(board)
+        return _not_found_detection(board)
     best = found[0]
-    ids = tuple(sorted(board.ids[k] for k in best.places))
+    ids = tuple(sorted(board.marker_ids[k] for k in best.places))
     if len(found) > 1 and 2 * len(found[1].places) > len(best.places):
         reason = f"its markers appear in {len(found)} places: hide or remove the other prints"
         return BoardDetection(board, ids, BoardStatus.AMBIGUOUS, reason, is_duplicated=True)
@@ -141,7 +143,7 @@ def _locate_read_board(
         if fit := fit_pose(photo, camera, board, best.places, T, fits):
             fits.append(fit)
             # The other start could only give a competing pose, which `judge_detection` searches.
-            if fit.contradicting == 0 or fit.explains_well:
+            if fit.contradicting_count == 0 or fit.explains_well:
                 break
     if not fits:
         return BoardDetection(
@@ -150,13 +152,13 @@ def _locate_read_board(
             BoardStatus.POOR_FIT,
             "no pose of the board explains its markers: the print is blurred or bent, or shows another board",
         )
-    fit = max(fits, key=lambda one: (len(one.agreeing), -one.mean_square))
+    fit = max(fits, key=lambda one: (len(one.agreeing_markers), -one.mean_square))
     return judge_detection(photo, camera, board, fit, fits, limits=limits)
 
 
 def with_pose(grey: Grey, camera: CameraModel, seen: BoardDetection, T_board_in_cam: Array) -> BoardDetection:
     """Replace a detection's pose (4, 4) and measure the reprojection error in a photo (height, width)."""
-    piece = whole_board_piece(seen.board, [seen.board.ids.index(number) for number in seen.markers])
+    piece = whole_board_piece(seen.board, [seen.board.marker_ids.index(number) for number in seen.markers])
     check = measure_agreement(
         grey.astype(np.float32), camera, [piece], T_board_in_cam, seen.blur or USUAL_BLUR, noise=1.0
     )
@@ -164,7 +166,7 @@ def with_pose(grey: Grey, camera: CameraModel, seen: BoardDetection, T_board_in_
     return replace(seen, T_board_in_cam=T_board_in_cam, reprojection_rms=rms)
 
 
-def locate_together(
+def locate_boards_together(
     grey: Grey, camera: CameraModel, detections: Sequence[BoardDetection], T_boards_in_ref: Sequence[Array]
 ) -> list[BoardDetection] | None:
     """Fit one pose to boards with poses and known relative poses: distant boards determine tilt better.
@@ -176,7 +178,7 @@ def locate_together(
         New detections; None if no print size within 3 `PRINT_SIGMA` explains the relative poses.
     """
     pieces = [
-        PrintPiece(seen.board, T, tuple(seen.board.ids.index(number) for number in seen.markers))
+        PrintPiece(seen.board, T, tuple(seen.board.marker_ids.index(number) for number in seen.markers))
         for seen, T in zip(detections, T_boards_in_ref, strict=True)
     ]
     # The most certain board gives the start pose of `ref`.
@@ -184,10 +186,10 @@ def locate_together(
     T_board_in_cam, kernel = detections[best].T_board_in_cam, detections[best].blur or USUAL_BLUR
     assert T_board_in_cam is not None
     # The print size is fitted too: a size error of 0.25 % would tilt the boards by 0.2 degrees.
-    scale_prior = LogScalePrior(0.0, PRINT_SIGMA / INFLATION, _common_log_scale(detections, T_boards_in_ref))
+    scale_prior = LogScalePrior(0.0, PRINT_SIGMA / SIGMA_INFLATION, _common_log_scale(detections, T_boards_in_ref))
     T_start = T_board_in_cam.copy()
     T_start[:3, 3] *= math.exp(scale_prior.start)
-    T_start = T_start @ inverse(T_boards_in_ref[best])
+    T_start = T_start @ invert_pose(T_boards_in_ref[best])
     photo = grey.astype(np.float32)
     alignment = align_pose(photo, camera, pieces, T_start, kernel, log_scale_prior=scale_prior)
     if alignment is None or abs(alignment.log_scale) > _MAX_LOG_SCALE:

@@ -95,10 +95,10 @@ def group_markers(markers: Sequence[DetectedMarker], board: Board, camera: Camer
 
     A second print, or a misread marker, forms another group.
     """
-    place = {number: k for k, number in enumerate(board.ids)}
+    place = {number: k for k, number in enumerate(board.marker_ids)}
     ours = [marker for marker in markers if marker.id in place]
-    corners = board.corners()
-    middles = [_middle(marker, corners[place[marker.id]], camera) for marker in ours]
+    corners = board.marker_corners()
+    middles = [_predicted_board_centre(marker, corners[place[marker.id]], camera) for marker in ours]
     clusters: list[list[int]] = []
     for k, (marker, (middle, edge)) in enumerate(zip(ours, middles, strict=True)):
         for cluster in clusters:
@@ -116,7 +116,7 @@ def group_markers(markers: Sequence[DetectedMarker], board: Board, camera: Camer
     ]
 
 
-def _middle(marker: DetectedMarker, corners: Array, camera: CameraModel) -> tuple[Array, float]:
+def _predicted_board_centre(marker: DetectedMarker, corners: Array, camera: CameraModel) -> tuple[Array, float]:
     """Return the viewing ray (2,) of the predicted board centre, and the marker's edge in ray units."""
     seen = viewing_rays(camera, marker.corners)
     # A small marker's perspective is mostly noise: an affine map extrapolates better.
@@ -126,6 +126,6 @@ def _middle(marker: DetectedMarker, corners: Array, camera: CameraModel) -> tupl
     return affine[2], edge
 
 
-def seen_ids(markers: Mapping[str, Sequence[DetectedMarker]]) -> list[int]:
+def sorted_marker_ids(markers: Mapping[str, Sequence[DetectedMarker]]) -> list[int]:
     """Return the sorted ids of all markers, once each."""
     return sorted({marker.id for found in markers.values() for marker in found})

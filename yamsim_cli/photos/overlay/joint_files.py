@@ -44,7 +44,9 @@ def load_postures(path: Path, rig: RigConfig) -> list[ArmPostures]:
     if kind not in _SUFFIXES:
         raise ConfigError(f"--joints {path}: unknown kind of file {path.suffix!r}; valid: {', '.join(_SUFFIXES)}")
     try:
-        values = _yaml_rows(path, rig) if kind in (".yaml", ".yml") else _split_by_arm(_numbers(path, kind), rig, path)
+        values = (
+            _yaml_rows(path, rig) if kind in (".yaml", ".yml") else _split_by_arm(_load_numbers(path, kind), rig, path)
+        )
     except OSError as error:
         raise ConfigError(f"--joints {path}: cannot be read: {error.strerror or error}") from error
     if not all(np.isfinite(rows).all() for rows in values):
@@ -52,7 +54,7 @@ def load_postures(path: Path, rig: RigConfig) -> list[ArmPostures]:
     for arm, rows in zip(rig.arms, values, strict=True):
         if fault := describe_limit_violation(arm.name, arm.robot, rows, _LIMIT_TOLERANCE):
             raise ConfigError(f"--joints {path}: {fault}")
-    return _arm_postures(_in_metres(values, rig, path), rig)
+    return _arm_postures(_openings_in_metres(values, rig, path), rig)
 
 
 def recorded_postures(joints: Array, rig: RigConfig, source: Path) -> ArmPostures:
@@ -71,7 +73,7 @@ def _arm_postures(values: list[Array], rig: RigConfig) -> list[ArmPostures]:
     ]
 
 
-def _in_metres(values: list[Array], rig: RigConfig, path: Path) -> list[Array]:
+def _openings_in_metres(values: list[Array], rig: RigConfig, path: Path) -> list[Array]:
     fingers = [(arm.robot.fingers.full_opening, k) for k, arm in enumerate(rig.arms) if arm.robot.fingers]
     are_shares = any((values[k][:, -1] > _MAX_OPENING_SHARE * full).any() for full, k in fingers)
     for full, k in fingers:
@@ -88,7 +90,7 @@ def _in_metres(values: list[Array], rig: RigConfig, path: Path) -> list[Array]:
     return values
 
 
-def _numbers(path: Path, kind: str) -> Array:
+def _load_numbers(path: Path, kind: str) -> Array:
     if kind == ".npy":
         try:
             # `np.load` would accept .npz archives.
@@ -109,25 +111,25 @@ def _yaml_rows(path: Path, rig: RigConfig) -> list[Array]:
     data = load_yaml(path).data
     names = [arm.name for arm in rig.arms]
     if set(data) == {"joints"}:
-        return _split_by_arm(_array(data["joints"], path), rig, path)
+        return _split_by_arm(_float_array(data["joints"], path), rig, path)
     if not data or not set(data) <= set(names):
         raise ConfigError(
             f"--joints {path}: has the keys {', '.join(data)}; valid: joints alone, or {', '.join(names)}"
         )
     found = []
     for arm in rig.arms:
-        values = _array(data[arm.name], path) if arm.name in data else np.array(arm.robot.home)
-        dof, width = arm.robot.dof, len(arm.robot.drives)
+        values = _float_array(data[arm.name], path) if arm.name in data else np.array(arm.robot.home)
+        dof, width = arm.robot.dof, len(arm.robot.drive_names)
         if values.shape not in ((dof,), (width,)):
             with_gripper = f", or {width} with the gripper" if width > dof else ""
             raise ConfigError(
                 f"--joints {path}: {arm.name}: has the shape {values.shape}; give {dof} joints{with_gripper}"
             )
-        found.append(_padded(values[None], width))
+        found.append(_pad_columns(values[None], width))
     return found
 
 
-def _array(value: object, path: Path) -> Array:
+def _float_array(value: object, path: Path) -> Array:
     try:
         return np.asarray(value, dtype=np.float64)
     except (ValueError, TypeError) as error:
@@ -139,9 +141,9 @@ def _split_by_arm(values: Array, rig: RigConfig, path: Path) -> list[Array]:
     if len(rows) == 0:
         raise ConfigError(f"{path}: holds no row of joints")
     count = rows.shape[1] if rows.ndim == 2 else 0
-    each, dof, alone = rig.drives, rig.arms[0].robot.dof, len(rig.arms) == 1
+    each, dof, alone = rig.drive_count, rig.arms[0].robot.dof, len(rig.arms) == 1
     if alone and count in (dof, each):
-        return [_padded(rows, each)]
+        return [_pad_columns(rows, each)]
     if count == 2 * each:
         # The recorder of a real station stores two arms.
         return [rows[:, :each].copy() if arm.side == "left" else rows[:, each:].copy() for arm in rig.arms]
@@ -149,7 +151,7 @@ def _split_by_arm(values: Array, rig: RigConfig, path: Path) -> list[Array]:
     raise ConfigError(f"{path}: joints have the shape {values.shape}; rig {rig.name!r} needs {valid} numbers a row")
 
 
-def _padded(rows: Array, width: int) -> Array:
+def _pad_columns(rows: Array, width: int) -> Array:
     padded = np.zeros((len(rows), width))
     padded[:, : rows.shape[1]] = rows
     return padded
@@ -160,4 +162,4 @@ def _describe_columns(rig: RigConfig) -> str:
     parts = []
     for arm in arms:
         parts += [f"{arm.side} {arm.robot.dof}"] + [f"{arm.side} gripper"] * bool(arm.robot.fingers)
-    return f"{len(arms) * rig.drives} ({', '.join(parts)})"
+    return f"{len(arms) * rig.drive_count} ({', '.join(parts)})"

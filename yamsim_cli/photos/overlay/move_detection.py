@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from yamsim_cli.core.geometry.se3 import Array, inverse, pose, rotation_from_vector, rotation_vector
+from yamsim_cli.core.geometry.se3 import Array, invert_pose, pose, rotation_from_vector, rotation_vector
 
 from ..fiducials.board_detection import BoardStatus
 from .photo_arm_poses import ArmPose, RigInPhoto
@@ -100,13 +100,13 @@ def find_moves(results: Sequence[RigInPhoto]) -> MoveReport:
     A motion that all boards share is the camera's; a motion of one board alone is its base's.
     """
     arms = range(len(results[0].arms)) if results else range(0)
-    tracks = [track for k in arms if (track := _track(results, k)) is not None]
+    tracks = [track for k in arms if (track := _board_track(results, k)) is not None]
     if not tracks:
         return MoveReport(unknown=f"fewer than {2 * _MIN_SAMPLES} photos have a pose from a board")
     if any(track.camera_never_rests for track in tracks):
         return MoveReport(unknown="the camera is not on a stand: it moves between all photos")
     moves: list[DetectedMove] = []
-    for event in _events([(track, step) for track in tracks for step in track.steps]):
+    for event in _group_events([(track, step) for track in tracks for step in track.significant_steps]):
         moves += _classify_event(results, tracks, event)
     return MoveReport(tuple(sorted(moves, key=lambda move: move.photo)))
 
@@ -137,40 +137,44 @@ class _BoardTrack:
     def __init__(self, arm: int, photos: list[int], boards: list[Array], bases: list[Array], minimum: Array) -> None:
         self.arm = arm
         self.photos = np.array(photos)
-        self._board, self._T_base_in_board = boards[len(boards) // 2], inverse(boards[0]) @ bases[0]
+        self._board, self._T_base_in_board = boards[len(boards) // 2], invert_pose(boards[0]) @ bases[0]
         self.motions = np.array([_relative_motion(T, self._board) for T in boards])
         self._least = minimum
 
     @cached_property
-    def steps(self) -> list[_PoseStep]:
+    def significant_steps(self) -> list[_PoseStep]:
         return [step for step in _find_steps(self.motions, self._least) if _is_significant(step)]
 
     def step_before(self, photo: int) -> _PoseStep | None:
         cut = int(np.searchsorted(self.photos, photo))
-        edges = [0, *(step.at for step in self.steps if abs(step.at - cut) > _MAX_EVENT_SPAN), len(self.photos)]
+        edges = [
+            0,
+            *(step.at for step in self.significant_steps if abs(step.at - cut) > _MAX_EVENT_SPAN),
+            len(self.photos),
+        ]
         low = max(edge for edge in edges if edge <= cut)
         high = min(edge for edge in edges if edge >= cut)
         if cut - low < _MIN_SAMPLES or high - cut < _MIN_SAMPLES:
             return None
-        return _step_at(self.motions[low:high], cut - low, _noise_of(self.motions, self._least))
+        return _step_at(self.motions[low:high], cut - low, _series_noise(self.motions, self._least))
 
     @property
     def camera_never_rests(self) -> bool:
-        shaken = float(np.median(_noise_of(self.motions, self._least) / self._least))
-        steps = len(self.steps)
+        shaken = float(np.median(_series_noise(self.motions, self._least) / self._least))
+        steps = len(self.significant_steps)
         return shaken > _HANDHELD_NOISE_RATIO or (steps > 1 and steps * _MIN_PHOTOS_PER_STEP > len(self.photos))
 
-    def base(self, motion: Array) -> Array:
+    def T_base_in_cam(self, motion: Array) -> Array:
         turn = rotation_from_vector(motion[:3]) @ self._board[:3, :3]
         return pose(self._board[:3, 3] + motion[3:], turn) @ self._T_base_in_board
 
-    def sigma(self, step: _PoseStep) -> tuple[float, float]:
+    def base_step_sigmas(self, step: _PoseStep) -> tuple[float, float]:
         turn = float(np.linalg.norm(step.sigma[:3]))
         lever = float(np.linalg.norm(self._T_base_in_board[:3, 3]))
         return math.hypot(float(np.linalg.norm(step.sigma[3:])), lever * turn), turn
 
 
-def _track(results: Sequence[RigInPhoto], k: int) -> _BoardTrack | None:
+def _board_track(results: Sequence[RigInPhoto], k: int) -> _BoardTrack | None:
     photos, boards, bases, noise = [], [], [], []
     for number, result in enumerate(results):
         arm = result.arms[k]
@@ -209,7 +213,7 @@ def _is_significant(step: _PoseStep) -> bool:
 _TrackStep = tuple[_BoardTrack, _PoseStep]
 
 
-def _events(found: list[_TrackStep]) -> list[list[_TrackStep]]:
+def _group_events(found: list[_TrackStep]) -> list[list[_TrackStep]]:
     events: list[list[_TrackStep]] = []
     for track, step in sorted(found, key=lambda one: one[0].photos[one[1].at]):
         last = events[-1] if events else []
@@ -228,21 +232,24 @@ def _classify_event(
     photo = int(track.photos[step.at])
     others = [(other, its) for other in tracks if other is not track and (its := other.step_before(photo)) is not None]
     if not others:
-        return [_move(results, track, step, photo, MovedBody.EITHER)]
+        return [_detected_move(results, track, step, photo, MovedBody.EITHER)]
     other, its = others[0]
     if other.arm not in {one.arm for one, _ in event}:
-        return [_move(results, track, step, photo, MovedBody.BASE)]
+        return [_detected_move(results, track, step, photo, MovedBody.BASE)]
     if _same_relative_pose((track, step), (other, its)):
-        return [_move(results, track, step, photo, MovedBody.CAMERA)]
-    return [_move(results, *one, photo, MovedBody.SEVERAL) for one in ((track, step), (other, its))]
+        return [_detected_move(results, track, step, photo, MovedBody.CAMERA)]
+    return [_detected_move(results, *one, photo, MovedBody.SEVERAL) for one in ((track, step), (other, its))]
 
 
 def _same_relative_pose(one: _TrackStep, other: _TrackStep) -> bool:
     (track_one, step_one), (track_two, step_two) = one, other
-    before = inverse(track_one.base(step_one.before)) @ track_two.base(step_two.before)
-    after = inverse(track_one.base(step_one.after)) @ track_two.base(step_two.after)
+    before = invert_pose(track_one.T_base_in_cam(step_one.before)) @ track_two.T_base_in_cam(step_two.before)
+    after = invert_pose(track_one.T_base_in_cam(step_one.after)) @ track_two.T_base_in_cam(step_two.after)
     motion = _relative_motion(after, before)
-    (shift_one, turn_one), (shift_two, turn_two) = track_one.sigma(step_one), track_two.sigma(step_two)
+    (shift_one, turn_one), (shift_two, turn_two) = (
+        track_one.base_step_sigmas(step_one),
+        track_two.base_step_sigmas(step_two),
+    )
     turn, shift = math.hypot(turn_one, turn_two), math.hypot(shift_one, shift_two)
     reach = float(np.linalg.norm(before[:3, 3]))
     return bool(
@@ -251,13 +258,13 @@ def _same_relative_pose(one: _TrackStep, other: _TrackStep) -> bool:
     )
 
 
-def _move(
+def _detected_move(
     results: Sequence[RigInPhoto], track: _BoardTrack, step: _PoseStep, photo: int, what: MovedBody
 ) -> DetectedMove:
-    before, after = track.base(step.before), track.base(step.after)
-    shift_sigma, turn_sigma = track.sigma(step)
+    before, after = track.T_base_in_cam(step.before), track.T_base_in_cam(step.after)
+    shift_sigma, turn_sigma = track.base_step_sigmas(step)
     if what is MovedBody.CAMERA:
-        change = inverse(after)[:3, 3] - inverse(before)[:3, 3]
+        change = invert_pose(after)[:3, 3] - invert_pose(before)[:3, 3]
     else:
         change = before[:3, :3].T @ (after[:3, 3] - before[:3, 3])
     result = results[photo]
@@ -275,7 +282,7 @@ def _move(
     )
 
 
-def _noise_of(series: Array, minimum: Array) -> Array:
+def _series_noise(series: Array, minimum: Array) -> Array:
     jumps = np.abs(np.diff(series, axis=0))
     sigma: Array = np.maximum(_SIGMA_PER_MAD * np.median(jumps, axis=0) / np.sqrt(2), minimum)
     return sigma
@@ -286,8 +293,8 @@ def _find_steps(series: Array, minimum: Array) -> list[_PoseStep]:
 
     Levels are medians of at least four samples: one outlier is no step.
     """
-    sigma = _noise_of(series, minimum)
-    edges = [0, *sorted(_split(series / sigma, 0)), len(series)]
+    sigma = _series_noise(series, minimum)
+    edges = [0, *sorted(_split_at_steps(series / sigma, 0)), len(series)]
     steps = []
     for low, at, high in zip(edges, edges[1:], edges[2:], strict=False):
         step = _step_at(series[low:high], at - low, sigma)
@@ -302,17 +309,17 @@ def _step_at(series: Array, at: int, sigma: Array) -> _PoseStep:
     return _PoseStep(at, before, after, spread, float(np.sum(((after - before) / spread) ** 2)))
 
 
-def _split(series: Array, start: int) -> list[int]:
+def _split_at_steps(series: Array, start: int) -> list[int]:
     """Return `start` plus the steps, by recursive splits into two levels with noise 1."""
     n = len(series)
     if n < 2 * _MIN_SAMPLES:
         return []
-    costs = [_cost(series[:k]) + _cost(series[k:]) for k in range(_MIN_SAMPLES, n - _MIN_SAMPLES + 1)]
+    costs = [_level_cost(series[:k]) + _level_cost(series[k:]) for k in range(_MIN_SAMPLES, n - _MIN_SAMPLES + 1)]
     at = _MIN_SAMPLES + int(np.argmin(costs))
     if _step_at(series, at, np.ones(series.shape[1])).strength <= _MIN_STRENGTH:
         return []
-    return [*_split(series[:at], start), start + at, *_split(series[at:], start + at)]
+    return [*_split_at_steps(series[:at], start), start + at, *_split_at_steps(series[at:], start + at)]
 
 
-def _cost(series: Array) -> float:
+def _level_cost(series: Array) -> float:
     return float(np.minimum(np.abs(series - np.median(series, axis=0)), _MAX_SAMPLE_COST).sum())

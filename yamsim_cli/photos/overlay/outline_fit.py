@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from yamsim_cli.core.geometry.camera import CameraModel
-from yamsim_cli.core.geometry.se3 import Array, inverse
+from yamsim_cli.core.geometry.se3 import Array, invert_pose
 
 from ..edge_alignment import (
     EdgeEquations,
@@ -32,17 +32,19 @@ _MIN_POINTS = 20  # points of an outline; with fewer, it does not move a pose
 
 def score_outlines(result: RigInPhoto, renderer: ArmRenderer, grey: NDArray[np.uint8]) -> RigInPhoto:
     """Return median distances (px) of outlines to edges in the result, by arm and overall."""
-    flat_grey = renderer.undistort(grey)
+    flat_grey = renderer.undistort_photo(grey)
     labels = renderer.flat_labels()
     offsets = {
-        k: edge_offsets(flat_grey, mask_outline(labels == k + 1, _other_arms_mask(labels, k))) for k in result.bases
+        k: edge_offsets(flat_grey, mask_outline(labels == k + 1, _other_arms_mask(labels, k)))
+        for k in result.base_poses
     }
     arms = tuple(
-        replace(arm, edge_residual=offsets[k].residual) if k in offsets else arm for k, arm in enumerate(result.arms)
+        replace(arm, edge_residual=offsets[k].median_distance) if k in offsets else arm
+        for k, arm in enumerate(result.arms)
     )
     reach = next(iter(offsets.values())).reach
     every = EdgeOffsets(np.concatenate([found.offsets for found in offsets.values()]), reach)
-    return replace(result, arms=arms, edge_residual=every.residual)
+    return replace(result, arms=arms, edge_residual=every.median_distance)
 
 
 def _other_arms_mask(labels: NDArray[np.uint8], k: int) -> NDArray[np.bool_]:
@@ -57,22 +59,24 @@ def refine_poses(
 
     With `together`, the arms move as one rigid body.
     """
-    flat_grey = renderer.undistort(grey)
-    start = result.bases
+    flat_grey = renderer.undistort_photo(grey)
+    start = result.base_poses
     groups = [list(start)] if together else [[k] for k in start]
-    priors = [_prior([result.arms[k] for k in group]) for group in groups]
+    priors = [_pose_prior([result.arms[k] for k in group]) for group in groups]
     steps = [np.zeros(6) for _ in groups]
     poses = dict(start)
     for reach in search_radii():
-        renderer.pose(poses, postures)
+        renderer.set_poses(poses, postures)
         flat = renderer.pinhole_arms()
         for group, (centre, information), step in zip(groups, priors, steps, strict=True):
-            equations = [part for k in group if (part := _equations(flat, flat_grey, k, centre, reach)) is not None]
+            equations = [
+                part for k in group if (part := _arm_edge_equations(flat, flat_grey, k, centre, reach)) is not None
+            ]
             if not equations:
                 continue
             move = solve_correction(equations, centre, information, step)
             step += move.step
-            poses.update({k: move.apply(poses[k]) for k in group})
+            poses.update({k: move.apply_to_pose(poses[k]) for k in group})
     camera = result.lens.camera
     arms = tuple(
         _with_refined_pose(arm, poses[k], grey, camera) if k in poses else arm for k, arm in enumerate(result.arms)
@@ -80,7 +84,7 @@ def refine_poses(
     return replace(result, arms=arms)
 
 
-def _equations(
+def _arm_edge_equations(
     flat: PinholeArms, flat_grey: NDArray[np.uint8], k: int, centre: Array, reach: float
 ) -> EdgeEquations | None:
     line = mask_outline(flat.labels == k + 1, _other_arms_mask(flat.labels, k))
@@ -96,12 +100,12 @@ def _with_refined_pose(arm: ArmPose, T_base_in_cam: Array, grey: NDArray[np.uint
     seen = arm.detection
     if seen is not None and seen.T_board_in_cam is not None:
         assert arm.T_base_in_cam is not None
-        T_board_in_base = inverse(arm.T_base_in_cam) @ seen.T_board_in_cam
+        T_board_in_base = invert_pose(arm.T_base_in_cam) @ seen.T_board_in_cam
         seen = with_pose(grey, camera, seen, T_base_in_cam @ T_board_in_base)
     return replace(arm, T_base_in_cam=T_base_in_cam, detection=seen)
 
 
-def _prior(arms: Sequence[ArmPose]) -> tuple[Array, Array]:
+def _pose_prior(arms: Sequence[ArmPose]) -> tuple[Array, Array]:
     """Return a point (3,) in the camera frame, and the pose's inverse covariance (6, 6) about it."""
     for arm in arms:
         seen = arm.detection

@@ -11,7 +11,7 @@ from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.errors import PartialJobError, ResourceError
 from yamsim_cli.core.files.documents.json_text import json_text
 from yamsim_cli.core.files.writing import write_output
-from yamsim_cli.core.geometry.se3 import Array, inverse
+from yamsim_cli.core.geometry.se3 import Array, invert_pose
 
 from .move_detection import DetectedMove, MoveReport
 from .photo_arm_poses import INFERRED, RECORDED, ArmPose, RigInPhoto
@@ -33,28 +33,28 @@ class OverlayReport:
     def to_json_data(self) -> dict[str, Any]:
         """Return data for JSON: m, rad, poses (4, 4) row by row."""
         return {
-            "images": [_plain_result(result, self.rig) for result in self.results],
+            "images": [_result_data(result, self.rig) for result in self.results],
             "files": [str(path) for path in self.files],
             "failures": list(self.failures),
             "unreadable": list(self.unreadable),
             "still": None if self.move_report.unknown else not self.move_report.moves,
             "still_unknown": self.move_report.unknown,
-            "moved": [_plain_move(move) for move in self.move_report.moves],
+            "moved": [_move_data(move) for move in self.move_report.moves],
         }
 
-    def write(self, out: Path) -> None:
+    def write_report(self, out: Path) -> None:
         """Write the report into the folder `out`."""
         self.files.append(out / REPORT_NAME)
         write_output(out / REPORT_NAME, json_text(self.to_json_data()).encode())
 
-    def check(self) -> None:
+    def raise_for_failures(self) -> None:
         """Raise an error for photos without a pose and for violated limits.
 
         Raises:
             ResourceError: no photo gives a pose, or a photo violates a limit.
             PartialJobError: some photos give a pose, others give none or cannot be read.
         """
-        without = [result for result in self.results if not result.bases]
+        without = [result for result in self.results if not result.base_poses]
         if len(without) == len(self.results):
             raise ResourceError(_nothing_found(without, self.rig))
         if self.failures:
@@ -68,24 +68,24 @@ class OverlayReport:
             )
 
 
-def captions(result: RigInPhoto) -> list[str]:
+def photo_captions(result: RigInPhoto) -> list[str]:
     """Return text to draw: a line per arm, then joints, lens and distance of the arms."""
     lines = []
     for arm in result.arms:
         text = f"{arm.name}: {arm.status}"
         if arm.detection and (arm.detection.markers or arm.status not in (INFERRED, RECORDED)):
-            text += f", {len(arm.detection.markers)}/{len(arm.detection.board.ids)} markers"
+            text += f", {len(arm.detection.markers)}/{len(arm.detection.board.marker_ids)} markers"
             if arm.detection.reprojection_rms is not None:
                 text += f", {arm.detection.reprojection_rms:.2f} px"
         if arm.edge_residual is not None:
             text += f", outline {arm.edge_residual:.1f} px"
         lines.append(text)
-    if result.joints_source == "home" and result.bases:
+    if result.joints_source == "home" and result.base_poses:
         lines.append("joints not given: arms shown at home")
     focal = result.lens.focal
     if result.lens.source == "estimated" and not focal.reason:
         within = f"within {focal.low:.0f} to {focal.high:.0f} px"
-        lines.append(f"focal length estimated: {focal.camera.focal:.0f} px, {within}")
+        lines.append(f"focal length estimated: {focal.camera.mean_focal_length:.0f} px, {within}")
     elif result.lens.source == "estimated" and any(arm.detection and arm.detection.markers for arm in result.arms):
         lines.append(f"no pose: {focal.reason}")
     if result.margin is not None:
@@ -101,7 +101,10 @@ def _first_message(messages: Sequence[str]) -> str:
 def _nothing_found(results: Sequence[RigInPhoto], rig: RigConfig) -> str:
     first = results[0]
     boards = [arm.board for arm in rig.arms if arm.board]
-    wanted = ", ".join(f"{board.board.ids[0]}-{board.board.ids[-1]} ({board.dictionary})" for board in boards)
+    wanted = ", ".join(
+        f"{board.board_in_metres.marker_ids[0]}-{board.board_in_metres.marker_ids[-1]} ({board.dictionary})"
+        for board in boards
+    )
     seen = ", ".join(map(str, first.ids)) or "none"
     focal = first.lens.focal.reason
     refused = [
@@ -113,7 +116,7 @@ def _nothing_found(results: Sequence[RigInPhoto], rig: RigConfig) -> str:
     return f"{first.path}{more}: no board gives a pose: looked for marker ids {wanted or 'none'}, saw {seen}{why}"
 
 
-def _plain_move(move: DetectedMove) -> dict[str, Any]:
+def _move_data(move: DetectedMove) -> dict[str, Any]:
     return {
         "frame": move.photo,
         "image": str(move.path),
@@ -128,7 +131,7 @@ def _plain_move(move: DetectedMove) -> dict[str, Any]:
     }
 
 
-def _plain_result(result: RigInPhoto, rig: RigConfig) -> dict[str, Any]:
+def _result_data(result: RigInPhoto, rig: RigConfig) -> dict[str, Any]:
     camera, focal = result.lens.camera, result.lens.focal
     return {
         "image": str(result.path),
@@ -145,8 +148,8 @@ def _plain_result(result: RigInPhoto, rig: RigConfig) -> dict[str, Any]:
         },
         "joints": result.joints_source,
         "ids_seen": list(result.ids),
-        "arms": [_plain_arm(arm) for arm in result.arms],
-        "T_arm2_in_arm1": _rows(result.T_arm2_in_arm1),
+        "arms": [_arm_data(arm) for arm in result.arms],
+        "T_arm2_in_arm1": _matrix_rows(result.T_arm2_in_arm1),
         "margin_m": result.margin,
         "margin_sigma_m": result.margin_sigma,
         "rig_margin_m": rig.margin if len(rig.arms) > 1 else None,
@@ -156,7 +159,7 @@ def _plain_result(result: RigInPhoto, rig: RigConfig) -> dict[str, Any]:
     }
 
 
-def _plain_arm(arm: ArmPose) -> dict[str, Any]:
+def _arm_data(arm: ArmPose) -> dict[str, Any]:
     seen = arm.detection
     return {
         "name": arm.name,
@@ -166,18 +169,18 @@ def _plain_arm(arm: ArmPose) -> dict[str, Any]:
         "advice": list(seen.advice) if seen else [],
         "markers_found": len(seen.markers) if seen else 0,
         "marker_ids": list(seen.markers) if seen else [],
-        "T_board_in_cam": _rows(seen.T_board_in_cam if seen else None),
-        "T_base_in_cam": _rows(arm.T_base_in_cam),
-        "T_cam_in_base": _rows(None if arm.T_base_in_cam is None else inverse(arm.T_base_in_cam)),
-        "covariance": _rows(seen.covariance if seen else None),
+        "T_board_in_cam": _matrix_rows(seen.T_board_in_cam if seen else None),
+        "T_base_in_cam": _matrix_rows(arm.T_base_in_cam),
+        "T_cam_in_base": _matrix_rows(None if arm.T_base_in_cam is None else invert_pose(arm.T_base_in_cam)),
+        "covariance": _matrix_rows(seen.covariance if seen else None),
         "position_sigma_m": seen.position_sigma if seen else None,
         "rotation_sigma_rad": seen.rotation_sigma if seen else None,
         "reprojection_rms_px": seen.reprojection_rms if seen else None,
         "blur_px": seen.blur.blur if seen and seen.blur else None,
-        "motion_px": seen.blur.length if seen and seen.blur else None,
+        "motion_px": seen.blur.motion_length if seen and seen.blur else None,
         "edge_residual_px": arm.edge_residual,
     }
 
 
-def _rows(matrix: Array | None) -> list[list[float]] | None:
+def _matrix_rows(matrix: Array | None) -> list[list[float]] | None:
     return None if matrix is None else matrix.tolist()

@@ -28,7 +28,7 @@ from ..picture_overlay import blend_arms, draw_board, write_lines
 from .joint_files import ArmPostures, home_postures
 from .move_detection import describe_move, find_moves
 from .outline_fit import mask_iou, refine_poses, score_outlines
-from .overlay_report import REPORT_NAME, OverlayReport, captions
+from .overlay_report import REPORT_NAME, OverlayReport, photo_captions
 from .photo_arm_poses import RigInPhoto, find_arms
 from .photo_cameras import PhotoCameras
 from .photos import MASK_ENDING, OVERLAY_ENDING, Photo, find_mask
@@ -76,7 +76,7 @@ class OverlayRequest:
     fail_if_moved: bool = False
 
     @property
-    def files(self) -> list[Path]:
+    def output_files(self) -> list[Path]:
         """The files that `run_overlays` writes, without the video."""
         return [*(path for job in self.jobs for path in job.outputs), self.out / REPORT_NAME]
 
@@ -167,10 +167,10 @@ def run_overlays(
                 )
             lens, grey = lenses.camera_of(job.photo, image), to_grey(image)
             found = find_arms(rig, job.photo, grey, lens, request.trust_margin, found, request.limits)
-            result, picture, labels = _overlay(rig, request, job, image, grey, found, renderers)
+            result, picture, labels = _overlay_photo(rig, request, job, image, grey, found, renderers)
             report.results.append(result)
             report.files += _write_images(job.outputs, (picture, labels))
-            report.failures += _failures(result, request)
+            report.failures += _violated_limits(result, request)
             if video:
                 video.write(picture)
         if not report.results:
@@ -181,11 +181,11 @@ def run_overlays(
         report.failures += [describe_move(move) for move in report.move_report.moves]
     if request.video:
         report.files.append(request.video)
-    report.write(request.out)
+    report.write_report(request.out)
     return report
 
 
-def _overlay(
+def _overlay_photo(
     rig: RigConfig,
     request: OverlayRequest,
     job: PhotoJob,
@@ -197,11 +197,11 @@ def _overlay(
     """Return the scored result, the picture with arms, and labels (height, width): k for the k-th arm."""
     postures, camera = job.photo.postures or home_postures(rig), result.lens.camera
     picture, labels = image.copy(), np.zeros(image.shape[:2], np.uint8)
-    if result.bases:
+    if result.base_poses:
         renderer = renderers.renderer_for(camera)
         if request.refine:
             result = refine_poses(result, renderer, postures, grey, request.trust_margin)
-        renderer.pose(result.bases, postures)
+        renderer.set_poses(result.base_poses, postures)
         result = score_outlines(result, renderer, grey)
         arms = renderer.render()
         labels = arms.labels
@@ -211,7 +211,7 @@ def _overlay(
             draw_board(picture, camera, arm.detection.board, arm.detection.T_board_in_cam)
     if job.mask is not None:
         result = replace(result, iou=_mask_overlap(labels, read_mask(job.mask), result.path))
-    write_lines(picture, captions(result), _changed_pixels(picture, image))
+    write_lines(picture, photo_captions(result), _changed_pixels(picture, image))
     return result, picture, labels
 
 
@@ -242,7 +242,7 @@ def _write_images(paths: Sequence[Path], images: Sequence[Image]) -> Sequence[Pa
     return paths
 
 
-def _failures(result: RigInPhoto, request: OverlayRequest) -> list[str]:
+def _violated_limits(result: RigInPhoto, request: OverlayRequest) -> list[str]:
     found = []
     for arm in result.arms:
         if request.max_reprojection is None or arm.board is None or not arm.detection:

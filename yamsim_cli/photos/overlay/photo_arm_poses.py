@@ -12,11 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from yamsim_cli.core.config.rig import RigConfig
-from yamsim_cli.core.geometry.se3 import Array, inverse
+from yamsim_cli.core.geometry.se3 import Array, invert_pose
 
 from ..fiducials.board_detection import USUAL_LIMITS, BoardDetection, BoardStatus, PoseLimits
-from ..fiducials.board_localization import boards_without_pose, locate_boards, locate_together
-from ..fiducials.markers import seen_ids
+from ..fiducials.board_localization import boards_without_pose, locate_boards, locate_boards_together
+from ..fiducials.markers import sorted_marker_ids
 from .photo_cameras import PhotoCamera
 from .photos import Photo
 
@@ -54,7 +54,7 @@ class ArmPose:
     edge_residual: float | None = None
 
     @property
-    def located(self) -> bool:
+    def is_located(self) -> bool:
         """Whether the base's pose is within the limits of uncertainty."""
         return self.T_base_in_cam is not None and self.status != BoardStatus.UNCERTAIN
 
@@ -88,10 +88,10 @@ class RigInPhoto:
     time: float | None = None
 
     @property
-    def bases(self) -> dict[int, Array]:
+    def base_poses(self) -> dict[int, Array]:
         """Arm index -> pose (4, 4) of its base in the camera frame, for located arms."""
         return {
-            k: arm.T_base_in_cam for k, arm in enumerate(self.arms) if arm.located and arm.T_base_in_cam is not None
+            k: arm.T_base_in_cam for k, arm in enumerate(self.arms) if arm.is_located and arm.T_base_in_cam is not None
         }
 
 
@@ -112,7 +112,7 @@ def find_arms(
         trust_margin: take the rig's relative arm poses as exact, and fit one rig pose.
         before: the previous photo's result, for start poses.
     """
-    boards, camera = [arm.board.board for arm in rig.arms if arm.board], lens.camera
+    boards, camera = [arm.board.board_in_metres for arm in rig.arms if arm.board], lens.camera
     if lens.focal.reason:
         sightings, markers = boards_without_pose(grey, camera, boards, lens.focal.reason)
     else:
@@ -126,17 +126,17 @@ def find_arms(
         if arm.board is None:
             arms.append(ArmPose(arm.name, None, NO_BOARD))
             continue
-        seen = by_board[arm.board.board.name]
-        T = None if seen.T_board_in_cam is None else seen.T_board_in_cam @ inverse(arm.T_board_in_base)
+        seen = by_board[arm.board.board_in_metres.name]
+        T = None if seen.T_board_in_cam is None else seen.T_board_in_cam @ invert_pose(arm.T_board_in_base)
         arms.append(ArmPose(arm.name, arm.board.name, seen.status, seen, T))
-    notes = _inconsistencies(arms)
+    notes = _reprojection_notes(arms)
     arms = _drop_inconsistent_sizes(rig, arms)
-    ids = tuple(seen_ids(markers))
+    ids = tuple(sorted_marker_ids(markers))
     result = RigInPhoto(photo.path, lens, photo.joints_source, tuple(arms), ids, notes=notes, time=photo.time)
     result = _with_margin(rig, result)
-    if trust_margin and len(arms) > 1 and result.bases:
+    if trust_margin and len(arms) > 1 and result.base_poses:
         result = _pose_by_trusted_margin(rig, result, grey)
-    return result if photo.T_base_in_cam is None else _recorded(rig, result, photo.T_base_in_cam)
+    return result if photo.T_base_in_cam is None else _with_recorded_poses(rig, result, photo.T_base_in_cam)
 
 
 def _T_board_in_world(rig: RigConfig, k: int) -> Array:
@@ -176,7 +176,7 @@ def _size_ratio(one: BoardDetection, two: BoardDetection, T_one: Array, T_two: A
     assert one.T_board_in_cam is not None and two.T_board_in_cam is not None
     assert one.covariance is not None and two.covariance is not None
     assert one.shared_errors is not None and two.shared_errors is not None
-    expected = one.T_board_in_cam @ (inverse(T_one) @ T_two)
+    expected = one.T_board_in_cam @ (invert_pose(T_one) @ T_two)
     lever = expected[:3, 3] - one.T_board_in_cam[:3, 3]
     # A rotation w moves the second board by w x lever.
     x, y, z = lever
@@ -209,32 +209,32 @@ def _with_other_pose(arm: ArmPose, status: str, T_base_in_cam: Array) -> ArmPose
     return replace(arm, status=status, detection=sighting, T_base_in_cam=T_base_in_cam)
 
 
-def _recorded(rig: RigConfig, result: RigInPhoto, T_first_base_in_cam: Array) -> RigInPhoto:
-    T_world_in_cam = T_first_base_in_cam @ inverse(rig.T_base_in_world(0))
+def _with_recorded_poses(rig: RigConfig, result: RigInPhoto, T_first_base_in_cam: Array) -> RigInPhoto:
+    T_world_in_cam = T_first_base_in_cam @ invert_pose(rig.T_base_in_world(0))
     arms = tuple(
-        arm if arm.located else _with_other_pose(arm, RECORDED, T_world_in_cam @ rig.T_base_in_world(k))
+        arm if arm.is_located else _with_other_pose(arm, RECORDED, T_world_in_cam @ rig.T_base_in_world(k))
         for k, arm in enumerate(result.arms)
     )
     return replace(result, arms=arms)
 
 
-def _inconsistencies(arms: Sequence[ArmPose]) -> tuple[str, ...]:
+def _reprojection_notes(arms: Sequence[ArmPose]) -> tuple[str, ...]:
     return tuple(
         f"{arm.name}'s markers lie {rms:.2f} px from where its pose puts them: check the camera's distortion, and the "
         "rig's marker_length_mm and gap_mm against the print"
         for arm in arms
-        if arm.located and arm.detection
+        if arm.is_located and arm.detection
         if (rms := arm.detection.reprojection_rms) is not None and rms > _MAX_REPROJECTION_PX
     )
 
 
 def _with_margin(rig: RigConfig, result: RigInPhoto) -> RigInPhoto:
-    if len(result.arms) < 2 or not all(arm.located for arm in result.arms[:2]):
+    if len(result.arms) < 2 or not all(arm.is_located for arm in result.arms[:2]):
         return result
     one, two = result.arms[:2]
     assert one.T_base_in_cam is not None and two.T_base_in_cam is not None
-    measured = inverse(one.T_base_in_cam) @ two.T_base_in_cam
-    expected = inverse(rig.T_base_in_world(0)) @ rig.T_base_in_world(1)
+    measured = invert_pose(one.T_base_in_cam) @ two.T_base_in_cam
+    expected = invert_pose(rig.T_base_in_world(0)) @ rig.T_base_in_world(1)
     # World y, in the first arm's frame.
     along = rig.T_base_in_world(0)[:3, :3].T @ np.array([0.0, 1.0, 0.0])
     margin = rig.margin + float(along @ (measured[:3, 3] - expected[:3, 3]))
@@ -272,13 +272,13 @@ def _margin_sigma(one: ArmPose, two: ArmPose, direction: Array) -> float:
 def _pose_by_trusted_margin(rig: RigConfig, result: RigInPhoto, grey: NDArray[np.uint8]) -> RigInPhoto:
     seen = dict(_located_boards(result.arms))
     T_boards = [_T_board_in_world(rig, k) for k in seen]
-    joint = locate_together(grey, result.lens.camera, list(seen.values()), T_boards)
+    joint = locate_boards_together(grey, result.lens.camera, list(seen.values()), T_boards)
     if joint is None or joint[0].T_board_in_cam is None:
         refused = (
             f"the boards do not lie as rig {rig.name!r} says: its margin is ignored, and each arm has its own pose"
         )
         return replace(result, notes=(*result.notes, refused))
-    T_world_in_cam = joint[0].T_board_in_cam @ inverse(T_boards[0])
+    T_world_in_cam = joint[0].T_board_in_cam @ invert_pose(T_boards[0])
     found, arms = dict(zip(seen, joint, strict=True)), []
     for k, arm in enumerate(result.arms):
         T = T_world_in_cam @ rig.T_base_in_world(k)

@@ -65,10 +65,12 @@ class PhotoCameras:
         if photo.camera:
             return PhotoCamera.from_calibration(photo.camera, "episode")
         if image.shape not in self._estimated:
-            self._estimated[image.shape] = unknown_lens(self._images(image.shape), (height, width), self._rig)
+            self._estimated[image.shape] = estimate_camera(
+                self._images_of_shape(image.shape), (height, width), self._rig
+            )
         return self._estimated[image.shape]
 
-    def _images(self, shape: tuple[int, ...]) -> Iterator[Image]:
+    def _images_of_shape(self, shape: tuple[int, ...]) -> Iterator[Image]:
         for path in self._paths:
             try:
                 image = read_image(path)
@@ -78,9 +80,9 @@ class PhotoCameras:
                 yield image
 
 
-def unknown_lens(images: Iterable[Image], size: tuple[int, int], rig: RigConfig) -> PhotoCamera:
+def estimate_camera(images: Iterable[Image], size: tuple[int, int], rig: RigConfig) -> PhotoCamera:
     """Estimate an unknown camera from boards in its RGB images, all of `size` (height, width), px."""
-    boards = [arm.board.board for arm in rig.arms if arm.board]
+    boards = [arm.board.board_in_metres for arm in rig.arms if arm.board]
     outlines, with_board = [], 0
     for image in itertools.islice(images, _MAX_SEARCHED_PHOTOS):
         found = find_outlines(to_grey(image), boards)

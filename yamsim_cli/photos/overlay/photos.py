@@ -12,9 +12,9 @@ import numpy as np
 from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.dataset.dataset_paths import episode_directories
 from yamsim_cli.core.dataset.lowdim import load_frame
-from yamsim_cli.core.errors import DatasetError, ResourceError, UsageError, suggest
+from yamsim_cli.core.errors import DatasetError, ResourceError, UsageError, suggest_similar
 from yamsim_cli.core.geometry.camera import CameraModel
-from yamsim_cli.core.geometry.se3 import Array, inverse
+from yamsim_cli.core.geometry.se3 import Array, invert_pose
 from yamsim_cli.core.images.image_files import read_image
 
 from .joint_files import ArmPostures, recorded_postures
@@ -98,7 +98,7 @@ def recorded_photos(recordings: Sequence[Path], camera: str | None, rig: RigConf
     return [photo for episode in episodes for photo in episode_photos(episode, camera, rig)]
 
 
-def chosen_camera(cameras: Sequence[str], camera: str | None) -> str:
+def choose_camera(cameras: Sequence[str], camera: str | None) -> str:
     """Return `camera` or, if None, the first name without "wrist", else the first."""
     return camera or next((name for name in cameras if "wrist" not in name), cameras[0])
 
@@ -117,9 +117,9 @@ def episode_photos(episode: Path, camera: str | None, rig: RigConfig) -> list[Ph
     cameras = sorted(path.name for path in (episode / "rgb").iterdir() if path.is_dir())
     if not cameras:
         raise DatasetError(f"{episode}/rgb contains no folder of a camera")
-    camera = chosen_camera(cameras, camera)
+    camera = choose_camera(cameras, camera)
     if camera not in cameras:
-        raise UsageError(f"{episode} has no camera {camera!r}; {suggest(camera, cameras)}")
+        raise UsageError(f"{episode} has no camera {camera!r}; {suggest_similar(camera, cameras)}")
     files = sorted((episode / "rgb" / camera).iterdir())
     photos = [_frame_photo(episode, camera, path, rig) for path in files if path.suffix.lower() in SUFFIXES]
     if not photos:
@@ -146,9 +146,9 @@ def _frame_photo(episode: Path, camera: str, path: Path, rig: RigConfig) -> Phot
     if len(rig.arms) > 1:
         # Recorded extrinsics are relative to the left arm's base, `Photo` to the first arm's.
         T_left_in_world = rig.T_base_in_world(rig.recording_order[0])
-        T_cam_in_base = inverse(rig.T_base_in_world(0)) @ T_left_in_world @ T_cam_in_base
+        T_cam_in_base = invert_pose(rig.T_base_in_world(0)) @ T_left_in_world @ T_cam_in_base
     height, width = read_image(path).shape[:2]
-    return Photo(path, pinhole_camera(K, width, height), frame_postures, "episode", inverse(T_cam_in_base), time)
+    return Photo(path, pinhole_camera(K, width, height), frame_postures, "episode", invert_pose(T_cam_in_base), time)
 
 
 def camera_matrix(frame: Mapping[str, Any], key: str, camera: str) -> Array:

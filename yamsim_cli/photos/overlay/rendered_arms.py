@@ -24,7 +24,7 @@ from yamsim_cli.core.scene.arm_model import finger_addresses
 from yamsim_cli.core.scene.blueprint import Blueprint, PictureSettings
 from yamsim_cli.core.scene.cameras import WORLD, SceneCamera
 from yamsim_cli.core.scene.compilation import compile_spec
-from yamsim_cli.core.scene.compose import compose
+from yamsim_cli.core.scene.compose import compose_scene
 
 from ..lens_distortion import LensWarp
 
@@ -79,7 +79,7 @@ class ArmRenderer(Closable):
         blueprint = Blueprint(
             rig, scene, boards=False, background=False, cameras=(view,), pictures=PictureSettings(quality, size)
         )
-        spec = compose(blueprint, locations)
+        spec = compose_scene(blueprint, locations)
         for light in list(spec.lights):
             spec.delete(light)
         # The photo's light is unknown; light from the camera casts no visible, wrong shadows.
@@ -95,7 +95,7 @@ class ArmRenderer(Closable):
         self._labels: NDArray[np.uint8] | None = None
         self._renderer = SceneRenderer(self._model, size)
 
-    def pose(self, T_base_in_cam: Mapping[int, Array], postures: Sequence[ArmPosture]) -> None:
+    def set_poses(self, T_base_in_cam: Mapping[int, Array], postures: Sequence[ArmPosture]) -> None:
         """Set base poses by arm index, (4, 4), and all arms' joints; other arms are hidden."""
         model, data = self._model, self._data
         for k, (arm, root) in enumerate(zip(self._rig.arms, self._roots, strict=True)):
@@ -115,8 +115,8 @@ class ArmRenderer(Closable):
 
     def render(self) -> ArmPicture:
         """Render colours and labels with lens distortion."""
-        colour = self._warp.image(self._renderer.render(self._data, _CAMERA))
-        return ArmPicture(colour, self._warp.image(self._ideal_labels(), nearest=True))
+        colour = self._warp.distort_picture(self._renderer.render(self._data, _CAMERA))
+        return ArmPicture(colour, self._warp.distort_picture(self._ideal_labels(), nearest=True))
 
     def flat_labels(self) -> NDArray[np.uint8]:
         """Render labels without lens distortion: 0 background, k the k-th arm."""
@@ -126,17 +126,17 @@ class ArmRenderer(Closable):
     def pinhole_arms(self) -> PinholeArms:
         """Render labels and depth without lens distortion."""
         step = self._warp.supersample
-        depth = self._renderer.depth(self._data, _CAMERA)[::step, ::step]
-        return PinholeArms(self.flat_labels(), np.ascontiguousarray(depth), self._warp.coarse)
+        depth = self._renderer.render_depth(self._data, _CAMERA)[::step, ::step]
+        return PinholeArms(self.flat_labels(), np.ascontiguousarray(depth), self._warp.coarse_intrinsics)
 
     def _ideal_labels(self) -> NDArray[np.uint8]:
         if self._labels is None:
-            self._labels = self._arm_of_geom[self._renderer.segment(self._data, _CAMERA)]
+            self._labels = self._arm_of_geom[self._renderer.render_geom_ids(self._data, _CAMERA)]
         return self._labels
 
-    def undistort(self, photo: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    def undistort_photo(self, photo: NDArray[np.uint8]) -> NDArray[np.uint8]:
         """Undistort a photo, aligned with `pinhole_arms`."""
-        return self._warp.undistort(photo)
+        return self._warp.undistort_photo(photo)
 
     def close(self) -> None:
         """Free the OpenGL context."""

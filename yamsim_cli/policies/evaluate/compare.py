@@ -11,11 +11,11 @@ from typing import Any
 
 from yamsim_cli.core.errors import UsageError
 
-_SAME = ("task", "rig", "grasp", "arms", "seed")  # keys of a report that must be equal
+_SHARED_KEYS = ("task", "rig", "grasp", "arms", "seed")  # keys of a report that must be equal
 _MAX_BYTES = 500_000_000  # largest size of a report's file
 
 
-def mcnemar(only_first: int, only_second: int) -> float:
+def mcnemar_p_value(only_first: int, only_second: int) -> float:
     """Return the exact two-sided p-value of McNemar's test, or 1 without trials.
 
     Args:
@@ -38,7 +38,7 @@ def read_report(path: Path) -> dict[str, Any]:
         for trial in report["trials"]:
             if not isinstance(trial["outcome"]["success"], bool) or not isinstance(trial["layout"], dict):
                 raise TypeError("a trial without its outcome")
-        missing = [key for key in ("policy", *_SAME) if key not in report]
+        missing = [key for key in ("policy", *_SHARED_KEYS) if key not in report]
         missing += [key for key in ("success_rate", "policy_s", "chunks", "by_instance") if key not in report["stats"]]
     except OSError as error:
         raise UsageError(f"--compare {path}: cannot be read: {error.strerror}") from error
@@ -52,7 +52,7 @@ def read_report(path: Path) -> dict[str, Any]:
 
 def require_same_trials(expected: Mapping[str, Any], report: Mapping[str, Any]) -> None:
     """Refuse two evaluations that differ in task, rig, grasp, arms or seed."""
-    for key in _SAME:
+    for key in _SHARED_KEYS:
         if expected[key] != report[key]:
             raise UsageError(
                 f"--compare {report['policy']}: its {key} is {report[key]}, not {expected[key]}: "
@@ -84,7 +84,7 @@ def compare_reports(first: Mapping[str, Any], second: Mapping[str, Any]) -> dict
         "success_rate": second["stats"]["success_rate"],
         "n": len(one),
         **counts,
-        "p_value": mcnemar(counts["only_first"], counts["only_second"]),
+        "p_value": mcnemar_p_value(counts["only_first"], counts["only_second"]),
     }
 
 

@@ -12,12 +12,12 @@ from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.session import Session
 from yamsim_cli.core.dataset.records import OutcomeRecord, record_data
 from yamsim_cli.core.episode.episode_rules import REPLAY_RULES
-from yamsim_cli.core.episode.execution import run_actions
+from yamsim_cli.core.episode.execution import simulate_actions
 from yamsim_cli.core.episode.simulator import sample_roles_for
 from yamsim_cli.core.episode.trials import (
     FilmedTrial,
     TrialFilmer,
-    TrialFilms,
+    TrialVideoWriter,
     count_outcomes,
     describe_run,
     film_jobs,
@@ -25,13 +25,13 @@ from yamsim_cli.core.episode.trials import (
 )
 from yamsim_cli.core.errors import PartialJobError
 from yamsim_cli.core.progress import Progress
-from yamsim_cli.core.statistics import summarize_values, wilson95
+from yamsim_cli.core.statistics import summarize_values, wilson_interval_95
 from yamsim_cli.core.workers.executors import LostJobError
 from yamsim_cli.core.workers.process_pool import ProcessPool
 from yamsim_cli.core.workers.worker_pool import JOB_SECONDS
 
 from .policy_choice import PolicyChoice
-from .policy_trial import MEASURED, TrialEnd, TrialResult, TrialRunner
+from .policy_trial import MEASURED_ENDS, TrialEnd, TrialResult, TrialRunner
 
 
 @dataclass(frozen=True)
@@ -80,14 +80,14 @@ def rates_by_objects(evaluation: Evaluation) -> list[dict[str, Any]]:
                 "n": n,
                 "n_success": succeeded,
                 "success_rate": succeeded / n,
-                "wilson95": wilson95(succeeded, n),
+                "wilson95": wilson_interval_95(succeeded, n),
                 "policy_s": summarize_values([seconds for result in found for seconds in result.seconds]),
             }
         )
     return rows
 
 
-def _chunks(results: Sequence[TrialResult], tick: float) -> dict[str, Any]:
+def _chunk_totals(results: Sequence[TrialResult], tick: float) -> dict[str, Any]:
     counts = [result.chunk_stats for result in results]
     return {
         "chunks": sum(count.chunks for count in counts),
@@ -112,7 +112,7 @@ def evaluation_report(evaluation: Evaluation, config: RecordConfig, thresholds: 
     Args:
         thresholds: distances, m, for which success rates are computed in addition to that of the task.
     """
-    results, tick = evaluation.results, config.task.timing.tick
+    results, tick = evaluation.results, config.task.timing.tick_seconds
     calls = [seconds for result in results for seconds in result.seconds]
     stats = {
         **count_outcomes(
@@ -123,7 +123,7 @@ def evaluation_report(evaluation: Evaluation, config: RecordConfig, thresholds: 
         ),
         "ended": dict(Counter(result.ended.value for result in results)),
         "policy_s": summarize_values(calls),
-        "chunks": _chunks(results, tick),
+        "chunks": _chunk_totals(results, tick),
         "by_instance": rates_by_objects(evaluation),
         "slower_than_real_time": sum(seconds > tick for seconds in calls) / len(calls) if calls else None,
     }
@@ -135,14 +135,16 @@ def evaluation_report(evaluation: Evaluation, config: RecordConfig, thresholds: 
         "tick_s": tick,
         "seconds": evaluation.seconds,
         "ticks_per_second": sum(result.ticks for result in results) / evaluation.seconds,
-        "trials": [_trial(result, tick) | {"instance": evaluation.instances[k]} for k, result in enumerate(results)],
+        "trials": [
+            _trial_report(result, tick) | {"instance": evaluation.instances[k]} for k, result in enumerate(results)
+        ],
     }
 
 
 def require_measured(report: Mapping[str, Any]) -> None:
     """Raise PartialJobError if all trials ended before they measured the policy's success."""
     ended = report["stats"]["ended"]
-    if not any(TrialEnd(how) in MEASURED for how in ended):
+    if not any(TrialEnd(how) in MEASURED_ENDS for how in ended):
         first = report["trials"][0]
         counts = ", ".join(f"{how} {count}" for how, count in ended.items())
         raise PartialJobError(
@@ -151,7 +153,7 @@ def require_measured(report: Mapping[str, Any]) -> None:
         )
 
 
-def _trial(result: TrialResult, tick: float) -> dict[str, Any]:
+def _trial_report(result: TrialResult, tick: float) -> dict[str, Any]:
     return {
         "trial": result.attempt.job.attempt,
         "seed": result.attempt.job.seed,
@@ -161,7 +163,7 @@ def _trial(result: TrialResult, tick: float) -> dict[str, Any]:
         "simulated_s": round(result.ticks * tick, 6),
         "policy_s": summarize_values(result.seconds),
         "outcome": record_data(result.outcome),
-        "layout": {name: list(pose) for name, pose in result.attempt.places.items()},
+        "layout": {name: list(pose) for name, pose in result.attempt.object_places.items()},
     }
 
 
@@ -177,7 +179,7 @@ class PolicyFilmer(TrialFilmer):
     def run(self, film: _FilmJob) -> list[bytes]:
         """Return the frames of a trial as JPEGs."""
         simulator = self._simulators.get(film.attempt.job)
-        return self._film(simulator, run_actions(simulator, film.attempt, film.actions, REPLAY_RULES))
+        return self._render_jpegs(simulator, simulate_actions(simulator, film.attempt, film.actions, REPLAY_RULES))
 
 
 def trials_to_film(results: Sequence[TrialResult], limit: int, *, successes: bool) -> list[TrialResult]:
@@ -190,7 +192,7 @@ def trials_to_film(results: Sequence[TrialResult], limit: int, *, successes: boo
 def film_evaluation(
     evaluation: Evaluation,
     limit: int,
-    films: TrialFilms,
+    films: TrialVideoWriter,
     session: Session,
     progress: Progress,
     *,
@@ -198,10 +200,10 @@ def film_evaluation(
 ) -> list[FilmedTrial]:
     """Film trials with actions: failures, or successes if no trial failed. With `successes`, film both in order."""
     config = session.config
-    tick = config.task.timing.tick
+    tick = config.task.timing.tick_seconds
     chosen = trials_to_film(evaluation.results, limit, successes=successes)
     jobs = [_FilmJob(result.attempt, result.actions) for result in chosen if result.actions is not None]
     if not jobs:
         return []
     factory = functools.partial(PolicyFilmer, session)
-    return film_jobs(factory, [_trial(result, tick) for result in chosen], jobs, films, config.workers, progress)
+    return film_jobs(factory, [_trial_report(result, tick) for result in chosen], jobs, films, config.workers, progress)

@@ -9,14 +9,14 @@ from yamsim_cli.core.config.recording import SCENE_CAMERA, RecordConfig
 from yamsim_cli.core.dataset.environment_state import joints_key, object_pose_keys
 from yamsim_cli.core.episode.episode import Episode
 from yamsim_cli.core.episode.simulator import Simulator
-from yamsim_cli.core.errors import UsageError, suggest
+from yamsim_cli.core.errors import UsageError, suggest_similar
 from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.core.images.image import Image
 
 from ..policy_protocol import OBJECTS, SCENE, VELOCITIES, WRIST, squeeze_single_arm
 
 # (MuJoCo's positions (nq,), name of a camera) -> image.
-Render = Callable[[Array, str], Image]
+CameraRenderer = Callable[[Array, str], Image]
 
 
 def available_cameras(config: RecordConfig) -> dict[str, dict[str, str]]:
@@ -42,7 +42,7 @@ def policy_cameras(config: RecordConfig, images: Iterable[str]) -> dict[str, str
         if name not in there:
             raise UsageError(
                 f"the policy asks for the image {name!r}, which rig {config.rig.name!r} with task {config.task.name!r} "
-                f"does not have; {suggest(name, there)}"
+                f"does not have; {suggest_similar(name, there)}"
             )
         cameras |= there[name]
     return cameras
@@ -51,7 +51,7 @@ def policy_cameras(config: RecordConfig, images: Iterable[str]) -> dict[str, str
 class ObservationRenderer:
     """Renders the images of one trial's observations. `failure` is an exception of rendering, not of the policy."""
 
-    def __init__(self, render: Render) -> None:
+    def __init__(self, render: CameraRenderer) -> None:
         self._render = render
         self._thread = threading.get_ident()
         self._is_over = False
@@ -124,9 +124,9 @@ class ObservationBuilder:
         self._wants = frozenset(wants)
 
     @property
-    def drives(self) -> tuple[int, int]:
+    def drive_shape(self) -> tuple[int, int]:
         """Numbers of arms, and of drives of each arm."""
-        arms, drives = self._simulator.scene.drives.shape
+        arms, drives = self._simulator.scene.recorded_drive_ctrl.shape
         return arms, drives
 
     def observe(self, episode: Episode, attempt: Attempt, renderer: ObservationRenderer) -> LazyObservation:
@@ -135,15 +135,15 @@ class ObservationBuilder:
         task = config.task
         replica.set_state(episode.data.qpos)
         T_base = scene.T_base_in_world
-        joints = episode.readings(attempt.job)
-        openings = joints[:, -1] if scene.arm.fingers is not None else replica.openings()
+        joints = episode.simulated_encoder_readings(attempt.job)
+        openings = joints[:, -1] if scene.first_arm.fingers is not None else replica.finger_openings()
         numbers: dict[str, Any] = {
             "joints": joints.ravel(),
             "gripper": openings if len(openings) > 1 else float(openings[0]),
             "ee_pose_world": squeeze_single_arm(T_base @ replica.T_grasp_in_base()),
             "K_scene": replica.intrinsics(SCENE_CAMERA, config.image.size_px).K,
             "T_cam_in_world": T_base @ replica.T_cam_in_base(SCENE_CAMERA),
-            "time": episode.seconds,
+            "time": episode.simulated_seconds,
             "prompt": attempt.phrasing or task.language_prompt,
         }
         if OBJECTS in self._wants:

@@ -36,7 +36,7 @@ class PolicyCaller:
     """Calls a policy under a time limit, which pauses while the policy waits for yamsim.
 
     Attributes:
-        seconds: duration of the last call, without the time in `paused` blocks, s.
+        seconds: duration of the last call, without the time in `paused_limit` blocks, s.
 
     Args:
         limit: time limit of a call, s.
@@ -51,7 +51,7 @@ class PolicyCaller:
         """Call a function of the policy. Raise PolicyFailedError, PolicyTimeoutError or InvalidActionError."""
         began, self._waited = time.monotonic(), 0.0
         try:
-            with output_on_stderr(), self._limited(), kill_forks_at_exit():
+            with output_on_stderr(), self._time_limit(), kill_forks_at_exit():
                 return function()
         except (PolicyTimeoutError, TimeoutError) as error:
             raise PolicyTimeoutError from error
@@ -66,7 +66,7 @@ class PolicyCaller:
             self.seconds = time.monotonic() - began - self._waited
 
     @contextlib.contextmanager
-    def paused(self) -> Iterator[None]:
+    def paused_limit(self) -> Iterator[None]:
         """Pause the time limit while yamsim renders an image."""
         began = time.monotonic()
         left = signal.setitimer(signal.ITIMER_REAL, 0)[0]
@@ -77,14 +77,14 @@ class PolicyCaller:
             self._waited += time.monotonic() - began
 
     @contextlib.contextmanager
-    def _limited(self) -> Iterator[None]:
+    def _time_limit(self) -> Iterator[None]:
         """Raise PolicyTimeoutError in the block when the time limit is over."""
         # The worker pool terminates code that never returns to Python.
 
-        def ring(number: int, frame: FrameType | None) -> None:
+        def raise_timeout(number: int, frame: FrameType | None) -> None:
             raise PolicyTimeoutError
 
-        before = signal.signal(signal.SIGALRM, ring)
+        before = signal.signal(signal.SIGALRM, raise_timeout)
         # Workers start with a blocked SIGALRM.
         mask = signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGALRM})
         signal.setitimer(signal.ITIMER_REAL, self._limit)

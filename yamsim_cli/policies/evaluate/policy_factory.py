@@ -16,7 +16,7 @@ from yamsim_cli.core.dataset.dataset_paths import episode_directories
 from yamsim_cli.core.dataset.environment_state import object_pose_keys
 from yamsim_cli.core.dataset.lowdim import recorded_actions
 from yamsim_cli.core.dataset.reader import open_episode
-from yamsim_cli.core.episode.execution import SimulatedAttempt, demonstrate
+from yamsim_cli.core.episode.execution import SimulatedAttempt, simulate_expert
 from yamsim_cli.core.episode.simulator import Simulator
 from yamsim_cli.core.errors import UsageError
 from yamsim_cli.core.geometry.se3 import Array
@@ -24,7 +24,7 @@ from yamsim_cli.core.scene.compiled import CompiledScene
 
 from .. import act, lerobot, openpi
 from ..external_policy import MappedPolicy, PolicyClient, PolicyStation
-from ..policy_loading import EXTERNAL_FORMS, FORMS, check_policy, is_external, load_policy, takes_keywords
+from ..policy_loading import EXTERNAL_FORMS, POLICY_FORMS, check_policy, is_external, load_policy, takes_keywords
 from ..policy_protocol import Observation, Policy
 from ..remote_policy import RemotePolicy
 from .observation import available_cameras
@@ -45,14 +45,14 @@ class PrivilegedTrial:
     @functools.cached_property
     def expert_attempt(self) -> SimulatedAttempt:
         """Attempt of the task's scripted expert at this trial, simulated at the first access."""
-        return demonstrate(self._simulator, self.attempt)
+        return simulate_expert(self._simulator, self.attempt)
 
 
 @runtime_checkable
 class PrivilegedPolicy(Protocol):
     """A policy that reads the simulator's state."""
 
-    def begin(self, trial: PrivilegedTrial) -> Array | None:
+    def prepare_trial(self, trial: PrivilegedTrial) -> Array | None:
         """Prepare for a trial, before `reset`. Return MuJoCo's initial positions (nq,), or None for the sampled."""
         ...
 
@@ -67,7 +67,7 @@ class _ActionSequencePolicy:
 
     def _set_actions(self, ctrl: Array, magnet: WeldStates, scene: CompiledScene) -> None:
         """Set the commands to MuJoCo's drives (ticks, nu) and to each arm's weld (ticks, arms)."""
-        self._ctrl, self._weld_on = ctrl[:, scene.drives.ravel()], magnet
+        self._ctrl, self._weld_on = ctrl[:, scene.recorded_drive_ctrl.ravel()], magnet
 
     def reset(self) -> None:
         self._tick = 0
@@ -80,9 +80,9 @@ class _ActionSequencePolicy:
 class ExpertPolicy(_ActionSequencePolicy):
     """Repeats the actions of the task's scripted expert, which `yamsim record` records."""
 
-    def begin(self, trial: PrivilegedTrial) -> Array | None:
+    def prepare_trial(self, trial: PrivilegedTrial) -> Array | None:
         """Set the expert's actions, and return MuJoCo's start positions (nq,), or None."""
-        states = trial.expert_attempt.states
+        states = trial.expert_attempt.recorded_states
         ctrl = np.concatenate([state.actions.ctrl for state in states])
         self._set_actions(ctrl, np.concatenate([state.actions.magnet for state in states]), trial.scene)
         return trial.expert_attempt.attempt.start
@@ -117,7 +117,7 @@ class ReplayPolicy(_ActionSequencePolicy):
         self._episodes = [open_episode(directory) for _, directory in directories]
         self._by_job = {AttemptJob(episode.record.seed, episode.record.attempt): episode for episode in self._episodes}
 
-    def begin(self, trial: PrivilegedTrial) -> Array | None:
+    def prepare_trial(self, trial: PrivilegedTrial) -> Array | None:
         """Set an episode's actions. Return its initial positions (nq,) if it has the trial's seed and number."""
         job = trial.attempt.job
         other = self._episodes[job.attempt % len(self._episodes)]
@@ -150,7 +150,7 @@ def make_policy(choice: PolicyChoice, session: Session) -> Policy:
     if kind in ("http", "https"):
         remote: Any = RemotePolicy(name, choice.call_seconds)
         return check_policy(remote, name)
-    return load_policy(name, folder, FORMS, choice.arguments, known_only=choice.known_only)
+    return load_policy(name, folder, POLICY_FORMS, choice.arguments, known_only=choice.known_only)
 
 
 def _make_external(choice: PolicyChoice, session: Session) -> MappedPolicy:

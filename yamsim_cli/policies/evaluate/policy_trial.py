@@ -14,7 +14,7 @@ from yamsim_cli.core.episode.episode import Episode
 from yamsim_cli.core.episode.episode_rules import EpisodeRules
 from yamsim_cli.core.episode.execution import build_outcome
 from yamsim_cli.core.episode.sampling import sample_attempt
-from yamsim_cli.core.episode.simulator import Simulator, Simulators, open_episode
+from yamsim_cli.core.episode.simulator import Simulator, SimulatorCache, open_episode
 from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.core.images.image import Image
 from yamsim_cli.core.workers.job_server import kill_forks_at_exit
@@ -46,9 +46,9 @@ class TrialEnd(StrEnum):
     LOST = "policy_lost"
 
 
-FAULTS = (TrialEnd.RAISED, TrialEnd.INVALID, TrialEnd.SLOW, TrialEnd.LOST)
+FAULT_ENDS = (TrialEnd.RAISED, TrialEnd.INVALID, TrialEnd.SLOW, TrialEnd.LOST)
 # Ends that measure the policy's success.
-MEASURED = (TrialEnd.SUCCESS, TrialEnd.DONE, TrialEnd.TIME_LIMIT, TrialEnd.UNSTABLE)
+MEASURED_ENDS = (TrialEnd.SUCCESS, TrialEnd.DONE, TrialEnd.TIME_LIMIT, TrialEnd.UNSTABLE)
 
 _NO_FAULT = PolicyFault("")
 
@@ -77,7 +77,7 @@ class TrialResult:
 def trial_rules(config: RecordConfig, choice: PolicyChoice) -> EpisodeRules:
     """Return the rule and time limit that end a trial, from the choice or else the task."""
     task = config.task
-    ticks = task.max_ticks if choice.time_limit is None else max(1, round(choice.time_limit / task.timing.tick))
+    ticks = task.max_ticks if choice.time_limit is None else max(1, round(choice.time_limit / task.timing.tick_seconds))
     return EpisodeRules(choice.end, max_ticks=ticks)
 
 
@@ -97,7 +97,7 @@ class TrialRunner(Closable):
         with output_on_stderr(), kill_forks_at_exit():
             self.policy = make_policy(choice, session)
         self._caller = PolicyCaller(choice.call_seconds, choice.folder)
-        self.simulators = Simulators(session)
+        self.simulators = SimulatorCache(session)
         self._wanted = wanted_images(self.policy), wanted_state(self.policy)
         execute = choice.chunking.execute or getattr(self.policy, "execute", None)
         self._chunking = replace(choice.chunking, execute=execute)
@@ -108,36 +108,38 @@ class TrialRunner(Closable):
         simulator, policy = self.simulators.get(job), self.policy
         trial = PrivilegedTrial(simulator, sample_attempt(simulator, job))
         scripted = isinstance(policy, ExpertPolicy)
-        if trial.attempt.layout is None or (scripted and not trial.expert_attempt.states):
+        if trial.attempt.layout is None or (scripted and not trial.expert_attempt.recorded_states):
             failed = OutcomeRecord.from_outcome(trial.expert_attempt.outcome)
             return TrialResult(trial.attempt, failed, TrialEnd.NOT_STARTED)
-        attempt = trial.expert_attempt.attempt if simulator.placer else trial.attempt
-        start = policy.begin(trial) if isinstance(policy, PrivilegedPolicy) else None
+        attempt = trial.expert_attempt.attempt if simulator.distractor_placer else trial.attempt
+        start = policy.prepare_trial(trial) if isinstance(policy, PrivilegedPolicy) else None
         if start is not None:
             attempt = replace(attempt, start=start)
         seconds: list[float] = []
-        episode, ended, fault, count = self._drive(simulator, attempt, seconds)
-        result = episode.finish()
+        episode, ended, fault, count = self._drive_episode(simulator, attempt, seconds)
+        result = episode.end_episode()
         outcome = build_outcome(simulator, result)
         if scripted:
             outcome = replace(outcome, recoveries=trial.expert_attempt.outcome.recoveries)
         record = OutcomeRecord.from_outcome(outcome)
-        if ended in FAULTS:
+        if ended in FAULT_ENDS:
             record = record.model_copy(update={"success": False, "cause": ended.value, "detail": fault.text})
-        actions = episode.actions if episode.ticks else None
+        actions = episode.executed_actions if episode.ticks else None
         return TrialResult(
             attempt, record, ended, fault.text, fault.traceback, episode.ticks, tuple(seconds), actions, count
         )
 
-    def _drive(
+    def _drive_episode(
         self, simulator: Simulator, attempt: Attempt, seconds: list[float]
     ) -> tuple[Episode, TrialEnd, PolicyFault, ChunkStats]:
         config = self._config
         episode = open_episode(simulator, attempt, trial_rules(config, self._choice))
-        renderer = ObservationRenderer(lambda qpos, camera: self._render(simulator, attempt, qpos, camera))
+        renderer = ObservationRenderer(lambda qpos, camera: self._render_camera(simulator, attempt, qpos, camera))
         observer = ObservationBuilder(simulator, *self._wanted)
         hold = int(getattr(self.policy, "ticks", 1))
-        scheduler = ChunkScheduler(self._chunking, config.task.timing.tick, hold, episode.readings(attempt.job))
+        scheduler = ChunkScheduler(
+            self._chunking, config.task.timing.tick_seconds, hold, episode.simulated_encoder_readings(attempt.job)
+        )
         try:
             ended, fault = self._run_policy(scheduler, episode, observer, attempt, renderer, seconds)
         finally:
@@ -157,9 +159,9 @@ class TrialRunner(Closable):
             self._caller.call(lambda: reset_policy(self.policy, _policy_seed(attempt.job)))
             while episode.end is None and not scheduler.last_chunk_is_over(episode.ticks):
                 if scheduler.is_due(episode.ticks):
-                    answer = self._answer(observer.observe(episode, attempt, renderer), renderer)
+                    answer = self._request_answer(observer.observe(episode, attempt, renderer), renderer)
                     seconds.append(self._caller.seconds)
-                    scheduler.add_chunk(read_chunk(answer, *observer.drives), episode.ticks, self._caller.seconds)
+                    scheduler.add_chunk(read_chunk(answer, *observer.drive_shape), episode.ticks, self._caller.seconds)
                 ctrl, magnet = scheduler.next_command(episode.ticks)
                 episode.step(ctrl, magnet)
         except InvalidActionError as error:
@@ -173,19 +175,19 @@ class TrialRunner(Closable):
         if episode.end is None:
             # Hold the last command while objects settle, and for the goal's hold time.
             for _ in range(self._config.task.timing.settle_ticks + self._config.task.hold_ticks):
-                if not episode.succeeds:
+                if not episode.has_succeeded:
                     episode.step(ctrl, magnet)
         return TrialEnd.DONE if episode.end is None else TrialEnd(episode.end.reason.value), _NO_FAULT
 
-    def _answer(self, observation: Observation, renderer: ObservationRenderer) -> object:
+    def _request_answer(self, observation: Observation, renderer: ObservationRenderer) -> object:
         try:
             return self._caller.call(lambda: self.policy(observation))
         finally:
             if renderer.failure is not None:
                 raise renderer.failure
 
-    def _render(self, simulator: Simulator, attempt: Attempt, qpos: Array, camera: str) -> Image:
-        with self._caller.paused():
+    def _render_camera(self, simulator: Simulator, attempt: Attempt, qpos: Array, camera: str) -> Image:
+        with self._caller.paused_limit():
             return render_cameras(simulator, attempt, qpos, (camera,))[camera]
 
     def close(self) -> None:

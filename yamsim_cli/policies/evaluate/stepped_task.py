@@ -13,14 +13,14 @@ from yamsim_cli.core.config.session import Session
 from yamsim_cli.core.episode.attempt_payload import render_cameras
 from yamsim_cli.core.episode.episode import Episode
 from yamsim_cli.core.episode.episode_rules import EndReason, EndRule, EpisodeRules
-from yamsim_cli.core.episode.execution import demonstrate, with_reserved_distractors
+from yamsim_cli.core.episode.execution import simulate_expert, with_reserved_distractors
 from yamsim_cli.core.episode.sampling import sample_attempt
-from yamsim_cli.core.episode.simulator import Simulator, Simulators, open_episode
+from yamsim_cli.core.episode.simulator import Simulator, SimulatorCache, open_episode
 from yamsim_cli.core.errors import SimulationError
 from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.core.images.image import Image
 
-MAX_STARTS = 20  # consecutive trials without a start, after which `begin` fails
+MAX_STARTS = 20  # consecutive trials without a start, after which `begin_trial` fails
 
 
 class SteppedTask(Closable):
@@ -35,36 +35,36 @@ class SteppedTask(Closable):
     def __init__(self, session: Session, end: EndRule = EndRule.SUCCESS, max_ticks: int | None = None) -> None:
         self.config = session.config
         self.rules = EpisodeRules(end, max_ticks=max_ticks or session.config.task.max_ticks)
-        self._simulators = Simulators(session)
+        self._simulators = SimulatorCache(session)
         self.simulator: Simulator = self._simulators.get(AttemptJob(self.config.seed, 0))
 
-    def begin(self, job: AttemptJob) -> None:
+    def begin_trial(self, job: AttemptJob) -> None:
         """Begin the trial `job`, or the next trial for which a start can be sampled."""
-        for attempt in self._sampled(job):
+        for attempt in self._sampled_attempts(job):
             if attempt.start is not None:
                 self._set_up(with_reserved_distractors(self.simulator, attempt))
                 return
-        raise self._none(job, "has a start")
+        raise self._no_start_error(job, "has a start")
 
     def begin_demonstrated(self, job: AttemptJob) -> ActionSequence:
         """Begin the trial `job`, or the next one in which the scripted expert succeeds, as `yamsim record` starts it.
 
         Return the expert's actions.
         """
-        for attempt in self._sampled(job):
-            done = demonstrate(self.simulator, attempt)
+        for attempt in self._sampled_attempts(job):
+            done = simulate_expert(self.simulator, attempt)
             if done.outcome.success:
                 self._set_up(done.attempt)
-                parts = [state.actions for state in done.states]
+                parts = [state.actions for state in done.recorded_states]
                 ctrl, magnet, joints = zip(*((part.ctrl, part.magnet, part.joints) for part in parts), strict=True)
                 return ActionSequence(np.concatenate(ctrl), np.concatenate(magnet), np.concatenate(joints))
-        raise self._none(job, "can be demonstrated")
+        raise self._no_start_error(job, "can be demonstrated")
 
     @property
-    def succeeded(self) -> bool:
+    def is_successful(self) -> bool:
         """Whether the trial ended in success, or would if the actor ended it now."""
         end = self.episode.end
-        return self.episode.succeeds if end is None else end.cause is None
+        return self.episode.has_succeeded if end is None else end.cause is None
 
     @property
     def out_of_time(self) -> bool:
@@ -74,10 +74,10 @@ class SteppedTask(Closable):
 
     def failure_reason(self) -> str:
         """Return why the trial is no success; empty for a success."""
-        if self.succeeded:
+        if self.is_successful:
             return ""
         end = self.episode.end
-        return self.episode.status if end is None or not end.detail else end.detail
+        return self.episode.goal_status if end is None or not end.detail else end.detail
 
     def render(self, cameras: Sequence[str], qpos: Array | None = None) -> dict[str, Image]:
         """Return the image (height, width, 3) of each camera, of the current state or of MuJoCo's positions (nq,)."""
@@ -87,7 +87,7 @@ class SteppedTask(Closable):
         """Release the memory of the renderers."""
         self._simulators.close()
 
-    def _sampled(self, job: AttemptJob) -> Iterator[Attempt]:
+    def _sampled_attempts(self, job: AttemptJob) -> Iterator[Attempt]:
         for number in range(job.attempt, job.attempt + MAX_STARTS):
             one = replace(job, attempt=number)
             self.simulator = self._simulators.get(one)
@@ -97,7 +97,7 @@ class SteppedTask(Closable):
         self.attempt = attempt
         self.episode = open_episode(self.simulator, attempt, self.rules)
 
-    def _none(self, job: AttemptJob, does: str) -> SimulationError:
+    def _no_start_error(self, job: AttemptJob, does: str) -> SimulationError:
         name = self.config.task.name
         return SimulationError(
             f"task {name!r}: of {MAX_STARTS} trials of seed {job.seed}, from number {job.attempt} on, none {does}; "

@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 
 from yamsim_cli.core.errors import DatasetError, SimulationError, count_noun
-from yamsim_cli.core.geometry.se3 import Array, inverse, pose
+from yamsim_cli.core.geometry.se3 import Array, invert_pose, pose
 from yamsim_cli.core.recorded_motion import ArmMotion, RecordedMotion
 from yamsim_cli.core.scene.compilation import physics_failure
 from yamsim_cli.core.scene.compiled import ArmAddresses, CompiledScene
@@ -40,23 +40,25 @@ def simulate_commands(scene: CompiledScene, motion: RecordedMotion) -> RecordedM
         SimulationError: physics broke down.
     """
     check_arms(scene, motion)
-    ctrl = _controls(scene, motion)
-    start = _start(scene, motion)
+    ctrl = _actuator_controls(scene, motion)
+    start = _start_qpos(scene, motion)
     first = int(np.searchsorted(motion.times, _START_SECONDS, side="right"))
     steps = min(len(ctrl), int(np.ceil(_START_SECONDS / scene.model.opt.timestep)))
-    rest, moving, before = np.zeros(scene.model.nv), _speeds(scene, motion), ctrl[0] if len(ctrl) else None
+    rest, moving, before = np.zeros(scene.model.nv), _start_qvel(scene, motion), ctrl[0] if len(ctrl) else None
     starts: list[tuple[Array, Array | None]] = [(rest, before)]
     if any(arm.command_delay for arm in scene.arms):
         starts.append((rest, None))
     if moving.any():
         starts.append((moving, before))
     if len(starts) > 1 and first > 2:
-        tried = (_run(scene, motion.name, start, *one, ctrl[:steps]) for one in starts)
+        tried = (_simulate_controls(scene, motion.name, start, *one, ctrl[:steps]) for one in starts)
         misfits = [_start_error(scene, motion, run, first) for run in tried]
         best = int(np.argmin(misfits))
         starts = [starts[best if misfits[best] * _MIN_IMPROVEMENT < misfits[0] else 0]]
-    run = _run(scene, motion.name, start, *starts[0], ctrl)
-    arms = tuple(_sampled(arm, logged, run, motion.times) for arm, logged in zip(scene.arms, motion.arms, strict=True))
+    run = _simulate_controls(scene, motion.name, start, *starts[0], ctrl)
+    arms = tuple(
+        _sample_arm_motion(arm, logged, run, motion.times) for arm, logged in zip(scene.arms, motion.arms, strict=True)
+    )
     return RecordedMotion(motion.name, motion.times, arms)
 
 
@@ -93,7 +95,7 @@ class _SimulatedRun:
     qvel: Array
 
 
-def _run(
+def _simulate_controls(
     scene: CompiledScene, name: str, start: Array, speeds: Array, before: Array | None, ctrl: Array
 ) -> _SimulatedRun:
     """Simulate a step per row of `ctrl` (n, nu), from `start` (nq,) and `speeds` (nv,).
@@ -115,7 +117,7 @@ def _run(
     return _SimulatedRun(np.arange(len(ctrl) + 1) * model.opt.timestep, qpos, qvel)
 
 
-def _controls(scene: CompiledScene, motion: RecordedMotion) -> Array:
+def _actuator_controls(scene: CompiledScene, motion: RecordedMotion) -> Array:
     timestep = float(scene.model.opt.timestep)
     # Rounding may put a sample just after a step.
     steps = int(np.ceil(motion.duration / timestep - 1e-6))
@@ -124,14 +126,14 @@ def _controls(scene: CompiledScene, motion: RecordedMotion) -> Array:
     for arm, logged in zip(scene.arms, motion.arms, strict=True):
         assert logged.commands is not None, "checked before"
         commands = forward_fill(logged.commands, logged.joints)
-        ctrl[:, arm.arm_ctrl] = _means(motion.times, np.clip(commands, *arm.ctrl_range.T), edges)
+        ctrl[:, arm.arm_ctrl] = _interval_means(motion.times, np.clip(commands, *arm.ctrl_range.T), edges)
         if arm.fingers is not None:
             openings = np.clip(_commanded_openings(arm, logged), *arm.fingers.ctrl_range)
-            ctrl[:, [arm.fingers.ctrl]] = _means(motion.times, openings[:, None], edges)
+            ctrl[:, [arm.fingers.ctrl]] = _interval_means(motion.times, openings[:, None], edges)
     return ctrl
 
 
-def _means(times: Array, values: Array, edges: Array) -> Array:
+def _interval_means(times: Array, values: Array, edges: Array) -> Array:
     """Return means (n - 1, k) of `values` (m, k) between `edges` (n,). Each value holds from its time on."""
     sums = np.vstack([np.zeros(values.shape[1]), np.cumsum(values[:-1] * np.diff(times)[:, None], axis=0)])
     at = np.clip(np.searchsorted(times, edges, side="right") - 1, 0, None)
@@ -173,7 +175,7 @@ def _commanded_openings(arm: ArmAddresses, logged: ArmMotion) -> Array:
     return closed[:, 0]
 
 
-def _start(scene: CompiledScene, motion: RecordedMotion) -> Array:
+def _start_qpos(scene: CompiledScene, motion: RecordedMotion) -> Array:
     qpos: Array = scene.model.qpos0.copy()
     for arm, logged in zip(scene.arms, motion.arms, strict=True):
         qpos[arm.joint_qpos] = _first_known(logged.joints) - arm.encoder_offset
@@ -186,7 +188,7 @@ def _start(scene: CompiledScene, motion: RecordedMotion) -> Array:
     return qpos
 
 
-def _speeds(scene: CompiledScene, motion: RecordedMotion) -> Array:
+def _start_qvel(scene: CompiledScene, motion: RecordedMotion) -> Array:
     speeds = np.zeros(scene.model.nv)
     for arm, logged in zip(scene.arms, motion.arms, strict=True):
         if logged.velocities is not None and np.isfinite(logged.velocities[0]).all():
@@ -214,7 +216,7 @@ def _delayed_rows(arm: ArmAddresses, run: _SimulatedRun, rows: Array, times: Arr
     return np.column_stack([np.interp(times - arm.sensor_delay, run.times, column) for column in rows.T])
 
 
-def _sampled(arm: ArmAddresses, logged: ArmMotion, run: _SimulatedRun, times: Array) -> ArmMotion:
+def _sample_arm_motion(arm: ArmAddresses, logged: ArmMotion, run: _SimulatedRun, times: Array) -> ArmMotion:
     openings = None
     if arm.fingers is not None:
         openings = _delayed_rows(arm, run, run.qpos[:, arm.fingers.qpos[:1]] * arm.fingers.sign[0], times)[:, 0]
@@ -229,7 +231,7 @@ def _sampled(arm: ArmAddresses, logged: ArmMotion, run: _SimulatedRun, times: Ar
 def hand_poses(scene: CompiledScene, number: int, joints: Array) -> Array:
     """Return poses (n, 4, 4) of `grasp_site` in the base of arm `number`, at joints (n, dof), rad; NaN gives NaN."""
     arm, data = scene.arms[number], mujoco.MjData(scene.model)
-    site, T_world_in_base = data.site(f"{arm.prefix}grasp_site"), inverse(arm.T_base_in_world)
+    site, T_world_in_base = data.site(f"{arm.prefix}grasp_site"), invert_pose(arm.T_base_in_world)
     poses = np.full((len(joints), 4, 4), np.nan)
     for row in np.flatnonzero(np.isfinite(joints).all(axis=1)):
         data.qpos[arm.joint_qpos] = joints[row] - arm.encoder_offset

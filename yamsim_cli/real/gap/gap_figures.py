@@ -21,7 +21,7 @@ from .joint_curves import (
     find_command_stops,
     joints_at_rest,
     motion_phases,
-    overshoot,
+    overshoot_after_stop,
     smooth_curves,
 )
 
@@ -172,8 +172,8 @@ def measure_gap(scene: CompiledScene, motion: RecordedMotion, begin: float = 0.0
         error=ErrorStats.from_errors(together),
         joints=tuple(gap for gaps, _ in joints for gap in gaps),
         hands=hands,
-        phases=_by_phase(together, np.concatenate([labels.ravel() for _, labels in joints])),
-        worst=_worst(scene, motion, errors, counted),
+        phases=_error_stats_by_phase(together, np.concatenate([labels.ravel() for _, labels in joints])),
+        worst=_find_worst_error(scene, motion, errors, counted),
         motion=motion,
         simulated=simulated,
         compared=counted,
@@ -192,12 +192,12 @@ def _joint_gaps(
     measured, simulated = smooth_curves(at, real.joints[counted]), smooth_curves(at, made.joints[counted])
     resting, labels = joints_at_rest(measured, commanded), motion_phases(measured, at)
 
-    def following(first: SmoothCurves, second: SmoothCurves, k: int) -> TrackingFigures:
+    def tracking_figures(first: SmoothCurves, second: SmoothCurves, k: int) -> TrackingFigures:
         apart = (second.values - first.values)[resting[:, k], k]
         stopped = list(find_command_stops(commanded, k))
-        beyond = [overshoot(second.values[:, k], stop) for stop in stopped]
+        beyond = [overshoot_after_stop(second.values[:, k], stop) for stop in stopped]
         # A command does not overshoot itself.
-        already = [0.0 if first is commanded else overshoot(first.values[:, k], stop) for stop in stopped]
+        already = [0.0 if first is commanded else overshoot_after_stop(first.values[:, k], stop) for stop in stopped]
         return TrackingFigures(
             estimate_delay(first, second, k),
             float(np.mean(apart)) if len(apart) else None,
@@ -209,10 +209,10 @@ def _joint_gaps(
             arm=real.side,
             name=_joint_name(scene, arm, k),
             error=ErrorStats.from_errors(errors[:, k]),
-            measured_vs_simulated=following(simulated, measured, k),
-            measured=following(commanded, measured, k),
-            simulated=following(commanded, simulated, k),
-            phases=_by_phase(errors[:, k], labels[:, k]),
+            measured_vs_simulated=tracking_figures(simulated, measured, k),
+            measured=tracking_figures(commanded, measured, k),
+            simulated=tracking_figures(commanded, simulated, k),
+            phases=_error_stats_by_phase(errors[:, k], labels[:, k]),
         )
         for k in range(arm.dof)
     ]
@@ -224,7 +224,7 @@ def _joint_name(scene: CompiledScene, arm: ArmAddresses, k: int) -> str:
     return str(scene.model.joint(number).name.removeprefix(arm.prefix))
 
 
-def _by_phase(errors: Array, labels: NDArray[np.int8]) -> dict[str, ErrorStats]:
+def _error_stats_by_phase(errors: Array, labels: NDArray[np.int8]) -> dict[str, ErrorStats]:
     masks = {str(phase): labels == number for number, phase in enumerate(PHASES)}
     return {name: ErrorStats.from_errors(errors[mask]) for name, mask in masks.items() if mask.any()}
 
@@ -242,13 +242,13 @@ def _hand_gap(
     return HandGap(
         arm=real.side,
         position=ErrorStats.from_errors(apart),
-        rotation=ErrorStats.from_errors(_angles(T_real[:, :3, :3], T_made[:, :3, :3])),
+        rotation=ErrorStats.from_errors(_angles_between(T_real[:, :3, :3], T_made[:, :3, :3])),
         delay=estimate_delay(smooth_curves(at, T_made[:, :3, 3]), smooth_curves(at, T_real[:, :3, 3]), slice(None)),
         opening=opening,
     )
 
 
-def _angles(ones: Array, others: Array) -> Array:
+def _angles_between(ones: Array, others: Array) -> Array:
     """Return angles (n,), rad, between rotations (n, 3, 3)."""
     # The Frobenius distance, 2 sqrt(2) sin(angle / 2), is exact for small angles, unlike a cosine.
     apart = np.linalg.norm(ones - others, axis=(1, 2)) / (2 * np.sqrt(2))
@@ -256,7 +256,9 @@ def _angles(ones: Array, others: Array) -> Array:
     return angles
 
 
-def _worst(scene: CompiledScene, motion: RecordedMotion, errors: list[Array], counted: NDArray[np.bool_]) -> WorstError:
+def _find_worst_error(
+    scene: CompiledScene, motion: RecordedMotion, errors: list[Array], counted: NDArray[np.bool_]
+) -> WorstError:
     sizes = [np.abs(off) for off in errors]
     side = int(np.argmax([size.max() for size in sizes]))
     row, joint = np.unravel_index(np.argmax(sizes[side]), sizes[side].shape)

@@ -10,15 +10,15 @@ import numpy as np
 
 from yamsim_cli.core.markup import (
     Markup,
-    captioned,
     captioned_jpeg,
+    captioned_plot,
     html_page,
+    html_section,
     html_table,
     html_tag,
     key_figures,
-    legend,
     percent,
-    section,
+    plot_legend,
 )
 from yamsim_cli.core.plots import Values, plot_curves
 
@@ -68,19 +68,19 @@ def gap_page(
     title = f"{len(recordings)} recordings" if several else recordings[0]["name"]
     body = [
         html_tag("p", f"on rig {report['rig']}; errors are measured minus simulated values", class_="where"),
-        _figures(report),
-        _joints(report["joints"]),
-        _hands(report["hands"]),
-        _phases(report["phases"]),
-        _plots(joints, report["worst"]),
-        _recordings(recordings) if several else None,
-        _pictures(report.get("pictures"), pictures),
-        _problems(report.get("problems", ())),
+        _key_figures_section(report),
+        _joints_section(report["joints"]),
+        _hands_section(report["hands"]),
+        _phases_section(report["phases"]),
+        _joint_plots_section(joints, report["worst"]),
+        _recordings_section(recordings) if several else None,
+        _pictures_section(report.get("pictures"), pictures),
+        _problems_section(report.get("problems", ())),
     ]
     return html_page(f"{title}: gap", "Gap to the simulation", title, body, made)
 
 
-def _figures(report: Mapping[str, Any]) -> Markup:
+def _key_figures_section(report: Mapping[str, Any]) -> Markup:
     worst = report["worst"]
     hand = max(report["hands"], key=lambda hand: hand["rms_mm"])
     bounds = report.get("intervals", {}).get("rms_rad")
@@ -98,17 +98,17 @@ def _figures(report: Mapping[str, Any]) -> Markup:
     return key_figures(figures)
 
 
-def _joints(rows: Sequence[Mapping[str, Any]]) -> Markup:
+def _joints_section(rows: Sequence[Mapping[str, Any]]) -> Markup:
     heads = ("joint", "RMS", "95 %", "largest", "delay", "sag", "overshoot", "delay after command", "simulated")
     cells = [
         [
             _row_name(row, row["name"]),
-            *_errors(row),
-            _ms(row),
-            _mrad(row, "sag_rad"),
-            _mrad(row, "overshoot_rad"),
-            _ms(row["command_to_measured"]),
-            _ms(row["command_to_simulated"]),
+            *_format_errors(row),
+            _format_delay_ms(row),
+            _format_mrad(row, "sag_rad"),
+            _format_mrad(row, "overshoot_rad"),
+            _format_delay_ms(row["command_to_measured"]),
+            _format_delay_ms(row["command_to_simulated"]),
         ]
         for row in rows
     ]
@@ -117,31 +117,34 @@ def _joints(rows: Sequence[Mapping[str, Any]]) -> Markup:
         "recorded arm is later than the simulated one. Sag is the mean error at rest. In brackets: 95 % intervals of "
         "means over the recordings."
     )
-    return section("By joint", html_tag("p", note, class_="note"), _scrollable_table(heads, cells))
+    return html_section("By joint", html_tag("p", note, class_="note"), _scrollable_table(heads, cells))
 
 
-def _hands(rows: Sequence[Mapping[str, Any]]) -> Markup:
+def _hands_section(rows: Sequence[Mapping[str, Any]]) -> Markup:
     heads = ("hand", "RMS", "95 %", "largest", "rotation, RMS", "rotation, largest", "delay", "fingers, RMS")
     cells = [
         [
             _row_name(row, "hand"),
-            *(f"{_number(row[key])}{_format_interval(row, key, 1)} mm" for key in ("rms_mm", "p95_mm", "max_mm")),
-            *(f"{_number(row[key])}\N{DEGREE SIGN}" for key in ("rms_deg", "max_deg")),
-            _ms(row),
-            _UNKNOWN if row["opening_rms_mm"] is None else f"{_number(row['opening_rms_mm'])} mm",
+            *(
+                f"{_format_number(row[key])}{_format_interval(row, key, 1)} mm"
+                for key in ("rms_mm", "p95_mm", "max_mm")
+            ),
+            *(f"{_format_number(row[key])}\N{DEGREE SIGN}" for key in ("rms_deg", "max_deg")),
+            _format_delay_ms(row),
+            _UNKNOWN if row["opening_rms_mm"] is None else f"{_format_number(row['opening_rms_mm'])} mm",
         ]
         for row in rows
     ]
-    return section("By hand", _scrollable_table(heads, cells))
+    return html_section("By hand", _scrollable_table(heads, cells))
 
 
-def _phases(rows: Sequence[Mapping[str, Any]]) -> Markup:
+def _phases_section(rows: Sequence[Mapping[str, Any]]) -> Markup:
     heads = ("phase of the joint", "share of samples", "RMS, mrad", "95 %", "largest")
-    cells = [[row["name"], percent(row["share"], 0), *_errors(row)] for row in rows]
-    return section("By phase of motion", _scrollable_table(heads, cells))
+    cells = [[row["name"], percent(row["share"], 0), *_format_errors(row)] for row in rows]
+    return html_section("By phase of motion", _scrollable_table(heads, cells))
 
 
-def _plots(joints: Sequence[JointCurves], worst: Mapping[str, Any]) -> Markup:
+def _joint_plots_section(joints: Sequence[JointCurves], worst: Mapping[str, Any]) -> Markup:
     panels = []
     for joint in joints:
         lines = {"commanded": joint.commanded, "measured": joint.measured, "simulated": joint.simulated}
@@ -149,23 +152,25 @@ def _plots(joints: Sequence[JointCurves], worst: Mapping[str, Any]) -> Markup:
         title = f"{joint.name}: error"
         error_plot = plot_curves(title, joint.times, {"error-curve": error}, "mrad", joint.mark, _MIN_ERROR_SPAN)
         panels += [
-            captioned(joint.name, plot_curves(joint.name, joint.times, lines, "rad", joint.mark), ""),
-            captioned(title, error_plot, f"Largest error {np.nanmax(np.abs(error)):.3g} mrad."),
+            captioned_plot(joint.name, plot_curves(joint.name, joint.times, lines, "rad", joint.mark), ""),
+            captioned_plot(title, error_plot, f"Largest error {np.nanmax(np.abs(error)):.3g} mrad."),
         ]
     where = (
         f"The worst error is at {worst['time_s']:.3f} s, frame {worst['frame']} of {worst['recording']}: "
         f"{_row_name(worst, worst['joint'])} is {worst['error_rad'] * 1000:.3g} mrad from its simulation."
     )
     entries = [("commanded", "commanded"), (None, "measured"), ("simulated", "simulated")]
-    return section("Over time", html_tag("p", where), legend(entries), html_tag("div", panels, class_="columns"))
+    return html_section(
+        "Over time", html_tag("p", where), plot_legend(entries), html_tag("div", panels, class_="columns")
+    )
 
 
-def _recordings(rows: Sequence[Mapping[str, Any]]) -> Markup:
+def _recordings_section(rows: Sequence[Mapping[str, Any]]) -> Markup:
     heads = ("recording", "RMS, mrad", "95 %", "largest", "worst joint", "at", "frame", "compared")
     cells = [
         [
             row["name"],
-            *_errors(row),
+            *_format_errors(row),
             _row_name(row["worst"], row["worst"]["joint"]),
             f"{row['worst']['time_s']:.2f} s",
             str(row["worst"]["frame"]),
@@ -173,10 +178,10 @@ def _recordings(rows: Sequence[Mapping[str, Any]]) -> Markup:
         ]
         for row in sorted(rows, key=lambda row: -row["rms_rad"])
     ]
-    return section("By recording", _scrollable_table(heads, cells))
+    return html_section("By recording", _scrollable_table(heads, cells))
 
 
-def _pictures(figures: Mapping[str, Any] | None, pictures: Sequence[CaptionedJpeg]) -> Markup | None:
+def _pictures_section(figures: Mapping[str, Any] | None, pictures: Sequence[CaptionedJpeg]) -> Markup | None:
     if figures is None:
         return None
     sentences = [f"{figures['photos']} photos of camera {figures['camera']} were compared."]
@@ -187,14 +192,14 @@ def _pictures(figures: Mapping[str, Any] | None, pictures: Sequence[CaptionedJpe
         if (found := figures[key]) is not None:
             sentences.append(f"{what}: {found['mean']:.3g} {unit} on average, {found['worst']:.3g} at worst.")
     shown = [captioned_jpeg(picture.caption, picture.jpeg, 460) for picture in pictures]
-    return section("In images", html_tag("p", " ".join(sentences)), html_tag("div", shown, class_="strips"))
+    return html_section("In images", html_tag("p", " ".join(sentences)), html_tag("div", shown, class_="strips"))
 
 
-def _problems(rows: Sequence[Mapping[str, Any]]) -> Markup | None:
+def _problems_section(rows: Sequence[Mapping[str, Any]]) -> Markup | None:
     if not rows:
         return None
     items = [html_tag("li", f"{row['recording']}: {row['text']}") for row in rows]
-    return section("Problems of the recordings", html_tag("ul", items))
+    return html_section("Problems of the recordings", html_tag("ul", items))
 
 
 def _scrollable_table(headings: Sequence[str], cells: Sequence[Sequence[str]]) -> Markup:
@@ -205,24 +210,24 @@ def _row_name(row: Mapping[str, Any], name: str) -> str:
     return f"{row['arm']} {name}" if row["arm"] else name
 
 
-def _errors(row: Mapping[str, Any]) -> list[str]:
-    return [_mrad(row, key) for key in ("rms_rad", "p95_rad", "max_rad")]
+def _format_errors(row: Mapping[str, Any]) -> list[str]:
+    return [_format_mrad(row, key) for key in ("rms_rad", "p95_rad", "max_rad")]
 
 
-def _mrad(row: Mapping[str, Any], key: str) -> str:
-    return _UNKNOWN if row[key] is None else f"{_number(row[key] * 1000)}{_format_interval(row, key, 1000)}"
+def _format_mrad(row: Mapping[str, Any], key: str) -> str:
+    return _UNKNOWN if row[key] is None else f"{_format_number(row[key] * 1000)}{_format_interval(row, key, 1000)}"
 
 
-def _ms(row: Mapping[str, Any]) -> str:
+def _format_delay_ms(row: Mapping[str, Any]) -> str:
     if row["delay_s"] is None:
         return _UNKNOWN
-    return f"{_number(round(row['delay_s'] * 1000, 1))} ms{_format_interval(row, 'delay_s', 1000)}"
+    return f"{_format_number(round(row['delay_s'] * 1000, 1))} ms{_format_interval(row, 'delay_s', 1000)}"
 
 
 def _format_interval(row: Mapping[str, Any], key: str, scale: float) -> str:
     bounds = row.get("intervals", {}).get(key)
-    return f" ({_number(bounds[0] * scale)} to {_number(bounds[1] * scale)})" if bounds else ""
+    return f" ({_format_number(bounds[0] * scale)} to {_format_number(bounds[1] * scale)})" if bounds else ""
 
 
-def _number(value: float) -> str:
+def _format_number(value: float) -> str:
     return f"{round(value, 3) + 0.0:.3g}".replace("-", "\N{MINUS SIGN}")

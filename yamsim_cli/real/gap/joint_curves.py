@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from yamsim_cli.core.geometry.se3 import Array
 
-STEP = 0.002  # s, spacing of the grid
+GRID_STEP = 0.002  # s, spacing of the grid
 _MIN_WINDOW, _MIN_SAMPLES = 0.12, 4  # s and samples of a parabola whose slope is a speed
 
 _MIN_DELAY, _MAX_DELAY = -0.1, 0.5  # s; delays at either end are rejected
@@ -20,10 +20,13 @@ _MIN_SPEED = 0.02  # RMS, rad/s or m/s; below, no delay is determined
 
 _STILL_SPEED = 0.02  # rad/s; slower joints are still
 _CRUISING_RATE = 1.0  # 1/s; a cruising joint's speed changes by less than this share per s
-_SETTLING = 0.3  # s of stillness before a joint is at rest
+_SETTLING_SECONDS = 0.3  # s of stillness before a joint is at rest
 # A command stops if it moves _MIN_MOVE (rad) within _MOVE_SECONDS (s), then stays _MIN_HOLD (s).
 _MIN_MOVE, _MOVE_SECONDS, _MIN_HOLD = 0.02, 0.3, 0.3
-_WATCHED, _END = 1.0, 0.1  # s after a stop to measure overshoot, and s at their end for the value at rest
+_WATCHED_SECONDS, _END_SECONDS = (
+    1.0,
+    0.1,
+)  # s after a stop to measure overshoot, and s at their end for the value at rest
 
 
 @dataclass(frozen=True)
@@ -52,20 +55,20 @@ def smooth_curves(times: Array, values: Array, *, steps: bool = False, like: Arr
     """
     known = np.isfinite(values).all(axis=1)
     at, rows = times[known], values[known]
-    grid = np.arange(times[0], times[-1] + STEP / 2, STEP)
+    grid = np.arange(times[0], times[-1] + GRID_STEP / 2, GRID_STEP)
     if steps:
-        even = rows[np.clip(np.searchsorted(at, grid + STEP / 1000, side="right") - 1, 0, None)]
+        even = rows[np.clip(np.searchsorted(at, grid + GRID_STEP / 1000, side="right") - 1, 0, None)]
     else:
         even = np.column_stack([np.interp(grid, at, column) for column in rows.T])
     spaced = at if like is None else like
-    between = float(np.median(np.diff(spaced))) if len(spaced) > 1 else STEP
-    half = max(2, round(max(_MIN_WINDOW, _MIN_SAMPLES * between) / 2 / STEP))
-    speeds, accelerations = _derivatives(even, half)
-    return SmoothCurves(grid, even, speeds, accelerations, 2 * half * STEP)
+    between = float(np.median(np.diff(spaced))) if len(spaced) > 1 else GRID_STEP
+    half = max(2, round(max(_MIN_WINDOW, _MIN_SAMPLES * between) / 2 / GRID_STEP))
+    speeds, accelerations = _parabola_derivatives(even, half)
+    return SmoothCurves(grid, even, speeds, accelerations, 2 * half * GRID_STEP)
 
 
-def _derivatives(rows: Array, half: int) -> tuple[Array, Array]:
-    offsets = np.arange(-half, half + 1) * STEP
+def _parabola_derivatives(rows: Array, half: int) -> tuple[Array, Array]:
+    offsets = np.arange(-half, half + 1) * GRID_STEP
     _, slope, bend = np.linalg.pinv(np.vander(offsets, 3, increasing=True))
     # Beyond an end, the curve is turned by half a turn, which keeps the slope.
     reach = np.clip(np.arange(half, 0, -1), 0, len(rows) - 1)
@@ -73,10 +76,10 @@ def _derivatives(rows: Array, half: int) -> tuple[Array, Array]:
     after = 2 * rows[-1] - rows[-1 - reach[::-1]]
     padded = np.vstack([before, rows, after])
 
-    def through(kernel: Array) -> Array:
+    def convolve_columns(kernel: Array) -> Array:
         return np.column_stack([np.convolve(column, kernel[::-1], mode="valid") for column in padded.T])
 
-    return through(slope), 2 * through(bend)
+    return convolve_columns(slope), 2 * convolve_columns(bend)
 
 
 def estimate_delay(first: SmoothCurves, second: SmoothCurves, columns: slice | int) -> float | None:
@@ -87,20 +90,20 @@ def estimate_delay(first: SmoothCurves, second: SmoothCurves, columns: slice | i
     one, other = (np.atleast_2d(curves.speeds.T[columns]) for curves in (first, second))
     if min(np.sqrt(np.mean(one**2)), np.sqrt(np.mean(other**2))) < _MIN_SPEED:
         return None
-    low, high = round(_MIN_DELAY / STEP), round(_MAX_DELAY / STEP)
+    low, high = round(_MIN_DELAY / GRID_STEP), round(_MAX_DELAY / GRID_STEP)
     high = min(high, one.shape[1] // 2)
     low = max(low, -(one.shape[1] // 4))
-    shares = np.array([_correlation(one, other, lag) for lag in range(low, high + 1)])
+    shares = np.array([_lagged_correlation(one, other, lag) for lag in range(low, high + 1)])
     best = int(np.argmax(shares))
     if shares[best] < _MIN_CORRELATION or best in (0, len(shares) - 1):
         return None
     before, here, after = shares[best - 1 : best + 2]
     bend = before - 2 * here + after
     between = 0.5 * (before - after) / bend if bend < 0 else 0.0
-    return float((low + best + between) * STEP)
+    return float((low + best + between) * GRID_STEP)
 
 
-def _correlation(one: Array, other: Array, lag: int) -> float:
+def _lagged_correlation(one: Array, other: Array, lag: int) -> float:
     """Return the correlation of `one` (k, n) with `other` (k, n) moved `lag` steps earlier."""
     n = one.shape[1]
     a, b = (one[:, : n - lag], other[:, lag:]) if lag >= 0 else (one[:, -lag:], other[:, : n + lag])
@@ -140,7 +143,7 @@ def joints_at_rest(measured: SmoothCurves, commanded: SmoothCurves) -> NDArray[n
     still = (np.abs(measured.speeds) < _STILL_SPEED) & (np.abs(commanded.speeds) < _STILL_SPEED)
     moved = np.where(still, measured.times[0], measured.times[:, None])
     since = measured.times[:, None] - np.maximum.accumulate(moved, axis=0)
-    found: NDArray[np.bool_] = still & (since >= _SETTLING)
+    found: NDArray[np.bool_] = still & (since >= _SETTLING_SECONDS)
     return found
 
 
@@ -171,11 +174,13 @@ def find_command_stops(commanded: SmoothCurves, joint: int) -> Iterator[CommandS
         moved = values[min(end, len(values) - 1)] - values[max(0, end - back)]
         if abs(moved) >= _MIN_MOVE:
             # Smoothing delays a stop by half a parabola.
-            yield CommandStop(max(0, end - smeared), min(again, end + round(_WATCHED / step)), float(np.sign(moved)))
+            yield CommandStop(
+                max(0, end - smeared), min(again, end + round(_WATCHED_SECONDS / step)), float(np.sign(moved))
+            )
 
 
-def overshoot(values: Array, stop: CommandStop) -> float:
+def overshoot_after_stop(values: Array, stop: CommandStop) -> float:
     """Return the largest overshoot, at least 0, of values (n,) beyond their rest after a stop."""
     watched = values[stop.begin : stop.end]
-    rest = float(np.mean(watched[-max(1, round(_END / STEP)) :]))
+    rest = float(np.mean(watched[-max(1, round(_END_SECONDS / GRID_STEP)) :]))
     return max(0.0, float(np.max(stop.direction * (watched - rest))))

@@ -11,7 +11,7 @@ import numpy as np
 
 from yamsim_cli.core.errors import SimulationError
 from yamsim_cli.core.markup import page_footer, write_page
-from yamsim_cli.core.statistics import student95
+from yamsim_cli.core.statistics import student_t_quantile_95
 from yamsim_cli.real.gap.command_simulation import forward_fill
 
 from .gap_figures import ErrorStats, HandGap, JointGap, MotionGap, TrackingFigures, WorstError
@@ -24,7 +24,7 @@ def mean_interval95(values: Sequence[float]) -> tuple[float, float] | None:
     n = len(values)
     if n < 2:
         return None
-    mean, half = float(np.mean(values)), student95(n - 1) * float(np.std(values, ddof=1)) / math.sqrt(n)
+    mean, half = float(np.mean(values)), student_t_quantile_95(n - 1) * float(np.std(values, ddof=1)) / math.sqrt(n)
     return mean - half, mean + half
 
 
@@ -38,21 +38,21 @@ def build_report(gaps: Sequence[MotionGap], rig: str) -> dict[str, Any]:
     return {
         "rig": rig,
         "seconds": sum(gap.seconds for gap in gaps),
-        **_mean_figures(gaps, lambda gap: _size(gap.error)),
-        "joints": [_joints([gap.joints[k] for gap in gaps]) for k in range(len(gaps[0].joints))],
-        "hands": [_hands([gap.hands[k] for gap in gaps]) for k in range(len(gaps[0].hands))],
-        "phases": _phases([gap.phases for gap in gaps]),
-        "worst": {"recording": worst.name, **_worst(worst.worst)},
+        **_mean_figures(gaps, lambda gap: _error_data(gap.error)),
+        "joints": [_joint_data([gap.joints[k] for gap in gaps]) for k in range(len(gaps[0].joints))],
+        "hands": [_hand_data([gap.hands[k] for gap in gaps]) for k in range(len(gaps[0].hands))],
+        "phases": _phase_data([gap.phases for gap in gaps]),
+        "worst": {"recording": worst.name, **_worst_error_data(worst.worst)},
         "recordings": [
             {
                 "name": gap.name,
                 "seconds": gap.seconds,
                 "samples": int(gap.compared.sum()),
-                **_size(gap.error),
-                "joints": [_joints([joint]) for joint in gap.joints],
-                "hands": [_hands([hand]) for hand in gap.hands],
-                "phases": _phases([gap.phases]),
-                "worst": _worst(gap.worst),
+                **_error_data(gap.error),
+                "joints": [_joint_data([joint]) for joint in gap.joints],
+                "hands": [_hand_data([hand]) for hand in gap.hands],
+                "phases": _phase_data([gap.phases]),
+                "worst": _worst_error_data(gap.worst),
             }
             for gap in gaps
         ],
@@ -83,7 +83,7 @@ def display_name(row: Mapping[str, Any]) -> str:
 
 
 def _mean_figures(rows: Sequence[Any], figures: Callable[[Any], Mapping[str, float | None]]) -> dict[str, Any]:
-    """Return means of the rows' `figures` with 95 % `intervals`; of names with `max`, maxima."""
+    """Return means of the rows' `hand_figures` with 95 % `intervals`; of names with `max`, maxima."""
     values = [figures(row) for row in rows]
     known = {key: [value for one in values if (value := one[key]) is not None] for key in values[0]}
     largest = {key for key in known if "max" in key.split("_")}
@@ -100,18 +100,18 @@ def _mean_figures(rows: Sequence[Any], figures: Callable[[Any], Mapping[str, flo
     return {**means, **({"intervals": intervals} if intervals else {})}
 
 
-def _joints(rows: Sequence[JointGap]) -> dict[str, Any]:
+def _joint_data(rows: Sequence[JointGap]) -> dict[str, Any]:
     return {
         "arm": rows[0].arm,
         "name": rows[0].name,
-        **_mean_figures(rows, lambda row: {**_size(row.error), **_tracking_data(row.measured_vs_simulated)}),
+        **_mean_figures(rows, lambda row: {**_error_data(row.error), **_tracking_data(row.measured_vs_simulated)}),
         "command_to_measured": _mean_figures(rows, lambda row: _tracking_data(row.measured)),
         "command_to_simulated": _mean_figures(rows, lambda row: _tracking_data(row.simulated)),
-        "phases": _phases([row.phases for row in rows]),
+        "phases": _phase_data([row.phases for row in rows]),
     }
 
 
-def _size(size: ErrorStats) -> dict[str, float | None]:
+def _error_data(size: ErrorStats) -> dict[str, float | None]:
     return {"rms_rad": size.rms, "p95_rad": size.p95, "max_rad": size.max}
 
 
@@ -119,8 +119,8 @@ def _tracking_data(found: TrackingFigures) -> dict[str, float | None]:
     return {"delay_s": found.delay, "sag_rad": found.sag, "overshoot_rad": found.overshoot}
 
 
-def _hands(rows: Sequence[HandGap]) -> dict[str, Any]:
-    def figures(row: HandGap) -> dict[str, float | None]:
+def _hand_data(rows: Sequence[HandGap]) -> dict[str, Any]:
+    def hand_figures(row: HandGap) -> dict[str, float | None]:
         found: dict[str, float | None] = {}
         for key in ("rms", "p95", "max"):
             found[f"{key}_mm"] = getattr(row.position, key) * 1000
@@ -128,21 +128,21 @@ def _hands(rows: Sequence[HandGap]) -> dict[str, Any]:
             found[f"opening_{key}_mm"] = getattr(row.opening, key) * 1000 if row.opening else None
         return {**found, "delay_s": row.delay}
 
-    return {"arm": rows[0].arm, **_mean_figures(rows, figures)}
+    return {"arm": rows[0].arm, **_mean_figures(rows, hand_figures)}
 
 
-def _phases(rows: Sequence[Mapping[str, ErrorStats]]) -> list[dict[str, Any]]:
+def _phase_data(rows: Sequence[Mapping[str, ErrorStats]]) -> list[dict[str, Any]]:
     samples = sum(size.samples for row in rows for size in row.values())
     found = []
     for phase in map(str, PHASES):
         sizes = [row[phase] for row in rows if phase in row]
         if sizes:
             share = sum(size.samples for size in sizes) / samples
-            found.append({"name": phase, "share": share, **_mean_figures(sizes, _size)})
+            found.append({"name": phase, "share": share, **_mean_figures(sizes, _error_data)})
     return found
 
 
-def _worst(worst: WorstError) -> dict[str, Any]:
+def _worst_error_data(worst: WorstError) -> dict[str, Any]:
     return {
         "frame": worst.frame,
         "time_s": worst.time,

@@ -9,13 +9,13 @@ import numpy as np
 
 from yamsim_cli.core.errors import DatasetError
 from yamsim_cli.core.geometry.se3 import Array
-from yamsim_cli.core.statistics import student95
+from yamsim_cli.core.statistics import student_t_quantile_95
 
 from .parameter_fit import FitParameter, FitResult, parameter_value
 from .plant_model import TIMESTEP, ParametricArm
 
 # `PlantParameters` field -> name in results, with unit.
-NAMES = {
+ESTIMATE_NAMES = {
     "delay": "delay_s",
     "friction": "friction_nm",
     "damping": "damping_nms",
@@ -24,17 +24,21 @@ NAMES = {
     "gravity": "gravity_factor",
 }
 # Added half widths of intervals, because real physics differs from the model.
-_DELAY = 0.0006  # s, a controller's timestep
-_FRICTION, _DAMPING, _ARMATURE = 0.03, 0.02, 0.05  # shares of the value: real friction may obey another law
+_ADDED_DELAY = 0.0006  # s, a controller's timestep
+_ADDED_FRICTION_SHARE, _ADDED_DAMPING_SHARE, _ADDED_ARMATURE_SHARE = (
+    0.03,
+    0.02,
+    0.05,
+)  # shares of the value: real friction may obey another law
 _FRICTION_AS_INERTIA = 0.05  # share of the friction torque that appears as inertia under another friction law
-_OFFSET = 0.0004  # rad, an encoder's resolution
-_GRAVITY = 0.003
+_ADDED_OFFSET = 0.0004  # rad, an encoder's resolution
+_ADDED_GRAVITY = 0.003
 _DETERMINED_SHARE = 0.7  # share of the prior's interval; a determined parameter's interval is narrower
 # Shares of the value; wider intervals refuse an identification.
 _MAX_HALF_WIDTHS = {"friction": 0.5, "damping": 0.6}
 
 # s, block of the logs with correlated errors: friction holds a joint beside its target until it reverses.
-_BLOCK = 2.5
+_BLOCK_SECONDS = 2.5
 _MIN_BLOCKS = 6
 
 
@@ -44,7 +48,7 @@ class Estimate:
 
     Attributes:
         joint: empty for the whole arm.
-        name: with unit, such as `friction_nm`; a value of `NAMES`.
+        name: with unit, such as `friction_nm`; a value of `ESTIMATE_NAMES`.
         model_value: before the identification.
         is_determined: by the logs.
     """
@@ -69,41 +73,41 @@ class Estimate:
 
 
 def estimate_parameters(plant: ParametricArm, fitted: FitResult) -> list[Estimate]:
-    """Return estimates of the fitted parameters in `NAMES`, the delay first, then by joint."""
+    """Return estimates of the fitted parameters in `ESTIMATE_NAMES`, the delay first, then by joint."""
     found = []
-    for parameter, half in zip(fitted.parameters, half_widths(fitted), strict=True):
-        if parameter.name not in NAMES:
+    for parameter, half in zip(fitted.parameters, interval_half_widths(fitted), strict=True):
+        if parameter.name not in ESTIMATE_NAMES:
             continue
         number = parameter_value(fitted.values, parameter)
         whole = float(half) + _min_half_width(plant, fitted, parameter)
         low = max(number - whole, 0.0) if parameter.name in ("delay", "friction", "armature") else number - whole
         joint = "" if parameter.joint is None else plant.robot.joint_names[parameter.joint]
-        before = parameter_value(plant.values, parameter)
+        before = parameter_value(plant.model_values, parameter)
         told = bool(half < _DETERMINED_SHARE * 1.96 * parameter.prior_sigma)
-        found.append(Estimate(joint, NAMES[parameter.name], number, low, number + whole, before, told))
+        found.append(Estimate(joint, ESTIMATE_NAMES[parameter.name], number, low, number + whole, before, told))
     return found
 
 
-def half_widths(fitted: FitResult) -> Array:
+def interval_half_widths(fitted: FitResult) -> Array:
     """Return half widths of 95 % intervals (k,), in parameter units.
 
     Huber-White estimate for clusters: errors may be correlated within a block of the logs, not between blocks. Errors
     that the model cannot explain differ between blocks and widen the interval as noise does.
     """
-    weighted = fitted.slopes * fitted.weights[None, :, None]
+    weighted = fitted.error_jacobian * fitted.weights[None, :, None]
     errors = fitted.errors * fitted.weights
     scale = np.array([each.scale for each in fitted.parameters])
     precision = np.diag((scale / np.array([each.prior_sigma for each in fitted.parameters])) ** 2)
     flat = weighted.reshape(-1, weighted.shape[-1])
     inverse = np.linalg.inv(flat.T @ flat + precision)
     span = fitted.times[-1] - fitted.times[0]
-    blocks = max(_MIN_BLOCKS, round(span / _BLOCK))
+    blocks = max(_MIN_BLOCKS, round(span / _BLOCK_SECONDS))
     number = np.clip(((fitted.times - fitted.times[0]) / span * blocks).astype(int), 0, blocks - 1)
     scores = np.array([np.einsum("ijk,ij->k", weighted[number == k], errors[number == k]) for k in range(blocks)])
     # The prior counts as one block.
     spread = scores.T @ scores * blocks / (blocks - 1) + precision
     deviation = np.sqrt(np.diag(inverse @ spread @ inverse)) * scale
-    found: Array = student95(blocks - 1) * deviation
+    found: Array = student_t_quantile_95(blocks - 1) * deviation
     return found
 
 
@@ -112,18 +116,18 @@ def _min_half_width(plant: ParametricArm, fitted: FitResult, parameter: FitParam
     damped = float(plant.kv[k] + fitted.values.damping[k])
     match parameter.name:
         case "delay":
-            return _DELAY
+            return _ADDED_DELAY
         case "friction":
-            return _FRICTION * size
+            return _ADDED_FRICTION_SHARE * size
         case "damping":
-            return _DAMPING * damped
+            return _ADDED_DAMPING_SHARE * damped
         case "armature":
             # When in a timestep the real controller applies damping is unknown; an error appears as inertia.
             law = _FRICTION_AS_INERTIA * float(fitted.values.friction[k]) / max(float(fitted.accelerations[k]), 1e-3)
-            return _ARMATURE * size + damped * TIMESTEP / 4 + law
+            return _ADDED_ARMATURE_SHARE * size + damped * TIMESTEP / 4 + law
         case "offset":
-            return _OFFSET
-    return _GRAVITY
+            return _ADDED_OFFSET
+    return _ADDED_GRAVITY
 
 
 def require_determined(plant: ParametricArm, found: list[Estimate], name: str) -> None:
@@ -135,11 +139,11 @@ def require_determined(plant: ParametricArm, found: list[Estimate], name: str) -
     for number, joint in enumerate(plant.robot.joint_names):
         of_joint = {each.name: each for each in found if each.joint == joint}
         sizes = {
-            "friction": max(of_joint[NAMES["friction"]].value, 0.01 * plant.max_torque[number]),
-            "damping": plant.kv[number] + of_joint[NAMES["damping"]].value,
+            "friction": max(of_joint[ESTIMATE_NAMES["friction"]].value, 0.01 * plant.max_torque[number]),
+            "damping": plant.kv[number] + of_joint[ESTIMATE_NAMES["damping"]].value,
         }
         for key, share in _MAX_HALF_WIDTHS.items():
-            each = of_joint[NAMES[key]]
+            each = of_joint[ESTIMATE_NAMES[key]]
             if (each.high - each.low) / 2 > share * sizes[key]:
                 raise DatasetError(
                     f"{name}: {joint} moves too little to determine its {key} (from {each.low:.3g} to "

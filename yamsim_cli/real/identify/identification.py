@@ -12,16 +12,16 @@ from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.errors import DatasetError, count_noun
 from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.core.recorded_motion import RecordedMotion
-from yamsim_cli.core.robots.dynamics import Dynamics, JointDynamics
+from yamsim_cli.core.robots.dynamics import JointDynamics, MeasuredArmDynamics
 
 from ..recordings.motion_faults import MotionFault, find_faults
 from .estimates import Estimate, describe_undetermined, estimate_parameters, require_determined
 from .parameter_fit import all_parameters, compared_samples, fit_parameters
 from .plant_model import ArmLog, LogSimulation, ParametricArm, PlantParameters
 
-_HELD_OUT = 1 / 3  # share of each log that tests the fit if no other motions do
+_HELD_OUT_SHARE = 1 / 3  # share of each log that tests the fit if no other motions do
 _RUNS_PER_PARAMETER = 5  # approximate, for the progress bar
-# Faults of unusable logs. `check_usable` reports joints that stand still, with advice.
+# Faults of unusable logs. `check_logs_usable` reports joints that stand still, with advice.
 _GRAVE_FAULTS = (
     MotionFault.TIME_UNIT,
     MotionFault.GAP,
@@ -59,7 +59,7 @@ class HeldOutError:
     joints: dict[str, tuple[float, float]]
 
     @property
-    def reduction(self) -> float:
+    def relative_reduction(self) -> float:
         """Relative reduction of the error, 0..1; negative if it grew."""
         return 1 - self.rms_after / self.rms_before if self.rms_before else 0.0
 
@@ -71,7 +71,7 @@ class HeldOutError:
             "seconds": self.seconds,
             "before_rad": self.rms_before,
             "after_rad": self.rms_after,
-            "fallen": self.reduction,
+            "fallen": self.relative_reduction,
             "joints": joints,
         }
 
@@ -90,14 +90,14 @@ class IdentificationResult:
 
     arm: str
     side: str
-    dynamics: Dynamics
+    dynamics: MeasuredArmDynamics
     estimates: list[Estimate]
     undetermined: list[str]
     fitted_rms: float
-    gap: HeldOutError
+    held_out_error: HeldOutError
 
 
-def identify(
+def identify_arms(
     rig: RigConfig,
     motions: Sequence[RecordedMotion],
     held_out: Sequence[RecordedMotion],
@@ -127,19 +127,19 @@ def identify(
         called = arm.side if len(rig.arms) > 1 else ""
         plant = ParametricArm(arm)
         logs = [ArmLog.from_motion(motion, motion.arms[place]) for motion in motions]
-        check_usable(logs, plant.robot.joint_names, called)
+        check_logs_usable(logs, plant.robot.joint_names, called)
         others = [ArmLog.from_motion(motion, motion.arms[place]) for motion in held_out]
         if not others:
-            cut = 1 - _HELD_OUT
-            others = [log.slice_time(cut * log.seconds, log.seconds) for log in logs]
-            logs = [log.slice_time(0.0, cut * log.seconds) for log in logs]
-            check_usable(logs, plant.robot.joint_names, called)
+            cut = 1 - _HELD_OUT_SHARE
+            others = [log.slice_time(cut * log.duration, log.duration) for log in logs]
+            logs = [log.slice_time(0.0, cut * log.duration) for log in logs]
+            check_logs_usable(logs, plant.robot.joint_names, called)
         fitted = fit_parameters(
             arm, logs, _step_counter(called or arm.name, _RUNS_PER_PARAMETER * len(all_parameters(plant)), step)
         )
         estimated = estimate_parameters(plant, fitted)
         require_determined(plant, estimated, ", ".join(log.name for log in logs))
-        was = arm.dynamics or Dynamics(revision=revision, base=arm.model.name)
+        was = arm.dynamics or MeasuredArmDynamics(revision=revision, base=arm.model.name)
         dynamics = revised_dynamics(plant, was.model_copy(update={"revision": revision, "source": source}), estimated)
         gap = _held_out_gap(plant, fitted.values, others)
         gripper = not plant.fingers or all(log.openings is not None for log in logs)
@@ -151,12 +151,12 @@ def identify(
 def _step_counter(arm: str, total: int, step: Callable[[str, int, int], None]) -> Callable[[], None]:
     done = 0
 
-    def count() -> None:
+    def report_step() -> None:
         nonlocal done
         done += 1
         step(arm, done, max(total, done))
 
-    return count
+    return report_step
 
 
 def _check_motion(motion: RecordedMotion, rig: RigConfig) -> None:
@@ -177,35 +177,35 @@ def _held_out_gap(plant: ParametricArm, values: PlantParameters, logs: Sequence[
     runs = [LogSimulation(plant, log) for log in logs]
     before, after = (
         np.concatenate([(run.simulate(one, plain=True) - run.log.joints)[compared_samples(run)] for run in runs])
-        for one in (plant.values, values)
+        for one in (plant.model_values, values)
     )
     names = plant.robot.joint_names
     joints = {name: (_rms(before[:, k]), _rms(after[:, k])) for k, name in enumerate(names)}
-    seconds = sum(log.seconds for log in logs)
+    seconds = sum(log.duration for log in logs)
     return HeldOutError(", ".join(log.name for log in logs), seconds, _rms(before), _rms(after), joints)
 
 
-def revised_dynamics(plant: ParametricArm, was: Dynamics, found: Sequence[Estimate]) -> Dynamics:
+def revised_dynamics(plant: ParametricArm, was: MeasuredArmDynamics, found: Sequence[Estimate]) -> MeasuredArmDynamics:
     """Return `was` with the determined estimates."""
     known = {(each.joint, each.name): each.value if each.is_determined else each.model_value for each in found}
     joints = {}
     for k, name in enumerate(plant.robot.joint_names):
         damping = known[name, "damping_nms"]
         joints[name] = JointDynamics(
-            armature=_round(known[name, "armature"]),
-            damping=_round(max(damping, 0.0)),
-            frictionloss=_round(known[name, "friction_nm"]),
+            armature=_round_significant(known[name, "armature"]),
+            damping=_round_significant(max(damping, 0.0)),
+            frictionloss=_round_significant(known[name, "friction_nm"]),
             kp=was.joint(name).kp,
-            kv=_round(float(plant.kv[k]) + damping) if damping < 0 else was.joint(name).kv,
-            offset_rad=_round(known[name, "offset_rad"]),
-            gravity_factor=_round(known[name, "gravity_factor"]),
+            kv=_round_significant(float(plant.kv[k]) + damping) if damping < 0 else was.joint(name).kv,
+            offset_rad=_round_significant(known[name, "offset_rad"]),
+            gravity_factor=_round_significant(known[name, "gravity_factor"]),
         )
     # The logs determine only the sum of both delays.
-    delays = {"command_delay_ms": _round(1000 * known["", "delay_s"]), "sensor_delay_ms": 0.0}
+    delays = {"command_delay_ms": _round_significant(1000 * known["", "delay_s"]), "sensor_delay_ms": 0.0}
     return was.model_copy(update={"joints": joints, **delays})
 
 
-def _round(number: float) -> float:
+def _round_significant(number: float) -> float:
     return float(f"{number:.6g}")
 
 
@@ -213,14 +213,14 @@ def _rms(errors: Array) -> float:
     return float(np.sqrt(np.mean(np.square(errors))))
 
 
-def check_usable(logs: Sequence[ArmLog], names: Sequence[str], side: str = "") -> None:
+def check_logs_usable(logs: Sequence[ArmLog], names: Sequence[str], side: str = "") -> None:
     """Refuse logs in which a joint's motion does not determine its parameters.
 
     Raises:
         DatasetError: the logs are too short, or a joint moves too little, reverses too rarely, or is always slow.
     """
     where = ", ".join(log.name for log in logs)
-    seconds = sum(log.seconds for log in logs)
+    seconds = sum(log.duration for log in logs)
     if seconds < _MIN_SECONDS:
         raise DatasetError(
             f"{where}: {seconds:.1f} s are too short; record at least {_MIN_SECONDS:g} s, better 60; {_REMEDY}"
@@ -251,7 +251,7 @@ def _too_little_motion(paths: Sequence[tuple[Array, Array]]) -> str | None:
             f"{times}, so friction cannot be distinguished from an offset or from weight; record it swinging back and "
             f"forth at least {_MIN_REVERSALS} times"
         )
-    fast = float(np.quantile(np.concatenate([_speeds(*path) for path in paths]), 1 - _FAST_SHARE))
+    fast = float(np.quantile(np.concatenate([_average_speeds(*path) for path in paths]), 1 - _FAST_SHARE))
     if fast < _MIN_SPEED:
         return (
             f"is always slow: it rarely exceeds {fast:.3f} rad/s, and identification needs {_MIN_SPEED} rad/s; record "
@@ -273,7 +273,7 @@ def _count_reversals(path: Array) -> int:
     return turns
 
 
-def _speeds(times: Array, path: Array) -> Array:
+def _average_speeds(times: Array, path: Array) -> Array:
     grid = np.arange(0, times[-1] - times[0], _SPEED_PERIOD) + times[0]
     found: Array = np.abs(np.diff(np.interp(grid, times, path))) / _SPEED_PERIOD
     return found

@@ -20,7 +20,7 @@ _SKIPPED_START = 0.5  # s of a log, in which speed and friction are unknown
 _MIN_ERROR = 1e-4  # rad, of a joint's RMS error, whose inverse is its weight
 _ACCELERATION_PERIOD = 0.04  # s, between positions that give an acceleration
 _MAX_STEPS, _MAX_FINE_STEPS = 6, 4  # fit steps with TIMESTEP, then with FINE_TIMESTEP
-_DELAYS = tuple(0.01 * k for k in range(11))  # s; the fit starts from the best, since a wrong delay makes it fail
+_START_DELAYS = tuple(0.01 * k for k in range(11))  # s; the fit starts from the best, since a wrong delay makes it fail
 # A fit ends when a step changes each parameter by less than this share of its scale, or the cost by this share.
 _MIN_STEP, _MIN_GAIN = 0.01, 1e-3
 
@@ -48,7 +48,7 @@ def all_parameters(plant: ParametricArm) -> list[FitParameter]:
     """Return the parameters to fit for an arm."""
     found = [FitParameter("delay", None, 0.005, 0.1, 0.0)]
     for k in range(len(plant.kp)):
-        most, kv, armature = plant.max_torque[k], plant.kv[k], plant.values.armature[k]
+        most, kv, armature = plant.max_torque[k], plant.kv[k], plant.model_values.armature[k]
         found += [
             FitParameter("friction", k, 0.005 * most, 0.1 * most, 0.0),
             FitParameter("damping", k, 0.2 * kv, 3 * kv, -0.9 * kv),
@@ -77,30 +77,30 @@ def replace_value(values: PlantParameters, parameter: FitParameter, number: floa
 
 
 class _LinearizedFit:
-    def __init__(self, problem: _Problem, values: PlantParameters) -> None:
+    def __init__(self, problem: _ParameterProblem, values: PlantParameters) -> None:
         self._problem, self.values = problem, values
-        self.errors = problem.errors(values)
-        self.cost = float(np.sum((self.errors * problem.weights) ** 2) + np.sum(problem.prior(values) ** 2))
+        self.errors = problem.joint_errors(values)
+        self.cost = float(np.sum((self.errors * problem.weights) ** 2) + np.sum(problem.prior_residuals(values) ** 2))
 
     @functools.cached_property
-    def slopes(self) -> Array:
+    def error_jacobian(self) -> Array:
         """Change of errors (samples, dof, parameters) per parameter scale."""
         found = np.empty((*self.errors.shape, len(self._problem.parameters)))
         for k, parameter in enumerate(self._problem.parameters):
             moved = replace_value(self.values, parameter, parameter_value(self.values, parameter) + parameter.scale)
-            found[..., k] = self._problem.errors(moved) - self.errors
+            found[..., k] = self._problem.joint_errors(moved) - self.errors
         return found
 
     @property
-    def normal(self) -> Array:
-        return self._problem.normal(self.slopes)
+    def normal_matrix(self) -> Array:
+        return self._problem.weighted_normal_matrix(self.error_jacobian)
 
     @property
     def gradient(self) -> Array:
-        return self._problem.gradient(self.slopes, self.errors, self.values)
+        return self._problem.weighted_gradient(self.error_jacobian, self.errors, self.values)
 
 
-class _Problem(LeastSquares[PlantParameters, _LinearizedFit]):
+class _ParameterProblem(LeastSquares[PlantParameters, _LinearizedFit]):
     """Find the parameters with which the simulated arm moves as in its logs.
 
     `weights` (dof,), 1/rad, are of the joints' errors; `step` is called before each simulation.
@@ -112,27 +112,27 @@ class _Problem(LeastSquares[PlantParameters, _LinearizedFit]):
         self.parameters = all_parameters(plant)
         self.weights = weights
         self._precision = np.array([(each.scale / each.prior_sigma) ** 2 for each in self.parameters])
-        self._centre = plant.values
+        self._centre = plant.model_values
         self._runs, self._step = runs, step
 
-    def errors(self, values: PlantParameters) -> Array:
+    def joint_errors(self, values: PlantParameters) -> Array:
         """Return simulated minus measured joints (samples, dof), rad."""
         self._step()
         return np.concatenate([(run.simulate(values) - run.log.joints)[compared_samples(run)] for run in self._runs])
 
-    def prior(self, values: PlantParameters) -> Array:
+    def prior_residuals(self, values: PlantParameters) -> Array:
         return np.array(
             [(parameter_value(values, p) - parameter_value(self._centre, p)) / p.prior_sigma for p in self.parameters]
         )
 
-    def normal(self, slopes: Array) -> Array:
+    def weighted_normal_matrix(self, slopes: Array) -> Array:
         flat = (slopes * self.weights[None, :, None]).reshape(-1, slopes.shape[-1])
         found: Array = flat.T @ flat + np.diag(self._precision)
         return found
 
-    def gradient(self, slopes: Array, errors: Array, values: PlantParameters) -> Array:
+    def weighted_gradient(self, slopes: Array, errors: Array, values: PlantParameters) -> Array:
         pulled = np.einsum("ijk,ij->k", slopes, errors * self.weights**2)
-        found: Array = -pulled - np.sqrt(self._precision) * self.prior(values)
+        found: Array = -pulled - np.sqrt(self._precision) * self.prior_residuals(values)
         return found
 
     def linearize(self, state: PlantParameters, before: _LinearizedFit | None) -> _LinearizedFit | None:
@@ -151,7 +151,7 @@ class _Problem(LeastSquares[PlantParameters, _LinearizedFit]):
 
 def compared_samples(run: LogSimulation) -> NDArray[np.bool_]:
     """Return the mask (n,) of samples with measured joints, without the start."""
-    found: NDArray[np.bool_] = run.read & (run.log.times >= min(_SKIPPED_START, run.log.seconds / 10))
+    found: NDArray[np.bool_] = run.measured_mask & (run.log.times >= min(_SKIPPED_START, run.log.duration / 10))
     return found
 
 
@@ -170,7 +170,7 @@ class FitResult:
     values: PlantParameters
     parameters: list[FitParameter]
     errors: Array
-    slopes: Array
+    error_jacobian: Array
     weights: Array
     times: Array
     accelerations: Array
@@ -184,33 +184,34 @@ def fit_parameters(arm: ArmConfig, logs: Sequence[ArmLog], step: Callable[[], No
     """
     plant, fine = ParametricArm(arm), ParametricArm(arm, FINE_TIMESTEP)
     runs, fine_runs = [LogSimulation(plant, log) for log in logs], [LogSimulation(fine, log) for log in logs]
-    problem = _Problem(plant, runs, np.full(len(plant.kp), 1 / _MIN_ERROR), step)
-    tried = [replace(plant.values, delay=delay) for delay in sorted({plant.values.delay, *_DELAYS})]
-    first = min(tried, key=lambda one: float(np.sum(problem.errors(one) ** 2)))
+    problem = _ParameterProblem(plant, runs, np.full(len(plant.kp), 1 / _MIN_ERROR), step)
+    tried = [replace(plant.model_values, delay=delay) for delay in sorted({plant.model_values.delay, *_START_DELAYS})]
+    first = min(tried, key=lambda one: float(np.sum(problem.joint_errors(one) ** 2)))
     found = solve_least_squares(problem, first, _MAX_STEPS)
     assert found is not None, "the model itself can be simulated"
     values, there = found
-    slopes, errors = there.slopes, there.errors
+    slopes, errors = there.error_jacobian, there.errors
     for _ in range(_MAX_FINE_STEPS):
         spread = np.sqrt(np.mean(errors**2, axis=0))
-        problem = _Problem(fine, fine_runs, 1 / np.maximum(spread, _MIN_ERROR), step)
-        errors = problem.errors(values)
+        problem = _ParameterProblem(fine, fine_runs, 1 / np.maximum(spread, _MIN_ERROR), step)
+        errors = problem.joint_errors(values)
         moved = np.asarray(
-            np.linalg.solve(problem.normal(slopes), problem.gradient(slopes, errors, values)), dtype=np.float64
+            np.linalg.solve(problem.weighted_normal_matrix(slopes), problem.weighted_gradient(slopes, errors, values)),
+            dtype=np.float64,
         )
         if np.abs(moved).max() < _MIN_STEP:
             break
         values = problem.apply_step(values, moved)
-    offsets = np.concatenate([[0.0], np.cumsum([log.seconds + 1 for log in logs])])
+    offsets = np.concatenate([[0.0], np.cumsum([log.duration + 1 for log in logs])])
     times = np.concatenate([run.log.times[compared_samples(run)] + at for run, at in zip(runs, offsets, strict=False)])
-    return FitResult(values, problem.parameters, errors, slopes, problem.weights, times, _accelerations(logs))
+    return FitResult(values, problem.parameters, errors, slopes, problem.weights, times, _rms_accelerations(logs))
 
 
-def _accelerations(logs: Sequence[ArmLog]) -> Array:
+def _rms_accelerations(logs: Sequence[ArmLog]) -> Array:
     squares = []
     for log in logs:
         known = np.isfinite(log.joints).all(axis=1)
-        grid = np.arange(0.0, log.seconds, _ACCELERATION_PERIOD)
+        grid = np.arange(0.0, log.duration, _ACCELERATION_PERIOD)
         places = np.column_stack([np.interp(grid, log.times[known], column[known]) for column in log.joints.T])
         squares.append(np.square(np.diff(places, 2, axis=0) / _ACCELERATION_PERIOD**2))
     found: Array = np.sqrt(np.concatenate(squares).mean(axis=0))

@@ -12,7 +12,7 @@ from mujoco import rollout
 from yamsim_cli.core.config.rig import ArmConfig
 from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.core.recorded_motion import ArmMotion, RecordedMotion
-from yamsim_cli.core.robots.dynamics import Dynamics
+from yamsim_cli.core.robots.dynamics import MeasuredArmDynamics
 from yamsim_cli.core.scene.arm_model import arm_spec
 
 TIMESTEP, FINE_TIMESTEP = 0.002, 0.0005  # s: of tasks, and one too short to bias a fit
@@ -81,7 +81,7 @@ class ArmLog:
         return ArmLog(self.name, times - times[0], self.commands[kept], self.joints[kept], openings)
 
     @property
-    def seconds(self) -> float:
+    def duration(self) -> float:
         """Time of the last sample."""
         return float(self.times[-1])
 
@@ -111,7 +111,7 @@ class ParametricArm:
         self.max_torque = model.actuator_forcerange[self.drives, 1].copy()
         self.fingers = [model.joint(name).qposadr[0] for name in (robot.fingers.joints if robot.fingers else ())]
         self._links = _link_inertias(model, self.qpos, self.dof, robot.joint_range)
-        self.values = _values_of(model, self.dof, robot.joint_names, arm.dynamics)
+        self.model_values = _model_parameters(model, self.dof, robot.joint_names, arm.dynamics)
 
     def plain_model(self, values: PlantParameters) -> mujoco.MjModel:
         """Return the model with this friction, armature and damping, as tasks simulate it.
@@ -154,18 +154,21 @@ class ParametricArm:
 
 
 class LogSimulation:
-    """Simulates an arm under one log's commands; `read` (n,) masks samples with measured joints."""
+    """Simulates an arm under one log's commands; `measured_mask` (n,) masks samples with measured joints."""
 
     def __init__(self, plant: ParametricArm, log: ArmLog) -> None:
         self.plant, self.log = plant, log
-        self.read = np.isfinite(log.joints).all(axis=1)
-        self._steps = int(np.ceil(log.seconds / self.plant.timestep)) + 1
+        self.measured_mask = np.isfinite(log.joints).all(axis=1)
+        self._steps = int(np.ceil(log.duration / self.plant.timestep)) + 1
         self._grid = self.plant.timestep * np.arange(self._steps + 1)
         self._clipped = np.clip(log.commands, *plant.model.actuator_ctrlrange[plant.drives].T)
         held = self._clipped[:-1] * np.diff(log.times)[:, None]
         self._integral = np.concatenate([np.zeros((1, held.shape[1])), np.cumsum(held, axis=0)])
         measured = np.column_stack(
-            [np.interp(self._grid[:-1], log.times[self.read], column[self.read]) for column in log.joints.T]
+            [
+                np.interp(self._grid[:-1], log.times[self.measured_mask], column[self.measured_mask])
+                for column in log.joints.T
+            ]
         )
         coarse = np.arange(0, self._steps, max(1, round(_GRAVITY_PERIOD / plant.timestep)))
         torques = plant.gravity_torques(measured[coarse])
@@ -177,11 +180,13 @@ class LogSimulation:
         plant, log = self.plant, self.log
         model = plant.plain_model(values) if plain else plant.fitted_model(values)
         controls = np.zeros((1, self._steps, model.nu + model.nv))
-        controls[0, :, plant.drives] = self._delayed(values.delay - (self.plant.timestep / 2 if plain else 0)).T
+        controls[0, :, plant.drives] = self._delayed_commands(
+            values.delay - (self.plant.timestep / 2 if plain else 0)
+        ).T
         controls[0, :, model.nu + plant.dof] = ((values.gravity - 1) * self._torques).T
         data = self._data
         mujoco.mj_resetData(model, data)
-        data.qpos[plant.qpos] = log.joints[self.read][0] - values.offset
+        data.qpos[plant.qpos] = log.joints[self.measured_mask][0] - values.offset
         self._hold_fingers(controls, data)
         whole = int(mujoco.mjtState.mjSTATE_FULLPHYSICS)
         state = np.empty(mujoco.mj_stateSize(model, whole))
@@ -192,7 +197,7 @@ class LogSimulation:
         read = np.column_stack([np.interp(log.times, self._grid, column) for column in positions.T])
         return read + values.offset
 
-    def _delayed(self, delay: float) -> Array:
+    def _delayed_commands(self, delay: float) -> Array:
         """Return mean commands (steps, dof), rad, per physics step, `delay` s late."""
         # A drive applies the command at a step's beginning, so the mean is centred there.
         when, log = self._grid - self.plant.timestep / 2 - delay, self.log
@@ -225,7 +230,9 @@ def _forward_fill(commands: Array) -> Array:
     return filled
 
 
-def _values_of(model: mujoco.MjModel, dof: Array, names: tuple[str, ...], dynamics: Dynamics | None) -> PlantParameters:
+def _model_parameters(
+    model: mujoco.MjModel, dof: Array, names: tuple[str, ...], dynamics: MeasuredArmDynamics | None
+) -> PlantParameters:
     joints = [dynamics.joint(name) if dynamics else None for name in names]
     return PlantParameters(
         delay=(dynamics.command_delay_ms + dynamics.sensor_delay_ms) / 1000 if dynamics else 0.0,

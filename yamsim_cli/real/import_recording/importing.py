@@ -13,16 +13,16 @@ from numpy.typing import NDArray
 from yamsim_cli.core.config.real_recordings import GripperUnit, RealConfig
 from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.dataset.dataset_paths import (
-    CONFIG,
-    EPISODE,
-    STAGING,
+    CONFIG_FILE,
+    EPISODE_FILE,
+    STAGING_FOLDER,
     episode_directories,
     episode_name,
     image_path,
     lowdim_path,
 )
 from yamsim_cli.core.dataset.disk_errors import describe_disk_error
-from yamsim_cli.core.dataset.imported_records import ImportedFrom, RealEpisodeRecord, real_config
+from yamsim_cli.core.dataset.imported_records import ImportedFrom, RealEpisodeRecord, read_imported_config
 from yamsim_cli.core.dataset.lowdim import content_hash, dump_frame
 from yamsim_cli.core.dataset.records import to_json
 from yamsim_cli.core.dataset.writing.directory_claim import OpenMode, claim_directory
@@ -38,7 +38,7 @@ from yamsim_cli.core.recorded_motion import ArmMotion, RecordedMotion
 
 from ..recordings.motion_faults import MotionFault, MotionProblem, find_faults, find_gaps
 from ..recordings.motion_reading import detect_format, format_reader
-from ..recordings.recording import Recording, Samples
+from ..recordings.recording import Recording, SampleIndices
 
 # Fault that refuses an import -> flag that corrects it. An episode's record lists other faults.
 _CORRECTED_BY = {
@@ -129,38 +129,42 @@ def import_recordings(request: ImportRequest, locations: Locations, progress: Pr
         ConfigError: the dataset to resume has another rig, format or unit.
         ResourceError: a file cannot be written, or a library is not installed.
     """
-    read = [(name, recording) for path in request.sources for name, recording in _recordings(path, request, locations)]
-    config = _config(request, read)
+    read = [
+        (name, recording)
+        for path in request.sources
+        for name, recording in _corrected_recordings(path, request, locations)
+    ]
+    config = _dataset_config(request, read)
     try:
         held = claim_directory(request.out, request.mode, locks_reach_others=True)
     except OSError as error:
-        raise _unwritable(request.out, error) from error
+        raise _unwritable_error(request.out, error) from error
     report = ImportReport(request.out, moved_aside=held.moved_aside)
     try:
         if held.occupied:
-            _require_same(request.out, config, locations)
+            _require_same_config(request.out, config, locations)
         else:
-            write_file(request.out / CONFIG, dump_yaml(config.model_dump(mode="json")).encode())
+            write_file(request.out / CONFIG_FILE, dump_yaml(config.model_dump(mode="json")).encode())
         existing = dict(episode_directories(request.out))
         for number, (name, recording) in enumerate(read):
             progress(number, len(read))
             if number in existing:
                 report.kept += 1
             else:
-                _publish(number, name, recording, request, report)
+                _publish_episode(number, name, recording, request, report)
         progress(len(read), len(read))
     except OSError as error:
-        raise _unwritable(request.out, error) from error
+        raise _unwritable_error(request.out, error) from error
     finally:
         held.lock.release()
     return report
 
 
-def _recordings(path: Path, request: ImportRequest, locations: Locations) -> Iterator[tuple[str, Recording]]:
+def _corrected_recordings(path: Path, request: ImportRequest, locations: Locations) -> Iterator[tuple[str, Recording]]:
     name = request.format or detect_format(path)
     for recording in format_reader(name)(path, request.rig, request.mapping, locations):
         made = _apply_corrections(recording, request.corrections, request.rig)
-        for problem in find_faults(made.in_metres(request.rig), request.rig):
+        for problem in find_faults(made.motion_in_metres(request.rig), request.rig):
             if (flag := _CORRECTED_BY.get(problem.fault)) is not None:
                 raise DatasetError(f"{recording.motion.name}: {problem.text} If so, add {flag}")
         yield name, made
@@ -206,7 +210,7 @@ def _mirror_openings(arm: ArmMotion, full: float, which: str) -> ArmMotion:
     return replace(arm, openings=measured, commanded_openings=commanded)
 
 
-def _config(request: ImportRequest, read: Sequence[tuple[str, Recording]]) -> RealConfig:
+def _dataset_config(request: ImportRequest, read: Sequence[tuple[str, Recording]]) -> RealConfig:
     kinds = {(name, recording.gripper) for name, recording in read}
     if not kinds:
         raise DatasetError("there is no recording to import")
@@ -219,22 +223,24 @@ def _config(request: ImportRequest, read: Sequence[tuple[str, Recording]]) -> Re
     return RealConfig(source="real", rig=request.rig, imported=name, gripper=unit)
 
 
-def _require_same(out: Path, config: RealConfig, locations: Locations) -> None:
-    existing = real_config(out, locations)
+def _require_same_config(out: Path, config: RealConfig, locations: Locations) -> None:
+    existing = read_imported_config(out, locations)
     for key in ("rig", "imported", "gripper"):
         if getattr(existing, key) != getattr(config, key):
-            raise ConfigError(f"{out / CONFIG}: {key} differs from that of the recordings; choose another --out")
+            raise ConfigError(f"{out / CONFIG_FILE}: {key} differs from that of the recordings; choose another --out")
 
 
-def _publish(number: int, name: str, recording: Recording, request: ImportRequest, report: ImportReport) -> None:
-    motion = recording.in_metres(request.rig)
+def _publish_episode(
+    number: int, name: str, recording: Recording, request: ImportRequest, report: ImportReport
+) -> None:
+    motion = recording.motion_in_metres(request.rig)
     samples = _frame_samples(motion, recording)
-    frames = [_frame(motion, recording, int(sample)) for sample in samples]
-    problems = [*recording.problems, *(problem.text for problem in _problems(motion, recording, request.rig))]
+    frames = [_frame_data(motion, recording, int(sample)) for sample in samples]
+    problems = [*recording.problems, *(problem.text for problem in _recording_problems(motion, recording, request.rig))]
     files = {lowdim_path(k): dump_frame(frame) for k, frame in enumerate(frames)}
     sizes: dict[str, tuple[int, int]] = {}
     for camera in recording.pictures:
-        for k, data in enumerate(_jpegs(recording, camera, samples)):
+        for k, data in enumerate(_frame_jpegs(recording, camera, samples)):
             header = jpeg_header(data)
             size = None if header is None else (header.width, header.height)
             if size is None or sizes.setdefault(camera, size) != size:
@@ -256,14 +262,16 @@ def _publish(number: int, name: str, recording: Recording, request: ImportReques
         content_sha256=content_hash(frames),
         files={name: sha256_bytes(data) for name, data in sorted(files.items())},
     )
-    publish_directory(request.out / episode_name(number), {**files, EPISODE: to_json(record)}, request.out / STAGING)
+    publish_directory(
+        request.out / episode_name(number), {**files, EPISODE_FILE: to_json(record)}, request.out / STAGING_FOLDER
+    )
     report.episodes += 1
     report.frames += len(frames)
     if problems:
         report.problems[episode_name(number)] = problems
 
 
-def _problems(motion: RecordedMotion, recording: Recording, rig: RigConfig) -> Iterator[MotionProblem]:
+def _recording_problems(motion: RecordedMotion, recording: Recording, rig: RigConfig) -> Iterator[MotionProblem]:
     """Yield a motion's faults and, without gaps, each camera's."""
     yield from find_faults(motion, rig)
     if not any(find_gaps(motion.times)):
@@ -271,13 +279,13 @@ def _problems(motion: RecordedMotion, recording: Recording, rig: RigConfig) -> I
             yield from find_gaps(motion.times[pictures.samples], f"{camera} has no image")
 
 
-def _frame_samples(motion: RecordedMotion, recording: Recording) -> Samples:
+def _frame_samples(motion: RecordedMotion, recording: Recording) -> SampleIndices:
     """Return samples that become frames: of the camera with the most images, or all without cameras."""
     seen = [pictures.samples for pictures in recording.pictures.values()]
     return max(seen, key=len) if seen else np.arange(len(motion.times), dtype=np.int64)
 
 
-def _jpegs(recording: Recording, camera: str, samples: Samples) -> Iterator[bytes]:
+def _frame_jpegs(recording: Recording, camera: str, samples: SampleIndices) -> Iterator[bytes]:
     pictures = recording.pictures[camera]
     images, number, data = pictures.read(), -1, b""
     for wanted in np.clip(np.searchsorted(pictures.samples, samples, side="right") - 1, 0, None):
@@ -288,38 +296,40 @@ def _jpegs(recording: Recording, camera: str, samples: Samples) -> Iterator[byte
         yield data
 
 
-def _frame(motion: RecordedMotion, recording: Recording, sample: int) -> dict[str, Any]:
+def _frame_data(motion: RecordedMotion, recording: Recording, sample: int) -> dict[str, Any]:
     """Return a dataset's frame, without keys for values that were not recorded."""
     arms = motion.arms
-    frame: dict[str, Any] = {"joints": _row([(arm.joints, arm.openings) for arm in arms], sample)}
+    frame: dict[str, Any] = {"joints": _drive_row([(arm.joints, arm.openings) for arm in arms], sample)}
     frame["timestamp"] = float(motion.times[sample])
     # A row of commands needs those of all measured drives.
     if all(arm.commands is not None and (arm.openings is None or arm.commanded_openings is not None) for arm in arms):
         commands = [(arm.commands, None if arm.openings is None else arm.commanded_openings) for arm in arms]
-        frame["ctrl"] = _row(commands, sample)
+        frame["ctrl"] = _drive_row(commands, sample)
     if all(arm.velocities is not None for arm in arms):
-        frame["joint_velocities"] = _row([(arm.velocities, None) for arm in arms], sample)
-    if lenses := {camera: _f32(K) for camera, K in recording.intrinsics.items() if camera in recording.pictures}:
+        frame["joint_velocities"] = _drive_row([(arm.velocities, None) for arm in arms], sample)
+    if lenses := {camera: _as_float32(K) for camera, K in recording.intrinsics.items() if camera in recording.pictures}:
         frame["intrinsics"] = lenses
-    if poses := {camera: _f32(T[sample]) for camera, T in recording.extrinsics.items() if camera in recording.pictures}:
+    if poses := {
+        camera: _as_float32(T[sample]) for camera, T in recording.extrinsics.items() if camera in recording.pictures
+    }:
         frame["extrinsics"] = poses
     if recording.prompt:
         frame["language_prompt"] = recording.prompt
     return frame
 
 
-def _row(parts: Sequence[tuple[Array | None, Array | None]], sample: int) -> NDArray[np.float32]:
+def _drive_row(parts: Sequence[tuple[Array | None, Array | None]], sample: int) -> NDArray[np.float32]:
     values = [
         np.append(joints[sample], [] if openings is None else openings[sample])
         for joints, openings in parts
         if joints is not None
     ]
-    return _f32(np.concatenate(values))
+    return _as_float32(np.concatenate(values))
 
 
-def _f32(values: Array) -> NDArray[np.float32]:
+def _as_float32(values: Array) -> NDArray[np.float32]:
     return np.ascontiguousarray(values, dtype=np.float32)
 
 
-def _unwritable(out: Path, error: OSError) -> ResourceError:
+def _unwritable_error(out: Path, error: OSError) -> ResourceError:
     return ResourceError(f"{out} cannot be written: {describe_disk_error(error, out)}; choose another --out")

@@ -12,17 +12,17 @@ from yamsim_cli.core.errors import ConfigError
 from yamsim_cli.core.files.documents.config_base import Config
 from yamsim_cli.core.files.resources import Locations, config_path_pattern
 
-from .motor import KINDS
+from .motor import MOTOR_KINDS
 
 
-def _known(name: str) -> str:
-    if name not in KINDS:
-        raise ValueError(f"unknown motor {name!r}; valid: {', '.join(KINDS)}")
+def _require_known_kind(name: str) -> str:
+    if name not in MOTOR_KINDS:
+        raise ValueError(f"unknown motor {name!r}; valid: {', '.join(MOTOR_KINDS)}")
     return name
 
 
-Number = Annotated[int, Field(ge=1, le=15)]
-KindName = Annotated[str, AfterValidator(_known)]
+MotorNumber = Annotated[int, Field(ge=1, le=15)]
+KindName = Annotated[str, AfterValidator(_require_known_kind)]
 
 
 class JointMotor(Config):
@@ -35,7 +35,7 @@ class JointMotor(Config):
         load: factor of the joint's gravity torque in the simulation.
     """
 
-    id: Number
+    id: MotorNumber
     kind: KindName
     direction: Annotated[int, Field(ge=-1, le=1)] = 1
     load: Annotated[FiniteFloat, Field(ge=0, le=3)] = 1.0
@@ -60,7 +60,7 @@ class GripperCanConfig(Config):
         kp, kd: of the drive, N m/rad and N m s/rad.
     """
 
-    id: Number
+    id: MotorNumber
     kind: KindName
     closed: FiniteFloat
     opened: FiniteFloat
@@ -71,7 +71,7 @@ class GripperCanConfig(Config):
     kd: Annotated[FiniteFloat, Field(ge=0, le=5)]
 
     @property
-    def ratio(self) -> float:
+    def shaft_ratio(self) -> float:
         """Shaft angle per travel of one finger, rad/m."""
         return (self.opened - self.closed) / self.stroke
 
@@ -90,18 +90,22 @@ def load_can_config(model: str, gripper: str | None, joints: int, locations: Loc
     Raises:
         ConfigError: a file is missing or invalid, the number of motors is wrong, or two motors share an identifier.
     """
-    place = _file("robots", model, locations)
-    arm = _read(ArmCanConfig, place)
+    place = _find_can_yaml("robots", model, locations)
+    arm = _read_motor_config(ArmCanConfig, place)
     if len(arm.motors) != joints:
         raise ConfigError(f"{place}: has {len(arm.motors)} motors, and {model} has {joints} joints; give one for each")
-    hand = None if gripper is None else _read(GripperCanConfig, _file("grippers", gripper, locations))
+    hand = (
+        None
+        if gripper is None
+        else _read_motor_config(GripperCanConfig, _find_can_yaml("grippers", gripper, locations))
+    )
     numbers = [motor.id for motor in arm.motors] + ([hand.id] if hand else [])
     if len(set(numbers)) < len(numbers):
         raise ConfigError(f"{place}: two motors have the same id among {numbers}; each needs its own on its bus")
     return CanConfig(arm, hand)
 
 
-def _file(kind: str, name: str, locations: Locations) -> Path:
+def _find_can_yaml(kind: str, name: str, locations: Locations) -> Path:
     folder = Path(config_path_pattern(kind).replace("*", name)).parent
     for root in locations.data:
         if (root / folder / "can.yaml").is_file():
@@ -113,11 +117,11 @@ def _file(kind: str, name: str, locations: Locations) -> Path:
 W = TypeVar("W", bound=Config)
 
 
-def _read(model: type[W], path: Path) -> W:
-    document = model.read(path)
+def _read_motor_config(model: type[W], path: Path) -> W:
+    document = model.read_document(path)
     try:
         return model.model_validate(document.data)
     except ValidationError as error:
         first = error.errors()[0]
         key = ".".join(map(str, first["loc"]))
-        raise ConfigError(f"{document.place(tuple(first['loc']))}: {key}: {first['msg']}") from None
+        raise ConfigError(f"{document.place_of(tuple(first['loc']))}: {key}: {first['msg']}") from None

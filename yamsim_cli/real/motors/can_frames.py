@@ -11,7 +11,7 @@ FRAME_BYTES = _CAN_FRAME.size
 _FLAGS = 0xE0000000  # extended, remote and error frames, which motors ignore
 _MAX_DATA_BYTES = 8
 
-TO_ALL = 0x7FF  # register and status frames, which all motors receive; the data names one motor
+BROADCAST_ID = 0x7FF  # register and status frames, which all motors receive; the data names one motor
 # Last byte of a special command, after seven bytes 0xFF. Source: DAMIAO's DM-J43 manual, "MIT mode".
 CLEAR_ERROR, ENABLE, DISABLE, SET_ZERO = 0xFB, 0xFC, 0xFD, 0xFE
 # Third byte of a frame to TO_ALL: register access or status request. Source: DAMIAO's DM-J43 manual.
@@ -51,12 +51,12 @@ class MotorRange(NamedTuple):
 def parse_frame(wire: bytes) -> CanFrame | None:
     """Decode 16 bytes; None for a frame that motors ignore."""
     identifier, length, data = _CAN_FRAME.unpack(wire)
-    if identifier & _FLAGS or identifier > TO_ALL or length > _MAX_DATA_BYTES:
+    if identifier & _FLAGS or identifier > BROADCAST_ID or length > _MAX_DATA_BYTES:
         return None
     return CanFrame(identifier, data[:length])
 
 
-def to_wire(frame: CanFrame) -> bytes:
+def encode_frame(frame: CanFrame) -> bytes:
     """Encode as 16 bytes."""
     return _CAN_FRAME.pack(frame.id, len(frame.data), frame.data)
 
@@ -78,7 +78,7 @@ def dequantize(number: int, maximum: float, bits: int) -> float:
     return number * 2 * maximum / ((1 << bits) - 1) - maximum
 
 
-def read_mit(data: bytes, scale: MotorRange) -> MitCommand:
+def decode_mit_command(data: bytes, scale: MotorRange) -> MitCommand:
     """Decode a MIT frame's 8 bytes by the motor's ranges."""
     bits = int.from_bytes(data, "big")
     return MitCommand(

@@ -16,8 +16,8 @@ _UPDATE_SECONDS = 0.01  # s
 
 LOST, HOT, DROP, STUCK = "lost", "hot", "drop", "stuck"
 # Fault -> its own keys in a `--fault` flag, besides _COMMON.
-_KEYS = {LOST: ("motor",), HOT: ("motor", "celsius"), DROP: ("share",), STUCK: ()}
-_COMMON = ("channel", "at", "for")
+_FAULT_KEYS = {LOST: ("motor",), HOT: ("motor", "celsius"), DROP: ("share",), STUCK: ()}
+_COMMON_KEYS = ("channel", "at", "for")
 # Valid values; `at` and `for` in s, `celsius` in degrees Celsius.
 _RANGES = {"motor": (1, 15), "at": (0, 86_400), "for": (0, 86_400), "celsius": (0, 250), "share": (0, 1)}
 _EXAMPLE = "lost:motor=3,at=5,for=2"
@@ -51,9 +51,11 @@ def parse_fault(text: str) -> BusFault:
         UsageError: the text is invalid; the message lists valid values.
     """
     kind, _, rest = text.partition(":")
-    if kind not in _KEYS:
-        raise UsageError(f"--fault {text!r}: unknown fault {kind!r}; valid: {', '.join(_KEYS)}, such as {_EXAMPLE}")
-    valid = (*_KEYS[kind], *_COMMON)
+    if kind not in _FAULT_KEYS:
+        raise UsageError(
+            f"--fault {text!r}: unknown fault {kind!r}; valid: {', '.join(_FAULT_KEYS)}, such as {_EXAMPLE}"
+        )
+    valid = (*_FAULT_KEYS[kind], *_COMMON_KEYS)
     given: dict[str, Any] = {}
     for part in filter(None, rest.split(",")):
         key, _, value = part.partition("=")
@@ -62,13 +64,13 @@ def parse_fault(text: str) -> BusFault:
         field = "seconds" if key == "for" else key
         if field in given:
             raise UsageError(f"--fault {text!r}: {key} is given twice")
-        given[field] = value if key == "channel" else _number(text, key, value)
+        given[field] = value if key == "channel" else _parse_fault_number(text, key, value)
     if "motor" in valid and "motor" not in given:
         raise UsageError(f"--fault {text!r}: give a motor, as in {kind}:motor=3")
     return BusFault(kind, **given)
 
 
-def _number(text: str, key: str, value: str) -> float:
+def _parse_fault_number(text: str, key: str, value: str) -> float:
     low, high = _RANGES[key]
     try:
         number = float(value)
@@ -93,8 +95,8 @@ class MotorBus:
     def __init__(self, channel: str, motors: Sequence[Motor], faults: Sequence[BusFault] = (), seed: int = 0) -> None:
         self.channel = channel
         self.motors = tuple(motors)
-        self.stuck = False
-        self.frames_received = self.dropped = 0
+        self.is_gripper_stuck = False
+        self.frames_received = self.frames_dropped = 0
         self._faults = [fault for fault in faults if fault.channel in ("", channel)]
         self._random = random.Random(f"{seed} {channel}")
         self._updated = 0.0
@@ -105,7 +107,7 @@ class MotorBus:
         self.frames_received += 1
         if self._drops_frame():
             return []
-        answers = [answer for motor in self.motors if (answer := motor.receive(frame, now)) is not None]
+        answers = [answer for motor in self.motors if (answer := motor.answer_frame(frame, now)) is not None]
         return [answer for answer in answers if not self._drops_frame()]
 
     def advance_to(self, now: float) -> None:
@@ -114,7 +116,7 @@ class MotorBus:
             return
         self._updated = now
         acting = [fault for fault in self._faults if fault.at <= now < fault.at + fault.seconds]
-        self.stuck = any(fault.kind == STUCK for fault in acting)
+        self.is_gripper_stuck = any(fault.kind == STUCK for fault in acting)
         self._drop_share = max((fault.share for fault in acting if fault.kind == DROP), default=0.0)
         lost = {fault.motor for fault in acting if fault.kind == LOST}
         hot = {fault.motor: fault.celsius for fault in acting if fault.kind == HOT}
@@ -129,5 +131,5 @@ class MotorBus:
 
     def _drops_frame(self) -> bool:
         lost = self._drop_share > 0 and self._random.random() < self._drop_share
-        self.dropped += lost
+        self.frames_dropped += lost
         return lost

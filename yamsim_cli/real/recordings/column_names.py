@@ -44,12 +44,12 @@ def find_naming(
     candidates = candidate_namings(mapping, locations)
     if mapping is not None:
         (requested,) = candidates
-        missing = _missing(requested, columns, rig)
+        missing = _first_missing_column(requested, columns, rig)
         if missing is not None:
             raise ConfigError(f"--mapping {mapping}: {source} has no {missing!r}; its columns are {', '.join(columns)}")
         return requested
     for names in [*candidates, *_drive_names(rig)]:
-        if names.arms and _missing(names, columns, rig) is None:
+        if names.arms and _first_missing_column(names, columns, rig) is None:
             return names
     raise DatasetError(
         f"{source}: its columns are {', '.join(columns)}, and no naming in configs/{KIND}/ fits those and rig "
@@ -57,7 +57,7 @@ def find_naming(
     )
 
 
-def named_arms(
+def arm_motions_from_columns(
     names: RecordingNames, rig: RigConfig, measured: Mapping[str, Array], commanded: Mapping[str, Array] | None
 ) -> tuple[ArmMotion, ...]:
     """Return each arm's motion, the left first, from named columns (n,); openings keep their unit."""
@@ -81,7 +81,7 @@ def arm_columns(arm: ArmNames) -> tuple[str, ...]:
     return arm.joints if arm.gripper is None else (*arm.joints, arm.gripper)
 
 
-def _missing(names: RecordingNames, columns: Sequence[str], rig: RigConfig) -> str | None:
+def _first_missing_column(names: RecordingNames, columns: Sequence[str], rig: RigConfig) -> str | None:
     keys = arm_keys(rig)
     if set(keys) != set(names.arms):
         return " and ".join(f"arm {key!r} in it" for key in keys)
@@ -100,7 +100,7 @@ def _drive_names(rig: RigConfig) -> list[RecordingNames]:
     by_drive, by_joint = {}, {}
     for side, key, k in zip(motion_sides(rig), arm_keys(rig), rig.recording_order, strict=True):
         robot, prefix = rig.arms[k].robot, f"{side}_" if side else ""
-        gripper = prefix + robot.drives[-1] if robot.fingers else None
+        gripper = prefix + robot.drive_names[-1] if robot.fingers else None
         by_drive[key] = ArmNames(joints=tuple(prefix + name for name in robot.joint_drives), gripper=gripper)
         by_joint[key] = ArmNames(joints=tuple(prefix + name for name in robot.joint_names), gripper=gripper)
     return [RecordingNames(name="drives", arms=arms, gripper="metres") for arms in (by_drive, by_joint)]

@@ -20,7 +20,7 @@ from yamsim_cli.core.recorded_motion import ArmMotion, RecordedMotion
 
 from .recording import motion_sides
 
-TIME = "t"
+TIME_COLUMN = "t"
 _COMMAND, _POSITION, _VELOCITY = "command", "position", "velocity"
 _GRIPPER = "gripper"
 
@@ -31,9 +31,9 @@ def csv_columns(rig: RigConfig) -> list[str]:
     """Return the columns that yamsim writes: time, all commands, all measured positions."""
     robots = [rig.arms[k].robot for k in rig.recording_order]
     return [
-        TIME,
+        TIME_COLUMN,
         *(
-            _column(kind, side, joint)
+            _column_name(kind, side, joint)
             for kind in (_COMMAND, _POSITION)
             for side, robot in zip(motion_sides(rig), robots, strict=True)
             for joint in (*robot.joint_names, *([_GRIPPER] if robot.fingers else []))
@@ -47,14 +47,14 @@ def read_csv(path: Path, rig: RigConfig) -> RecordedMotion:
     Raises:
         DatasetError: the file cannot be read, lacks columns, or has an invalid row.
     """
-    names, rows = _table(path)
-    if TIME not in names:
-        raise DatasetError(f"{path}: line 1: has no column {TIME!r}; the header is {','.join(csv_columns(rig))}")
+    names, rows = _read_table(path)
+    if TIME_COLUMN not in names:
+        raise DatasetError(f"{path}: line 1: has no column {TIME_COLUMN!r}; the header is {','.join(csv_columns(rig))}")
     values = np.array(rows, dtype=np.float64).reshape(len(rows), len(names))
     if len(values) < 2:
         raise DatasetError(f"{path}: has {len(values)} samples; a motion needs at least two")
     columns: dict[str, Array] = {name: values[:, k] for k, name in enumerate(names)}
-    times = columns.pop(TIME)
+    times = columns.pop(TIME_COLUMN)
     back = np.flatnonzero(np.diff(times) <= 0)
     if len(back):
         line = int(back[0]) + 3
@@ -75,7 +75,7 @@ def encode_csv(rig: RigConfig, times: Sequence[float] | Array, columns: Array) -
     return stream.getvalue().encode()
 
 
-def _table(path: Path) -> tuple[list[str], list[list[float]]]:
+def _read_table(path: Path) -> tuple[list[str], list[list[float]]]:
     try:
         if path.stat().st_size > _MAX_BYTES:
             raise DatasetError(f"{path}: has {path.stat().st_size / 1e9:.1f} GB; valid: up to {_MAX_BYTES / 1e9:.1f}")
@@ -85,14 +85,14 @@ def _table(path: Path) -> tuple[list[str], list[list[float]]]:
             if len(set(names)) < len(names):
                 twice = next(name for name in names if names.count(name) > 1)
                 raise DatasetError(f"{path}: line 1: column {twice!r} appears twice")
-            return names, list(_rows(path, names, lines))
+            return names, list(_parse_rows(path, names, lines))
     except OSError as error:
         raise DatasetError(f"{path} cannot be read: {error.strerror or error}") from error
     except (UnicodeDecodeError, csv.Error) as error:
         raise DatasetError(f"{path} is not valid CSV: {error}") from error
 
 
-def _rows(path: Path, names: Sequence[str], lines: Iterator[list[str]]) -> Iterator[list[float]]:
+def _parse_rows(path: Path, names: Sequence[str], lines: Iterator[list[str]]) -> Iterator[list[float]]:
     for number, cells in enumerate(lines, start=2):
         if not cells:
             continue
@@ -114,14 +114,14 @@ def _rows(path: Path, names: Sequence[str], lines: Iterator[list[str]]) -> Itera
 
 
 def _arm_motions(columns: Mapping[str, Array], rig: RigConfig, path: Path) -> tuple[ArmMotion, ...]:
-    columns = {_usual_name(name, motion_sides(rig)): values for name, values in columns.items()}
+    columns = {_normalized_column_name(name, motion_sides(rig)): values for name, values in columns.items()}
     motions = []
     for side, k in zip(motion_sides(rig), rig.recording_order, strict=True):
         joints = rig.arms[k].robot.joint_names
         measured = _joint_columns(columns, _POSITION, side, joints, path)
         if measured is None:
             raise DatasetError(
-                f"{path}: has no column {_column(_POSITION, side, joints[0])!r}; its columns are "
+                f"{path}: has no column {_column_name(_POSITION, side, joints[0])!r}; its columns are "
                 f"{', '.join(columns)}; rig {rig.name!r} needs {', '.join(csv_columns(rig))}"
             )
         motions.append(
@@ -129,29 +129,29 @@ def _arm_motions(columns: Mapping[str, Array], rig: RigConfig, path: Path) -> tu
                 side,
                 measured,
                 _joint_columns(columns, _COMMAND, side, joints, path),
-                columns.get(_column(_POSITION, side, _GRIPPER)),
-                columns.get(_column(_COMMAND, side, _GRIPPER)),
+                columns.get(_column_name(_POSITION, side, _GRIPPER)),
+                columns.get(_column_name(_COMMAND, side, _GRIPPER)),
                 _joint_columns(columns, _VELOCITY, side, joints, path),
             )
         )
     return tuple(motions)
 
 
-def _column(kind: str, side: str, joint: str) -> str:
+def _column_name(kind: str, side: str, joint: str) -> str:
     return "_".join(part for part in (kind, side, joint) if part)
 
 
-def _usual_name(name: str, arms: Sequence[str]) -> str:
+def _normalized_column_name(name: str, arms: Sequence[str]) -> str:
     """Return `left_command_joint1` as `command_left_joint1`; other names stay."""
     side, _, rest = name.partition("_")
     kind, _, joint = rest.partition("_")
-    return _column(kind, side, joint) if side in arms and kind in (_COMMAND, _POSITION, _VELOCITY) else name
+    return _column_name(kind, side, joint) if side in arms and kind in (_COMMAND, _POSITION, _VELOCITY) else name
 
 
 def _joint_columns(
     columns: Mapping[str, Array], kind: str, side: str, joints: Sequence[str], path: Path
 ) -> Array | None:
-    names = [_column(kind, side, joint) for joint in joints]
+    names = [_column_name(kind, side, joint) for joint in joints]
     missing = [name for name in names if name not in columns]
     if len(missing) == len(names):
         return None

@@ -20,13 +20,13 @@ from yamsim_cli.core.images.video import decode_packets
 from yamsim_cli.core.recorded_motion import ArmMotion, RecordedMotion
 
 from .column_names import KIND, arm_keys, candidate_namings
-from .recording import JPEG_QUALITY, CameraImages, Recording, Samples, motion_sides, times_from_nanoseconds
+from .recording import JPEG_QUALITY, CameraImages, Recording, SampleIndices, motion_sides, times_from_nanoseconds
 
 _MAX_MESSAGES = 5_000_000
 # s, relative to the first arm's state. A later start of a topic is an error, an earlier end a problem.
 _LATEST_START = _EARLIEST_END = 1.0
 
-Rows = list[tuple[int, Array]]  # time (ns) and values of a topic's messages
+TopicRows = list[tuple[int, Array]]  # time (ns) and values of a topic's messages
 
 
 def read_mcap(path: Path, rig: RigConfig, mapping: str | None, locations: Locations) -> list[Recording]:
@@ -44,31 +44,33 @@ def read_mcap(path: Path, rig: RigConfig, mapping: str | None, locations: Locati
         if summary is None:
             raise DatasetError(f"{path}: has no summary: was it cut off? run `mcap recover`")
         topics = [channel.topic for channel in summary.channels.values()]
-    names = _naming(topics, rig, mapping, path, locations)
-    rows: dict[str, Rows] = {
+    names = _matching_naming(topics, rig, mapping, path, locations)
+    rows: dict[str, TopicRows] = {
         topic: []
         for arm in names.topics.values()
         for topic in (arm.state, arm.action, arm.gripper_state, arm.gripper_action)
         if topic and topic in topics
     }
     prompt = ""
-    for topic, time, message in _messages(path, {*rows, *([names.prompt_topic] if names.prompt_topic else [])}):
+    for topic, time, message in _read_messages(path, {*rows, *([names.prompt_topic] if names.prompt_topic else [])}):
         if topic == names.prompt_topic:
-            text = _field(message, names.prompt_field)
+            text = _message_field(message, names.prompt_field)
             prompt = prompt or (text if isinstance(text, str) else "")
         else:
-            rows[topic].append((time, _numbers(message, names.field, topic, path)))
+            rows[topic].append((time, _field_numbers(message, names.field, topic, path)))
     first = names.topics[arm_keys(rig)[0]].state
     stamps = np.array([time for time, _ in rows[first]], dtype=np.int64)
     motion = RecordedMotion(
-        str(path), times_from_nanoseconds(stamps, f"{path} {first}"), _arms(path, rig, names, rows, stamps)
+        str(path), times_from_nanoseconds(stamps, f"{path} {first}"), _arm_motions(path, rig, names, rows, stamps)
     )
-    pictures = {camera: _images(path, topic, stamps) for topic, camera in names.cameras.items() if topic in topics}
+    pictures = {
+        camera: _camera_images(path, topic, stamps) for topic, camera in names.cameras.items() if topic in topics
+    }
     return [Recording(motion, names.gripper, pictures, prompt, problems=tuple(_early_ends(rows, stamps)))]
 
 
-def _arms(
-    path: Path, rig: RigConfig, names: RecordingNames, rows: Mapping[str, Rows], stamps: Samples
+def _arm_motions(
+    path: Path, rig: RigConfig, names: RecordingNames, rows: Mapping[str, TopicRows], stamps: SampleIndices
 ) -> tuple[ArmMotion, ...]:
     def values_of(topic: str | None, width: int) -> Array | None:
         return _last_values(rows[topic], stamps, width, f"{path} {topic}") if topic and topic in rows else None
@@ -91,13 +93,13 @@ def _arms(
     return tuple(motions)
 
 
-def _early_ends(rows: Mapping[str, Rows], stamps: Samples) -> Iterator[str]:
+def _early_ends(rows: Mapping[str, TopicRows], stamps: SampleIndices) -> Iterator[str]:
     for topic, messages in sorted(rows.items()):
         if messages and (early := (stamps[-1] - messages[-1][0]) * 1e-9) > _EARLIEST_END:
             yield f"{topic} ends {early:.1f} s before the arm's state, and keeps its last value: was it cut off?"
 
 
-def _naming(
+def _matching_naming(
     topics: Collection[str], rig: RigConfig, mapping: str | None, path: Path, locations: Locations
 ) -> RecordingNames:
     keys = arm_keys(rig)
@@ -112,7 +114,7 @@ def _naming(
     )
 
 
-def _last_values(rows: Rows, stamps: Samples, width: int, source: str) -> Array:
+def _last_values(rows: TopicRows, stamps: SampleIndices, width: int, source: str) -> Array:
     """Return a topic's last values (n, width) before time stamps (n,), ns."""
     if not rows:
         raise DatasetError(f"{source}: contains no message")
@@ -130,36 +132,36 @@ def _last_values(rows: Rows, stamps: Samples, width: int, source: str) -> Array:
     return values[np.clip(np.searchsorted(when, stamps, side="right") - 1, 0, None)]
 
 
-def _images(path: Path, topic: str, stamps: Samples) -> CameraImages:
-    when = [time for _, time, _ in _messages(path, {topic}, decoded=False)]
+def _camera_images(path: Path, topic: str, stamps: SampleIndices) -> CameraImages:
+    when = [time for _, time, _ in _read_messages(path, {topic}, decoded=False)]
     after = np.searchsorted(stamps, np.array(when, dtype=np.int64), side="right")
     kept, first = np.unique(np.clip(after - 1, 0, None).astype(np.int64), return_index=True)
-    return CameraImages(kept, functools.partial(_jpegs, path, topic, frozenset(int(k) for k in first)))
+    return CameraImages(kept, functools.partial(_topic_jpegs, path, topic, frozenset(int(k) for k in first)))
 
 
-def _jpegs(path: Path, topic: str, kept: frozenset[int]) -> Iterator[bytes]:
-    codec = next((str(_field(message, "format") or "") for _, _, message in _messages(path, {topic})), "")
-    packets = (bytes(_field(message, "data")) for _, _, message in _messages(path, {topic}))
+def _topic_jpegs(path: Path, topic: str, kept: frozenset[int]) -> Iterator[bytes]:
+    codec = next((str(_message_field(message, "format") or "") for _, _, message in _read_messages(path, {topic})), "")
+    packets = (bytes(_message_field(message, "data")) for _, _, message in _read_messages(path, {topic}))
     for number, image in enumerate(decode_packets(packets, codec, f"{path} {topic}")):
         if number in kept:
             yield encode_jpeg(image, JPEG_QUALITY)
 
 
-def _numbers(message: Any, field: str, topic: str, path: Path) -> Array:
-    values = _field(message, field)
+def _field_numbers(message: Any, field: str, topic: str, path: Path) -> Array:
+    values = _message_field(message, field)
     try:
         return np.atleast_1d(np.asarray(list(values) if np.iterable(values) else values, dtype=np.float64))
     except (TypeError, ValueError):
         raise DatasetError(f"{path} {topic}: {field} holds no numbers: {str(values)[:60]!r}") from None
 
 
-def _field(message: Any, name: str) -> Any:
+def _message_field(message: Any, name: str) -> Any:
     for part in name.split("."):
         message = message.get(part) if isinstance(message, dict) else getattr(message, part, None)
     return message
 
 
-def _messages(path: Path, topics: set[str], *, decoded: bool = True) -> Iterator[tuple[str, int, Any]]:
+def _read_messages(path: Path, topics: set[str], *, decoded: bool = True) -> Iterator[tuple[str, int, Any]]:
     """Yield topic, time (ns) and content (None if not decoded), in order of time."""
     with _OpenedMcap(path) as reader:
         made = reader.iter_decoded_messages if decoded else reader.iter_messages

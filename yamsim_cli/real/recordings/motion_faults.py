@@ -21,13 +21,13 @@ from yamsim_cli.core.robots.robot import Robot
 _GAP_FACTOR, _GAP_SECONDS = 5.0, 0.1
 _LIMIT_TOLERANCE = 0.1  # rad; arms are calibrated to a degree or two
 _MAX_ANGLE = 2 * math.pi  # rad; no joint turns farther, so larger values are degrees
-_PERIOD = QuantityBounds("s", 1e-5, 0.5)  # median step, 100 kHz to 2 Hz; times in ms exceed it
+_PERIOD_BOUNDS = QuantityBounds("s", 1e-5, 0.5)  # median step, 100 kHz to 2 Hz; times in ms exceed it
 _MIN_MOTION = 0.05  # rad; smaller changes are noise
 _SWAPPED_FACTOR = 3.0  # commands that fit the other arm's joints by this factor better are swapped
 _OPENING_FACTOR = 1.1  # multiple of the fingers' range; larger openings are not in metres
 # A joint is frozen if its measurement rests this long, s, while its command moves this far, rad.
 _FROZEN_SECONDS, _FROZEN_COMMAND = 1.0, 0.1
-_MIRRORED = -0.5  # correlation of openings with commands, below which one is mirrored
+_MAX_MIRRORED_CORRELATION = -0.5  # correlation of openings with commands, below which one is mirrored
 _MIN_OPENING = 0.2  # share of the fingers' range; smaller motions have no correlation
 # Fingers stall if they rest this long, s, this far from their command, shares of their range.
 _STALL_SECONDS, _STALL_DISTANCE = 0.5, 0.2
@@ -63,16 +63,16 @@ class MotionProblem:
 
 def find_faults(motion: RecordedMotion, rig: RigConfig) -> list[MotionProblem]:
     """Return all faults of a motion of a rig."""
-    found = [*find_gaps(motion.times), *_time_unit(motion.times)]
+    found = [*find_gaps(motion.times), *_time_unit_faults(motion.times)]
     for arm, k in zip(motion.arms, rig.recording_order, strict=True):
         robot = rig.arms[k].robot
-        found += list(_degrees(arm, robot)) or [
-            *_beyond_stops(motion.times, arm, robot),
-            *_too_fast(motion.times, arm, robot),
-            *_frozen_joints(motion.times, arm, robot),
+        found += list(_degree_faults(arm, robot)) or [
+            *_beyond_stops_faults(motion.times, arm, robot),
+            *_too_fast_faults(motion.times, arm, robot),
+            *_frozen_joint_faults(motion.times, arm, robot),
         ]
-        found += _gripper(motion.times, arm, robot)
-    return found + list(_swapped_arms(motion))
+        found += _gripper_faults(motion.times, arm, robot)
+    return found + list(_swapped_arms_faults(motion))
 
 
 def require_units(name: str, problems: Iterable[MotionProblem]) -> None:
@@ -86,12 +86,12 @@ def require_units(name: str, problems: Iterable[MotionProblem]) -> None:
             raise DatasetError(f"{name}: {problem.text}")
 
 
-def _time_unit(times: Array) -> Iterator[MotionProblem]:
+def _time_unit_faults(times: Array) -> Iterator[MotionProblem]:
     if len(times) < 2:
         return
     usual = float(np.median(np.diff(times)))
     try:
-        _PERIOD.check(usual)
+        _PERIOD_BOUNDS.check(usual)
     except ValueError as error:
         yield MotionProblem(MotionFault.TIME_UNIT, f"samples are {usual:g} s apart, which {error}")
 
@@ -110,7 +110,7 @@ def find_gaps(times: Array, what: str = "nothing was recorded") -> Iterator[Moti
         yield MotionProblem(MotionFault.GAP, text, float(times[k]))
 
 
-def _degrees(arm: ArmMotion, robot: Robot) -> Iterator[MotionProblem]:
+def _degree_faults(arm: ArmMotion, robot: Robot) -> Iterator[MotionProblem]:
     turned = arm.joints if arm.commands is None else np.vstack([arm.joints, arm.commands])
     most = np.nanmax(np.abs(turned), axis=0)
     k = int(np.argmax(most))
@@ -120,7 +120,7 @@ def _degrees(arm: ArmMotion, robot: Robot) -> Iterator[MotionProblem]:
         yield MotionProblem(MotionFault.DEGREES, text)
 
 
-def _beyond_stops(times: Array, arm: ArmMotion, robot: Robot) -> Iterator[MotionProblem]:
+def _beyond_stops_faults(times: Array, arm: ArmMotion, robot: Robot) -> Iterator[MotionProblem]:
     low, high = robot.joint_range.T
     beyond = np.fmax(low - arm.joints, arm.joints - high)
     for k, name in enumerate(robot.joint_names):
@@ -133,7 +133,7 @@ def _beyond_stops(times: Array, arm: ArmMotion, robot: Robot) -> Iterator[Motion
             yield MotionProblem(MotionFault.BEYOND_STOPS, text, float(times[at]))
 
 
-def _too_fast(times: Array, arm: ArmMotion, robot: Robot) -> Iterator[MotionProblem]:
+def _too_fast_faults(times: Array, arm: ArmMotion, robot: Robot) -> Iterator[MotionProblem]:
     known = ~np.isnan(arm.joints).any(axis=1)
     when, joints = times[known], arm.joints[known]
     speeds = np.abs(np.diff(joints, axis=0)) / np.diff(when)[:, None]
@@ -150,7 +150,7 @@ def _too_fast(times: Array, arm: ArmMotion, robot: Robot) -> Iterator[MotionProb
             yield MotionProblem(MotionFault.TOO_FAST, text, float(when[at]))
 
 
-def _frozen_joints(times: Array, arm: ArmMotion, robot: Robot) -> Iterator[MotionProblem]:
+def _frozen_joint_faults(times: Array, arm: ArmMotion, robot: Robot) -> Iterator[MotionProblem]:
     if arm.commands is None:
         return
     known = ~np.isnan(arm.joints).any(axis=1)
@@ -168,7 +168,7 @@ def _frozen_joints(times: Array, arm: ArmMotion, robot: Robot) -> Iterator[Motio
                 break
 
 
-def _gripper(times: Array, arm: ArmMotion, robot: Robot) -> Iterator[MotionProblem]:
+def _gripper_faults(times: Array, arm: ArmMotion, robot: Robot) -> Iterator[MotionProblem]:
     if arm.openings is None or robot.fingers is None:
         return
     name, widest = _full_name(arm, "gripper"), robot.fingers.range[1]
@@ -181,14 +181,16 @@ def _gripper(times: Array, arm: ArmMotion, robot: Robot) -> Iterator[MotionProbl
         )
         yield MotionProblem(MotionFault.GRIPPER_SHARE, text)
     elif arm.commanded_openings is not None:
-        yield from _mirrored_gripper(name, times[known], measured / widest, arm.commanded_openings[known] / widest)
+        yield from _mirrored_gripper_faults(
+            name, times[known], measured / widest, arm.commanded_openings[known] / widest
+        )
 
 
-def _mirrored_gripper(name: str, times: Array, measured: Array, commanded: Array) -> Iterator[MotionProblem]:
+def _mirrored_gripper_faults(name: str, times: Array, measured: Array, commanded: Array) -> Iterator[MotionProblem]:
     """Yield a fault if openings (n,), shares of the range, seem counted from the other end."""
     if (
         min(np.ptp(commanded), np.ptp(measured)) > _MIN_OPENING
-        and (r := float(np.corrcoef(commanded, measured)[0, 1])) < _MIRRORED
+        and (r := float(np.corrcoef(commanded, measured)[0, 1])) < _MAX_MIRRORED_CORRELATION
     ):
         text = f"{name} closes while commanded to open (correlation {r:.2f}): is one of the two signals inverted?"
         yield MotionProblem(MotionFault.GRIPPER_UPSIDE_DOWN, text)
@@ -213,7 +215,7 @@ def _first_stall(times: Array, measured: Array, commanded: Array) -> float | Non
     return first_of.get(-1.0) if 1.0 not in first_of else None
 
 
-def _swapped_arms(motion: RecordedMotion) -> Iterator[MotionProblem]:
+def _swapped_arms_faults(motion: RecordedMotion) -> Iterator[MotionProblem]:
     if len(motion.arms) != 2:
         return
     left, right = motion.arms

@@ -9,16 +9,16 @@ from typing import Any
 import numpy as np
 
 from yamsim_cli.core.config.rig import RigConfig
-from yamsim_cli.core.dataset.dataset_paths import EPISODE
+from yamsim_cli.core.dataset.dataset_paths import EPISODE_FILE
 from yamsim_cli.core.dataset.imported_records import is_yamsim_data
-from yamsim_cli.core.dataset.reader import RecordedEpisode, open_recorded, recorded_episodes
-from yamsim_cli.core.errors import DatasetError, UsageError, suggest
+from yamsim_cli.core.dataset.reader import RecordedEpisode, open_all_episodes, open_recorded_episode
+from yamsim_cli.core.errors import DatasetError, UsageError, suggest_similar
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.core.recorded_motion import RecordedMotion
 
 from .csv_file import read_csv
-from .lerobot_files import INFO, read_lerobot
+from .lerobot_files import INFO_FILE, read_lerobot
 from .mcap_file import read_mcap
 from .raiden_files import ROBOT_DATA, read_lowdim, read_raiden_raw
 from .recording import Recording, split_arms
@@ -49,7 +49,7 @@ def detect_format(path: Path) -> str:
             return _BY_ENDING[path.suffix.lower()]
     elif (path / ROBOT_DATA).is_file():
         return "raiden_raw"
-    elif (path / INFO).is_file():
+    elif (path / INFO_FILE).is_file():
         return "lerobot"
     elif is_yamsim_data(path):
         raise DatasetError(f"{path}: is already an episode or a dataset of yamsim, and needs no import")
@@ -64,7 +64,7 @@ def detect_format(path: Path) -> str:
 def format_reader(name: str) -> Reader:
     """Return the reader of a format, such as `csv`. Raises `UsageError` if no format has that name."""
     if name not in _READERS:
-        raise UsageError(f"--format {name!r} is not valid; {suggest(name, _READERS)}")
+        raise UsageError(f"--format {name!r} is not valid; {suggest_similar(name, _READERS)}")
     return _READERS[name]
 
 
@@ -80,11 +80,11 @@ def read_motions(
     motions: list[RecordedMotion] = []
     for path in recordings:
         if is_yamsim_data(path):
-            stored = [open_recorded(path)] if (path / EPISODE).exists() else recorded_episodes(path)
+            stored = [open_recorded_episode(path)] if (path / EPISODE_FILE).exists() else open_all_episodes(path)
             motions += [read_episode(episode, rig) for episode in stored]
         else:
             read = format_reader(detect_format(path))
-            motions += [recording.in_metres(rig) for recording in read(path, rig, mapping, locations)]
+            motions += [recording.motion_in_metres(rig) for recording in read(path, rig, mapping, locations)]
     if not motions:
         raise UsageError("no recording holds a motion; give a .csv, an episode's directory, or a dataset's")
     return motions
@@ -100,10 +100,10 @@ def read_episode(episode: RecordedEpisode, rig: RigConfig) -> RecordedMotion:
     """
     record, name = episode.record, str(episode.directory)
     drives = record.drives
-    if record.arms != len(rig.arms) or drives not in (rig.drives, min(arm.robot.dof for arm in rig.arms)):
+    if record.arms != len(rig.arms) or drives not in (rig.drive_count, min(arm.robot.dof for arm in rig.arms)):
         raise DatasetError(
             f"{name}: has {record.arms} arms of {drives} drives, and rig {rig.name!r} has {len(rig.arms)} of "
-            f"{rig.drives}; give --rig {record.rig}"
+            f"{rig.drive_count}; give --rig {record.rig}"
         )
     frames = episode.frames()
     if len(frames) < 2:
@@ -112,11 +112,11 @@ def read_episode(episode: RecordedEpisode, rig: RigConfig) -> RecordedMotion:
     if np.any(np.diff(times) <= 0):
         raise DatasetError(f"{name}: timestamps do not increase; check it with yamsim summarize --strict")
 
-    def rows(key: str) -> Array:
+    def drive_rows(key: str) -> Array:
         values = [np.asarray(frame[key], dtype=np.float64).ravel() for frame in frames]
         return np.array(values).reshape(len(frames), record.arms, drives)
 
-    joints, commands = rows("joints"), rows("ctrl") if "ctrl" in frames[0] else None
+    joints, commands = drive_rows("joints"), drive_rows("ctrl") if "ctrl" in frames[0] else None
     times -= times[0]
     if "sim_ctrl" in frames[0]:
         times, joints, commands = _per_tick_samples(times, joints, frames, rig)
@@ -126,7 +126,7 @@ def read_episode(episode: RecordedEpisode, rig: RigConfig) -> RecordedMotion:
 def _per_tick_samples(
     times: Array, joints: Array, frames: list[dict[str, Any]], rig: RigConfig
 ) -> tuple[Array, Array, Array]:
-    order = np.concatenate([np.arange(rig.drives) + arm * rig.drives for arm in rig.recording_order])
+    order = np.concatenate([np.arange(rig.drive_count) + arm * rig.drive_count for arm in rig.recording_order])
     starts, commands, measured = [], [], []
     for k, frame in enumerate(frames):
         ticks = np.asarray(frame["sim_ctrl"], dtype=np.float64)
@@ -134,6 +134,6 @@ def _per_tick_samples(
         if k + 1 < len(times):
             tick = (times[k + 1] - times[k]) / len(ticks)
         starts += list(times[k] + tick * np.arange(len(ticks)))
-        commands += list(ticks[:, order].reshape(len(ticks), len(rig.arms), rig.drives))
+        commands += list(ticks[:, order].reshape(len(ticks), len(rig.arms), rig.drive_count))
         measured += [joints[k], *np.full((len(ticks) - 1, *joints[k].shape), np.nan)]
     return np.array(starts), np.array(measured), np.array(commands)

@@ -46,10 +46,10 @@ from .recording import (
 ROBOT_DATA = "robot_data.npz"
 
 _FOLLOWERS = {"left": "follower_l", "right": "follower_r"}  # side -> prefix in a raw recording
-_METADATA = "metadata.json"
-_TIMESTAMPS = "timestamps.npy"
-_JPEG = (".jpg", ".jpeg")
-_PICTURES = (*_JPEG, ".png")
+_METADATA_FILE = "metadata.json"
+_TIMESTAMPS_FILE = "timestamps.npy"
+_JPEG_SUFFIXES = (".jpg", ".jpeg")
+_PICTURE_SUFFIXES = (*_JPEG_SUFFIXES, ".png")
 _MAX_RAW_BYTES = 1 << 30  # a larger file is no recording of one task
 _MAX_FRAME_BYTES = 1 << 20
 _SHARE_FACTOR = 1.5  # multiple of the fingers' range; larger openings are shares, not metres
@@ -74,19 +74,21 @@ def read_raiden_raw(path: Path, rig: RigConfig) -> list[Recording]:
             f"{file}: has no timestamps; it has {', '.join(sorted(arrays)) or 'nothing'}: raiden writes timestamps"
         )
     times = times_from_nanoseconds(np.asarray(arrays["timestamps"]), str(file))
-    followers = [_follower(side, arrays, file) for side in motion_sides(rig)]
+    followers = [_follower_prefix(side, arrays, file) for side in motion_sides(rig)]
     joints, commands = (
-        np.stack([_raw_rows(arrays, f"{name}_{key}", (len(times), rig.drives), file) for name in followers], axis=1)
+        np.stack(
+            [_raw_rows(arrays, f"{name}_{key}", (len(times), rig.drive_count), file) for name in followers], axis=1
+        )
         for key in ("joint_pos_7d", "joint_cmd")
     )
     speeds = [arrays.get(f"{name}_joint_vel") for name in followers]
     velocities = [np.asarray(rows, dtype=np.float64) for rows in speeds if rows is not None]
     known = np.stack(velocities, axis=1) if len(velocities) == len(followers) else None
     motion = RecordedMotion(str(file), times, split_arms(joints, commands, rig, known))
-    return [Recording(motion, "share", prompt=_prompt(file.parent), problems=_problems(file.parent))]
+    return [Recording(motion, "share", prompt=_read_prompt(file.parent), problems=_metadata_problems(file.parent))]
 
 
-def _follower(side: str, arrays: Mapping[str, NDArray[np.generic]], file: Path) -> str:
+def _follower_prefix(side: str, arrays: Mapping[str, NDArray[np.generic]], file: Path) -> str:
     if side:
         return _FOLLOWERS[side]
     recorded = [name for name in _FOLLOWERS.values() if f"{name}_joint_pos_7d" in arrays]
@@ -129,25 +131,25 @@ def _lowdim_recording(folder: Path, rig: RigConfig) -> Recording:
     files = _numbered_files(folder / "lowdim", (".pkl",))
     if len(files) < 2:
         raise DatasetError(f"{folder}/lowdim: holds {len(files)} frames; a motion needs at least two")
-    frames = [_frame(file) for file in files]
+    frames = [_load_frame_file(file) for file in files]
     cameras = _camera_files(folder, len(frames))
-    times = _times(folder, frames, cameras)
+    times = _frame_times(folder, frames, cameras)
     joints = _frame_rows(frames, "joints", files, rig)
     commands = _frame_rows(frames, "action_joints", files, rig) if "action_joints" in frames[0] else None
-    texts = [_text(frames[0].get(key)) for key in ("language_prompt", "language_task")]
+    texts = [_first_text(frames[0].get(key)) for key in ("language_prompt", "language_task")]
     samples = np.arange(len(times), dtype=np.int64)
     return Recording(
         RecordedMotion(str(folder), times, split_arms(joints, commands, rig)),
         _gripper_unit(folder, joints, rig),
-        {name: CameraImages(samples, functools.partial(_jpegs, found)) for name, found in cameras.items()},
-        next(filter(None, texts), "") or _prompt(folder),
-        {name: K for name in cameras if (K := _matrix(frames[0], "intrinsics", name, 3)) is not None},
-        {name: T for name in cameras if (T := _poses(frames, name)) is not None},
-        _problems(folder, len(files)),
+        {name: CameraImages(samples, functools.partial(_read_jpegs, found)) for name, found in cameras.items()},
+        next(filter(None, texts), "") or _read_prompt(folder),
+        {name: K for name in cameras if (K := _camera_matrix(frames[0], "intrinsics", name, 3)) is not None},
+        {name: T for name in cameras if (T := _camera_poses(frames, name)) is not None},
+        _metadata_problems(folder, len(files)),
     )
 
 
-def _text(value: object) -> str:
+def _first_text(value: object) -> str:
     texts = np.asarray("" if value is None else value).ravel()
     return str(texts[0]) if len(texts) and texts.dtype.kind == "U" else ""
 
@@ -164,7 +166,7 @@ def _numbered_files(folder: Path, endings: Sequence[str]) -> list[Path]:
     return files
 
 
-def _frame(file: Path) -> dict[str, Any]:
+def _load_frame_file(file: Path) -> dict[str, Any]:
     try:
         if file.stat().st_size > _MAX_FRAME_BYTES:
             raise DatasetError(f"has {file.stat().st_size} bytes; a frame has at most {_MAX_FRAME_BYTES}")
@@ -176,7 +178,7 @@ def _frame(file: Path) -> dict[str, Any]:
 
 
 def _frame_rows(frames: Sequence[dict[str, Any]], key: str, files: Sequence[Path], rig: RigConfig) -> Array:
-    arms, drives = len(rig.arms), rig.drives
+    arms, drives = len(rig.arms), rig.drive_count
     rows = []
     for frame, file in zip(frames, files, strict=True):
         try:
@@ -201,13 +203,13 @@ def _gripper_unit(folder: Path, joints: Array, rig: RigConfig) -> GripperUnit:
     """Return `share` if raiden's converter wrote the folder or openings exceed the range, else `metres`."""
     fingers = [rig.arms[k].robot.fingers for k in rig.recording_order]
     widest = max((one.range[1] for one in fingers if one), default=0.0)
-    return "share" if (folder / _METADATA).exists() or joints[..., -1].max() > _SHARE_FACTOR * widest else "metres"
+    return "share" if (folder / _METADATA_FILE).exists() or joints[..., -1].max() > _SHARE_FACTOR * widest else "metres"
 
 
 def _camera_files(folder: Path, frames: int) -> dict[str, list[Path]]:
     found: dict[str, list[Path]] = {}
     for camera in sorted((folder / "rgb").iterdir()) if (folder / "rgb").is_dir() else []:
-        files = _numbered_files(camera, _PICTURES) if camera.is_dir() else []
+        files = _numbered_files(camera, _PICTURE_SUFFIXES) if camera.is_dir() else []
         if files and len(files) != frames:
             raise DatasetError(f"{camera}: has {len(files)} images, and lowdim/ has {frames} frames; was it cut off?")
         if files:
@@ -215,11 +217,11 @@ def _camera_files(folder: Path, frames: int) -> dict[str, list[Path]]:
     return found
 
 
-def _times(folder: Path, frames: Sequence[dict[str, Any]], cameras: Mapping[str, list[Path]]) -> Array:
+def _frame_times(folder: Path, frames: Sequence[dict[str, Any]], cameras: Mapping[str, list[Path]]) -> Array:
     if all("timestamp" in frame for frame in frames):
         return times_from_seconds(np.array([float(frame["timestamp"]) for frame in frames]), str(folder))
     for camera in cameras:
-        file = folder / "rgb" / camera / _TIMESTAMPS
+        file = folder / "rgb" / camera / _TIMESTAMPS_FILE
         if not file.is_file():
             continue
         try:
@@ -232,10 +234,10 @@ def _times(folder: Path, frames: Sequence[dict[str, Any]], cameras: Mapping[str,
                 f"{file}: has {len(stamps)} times, and lowdim/ has {len(frames)} frames; was it cut off?"
             )
         return times_from_nanoseconds(stamps, str(file))
-    raise DatasetError(f"{folder}: has no times, neither `timestamp` in lowdim/ nor rgb/<camera>/{_TIMESTAMPS}")
+    raise DatasetError(f"{folder}: has no times, neither `timestamp` in lowdim/ nor rgb/<camera>/{_TIMESTAMPS_FILE}")
 
 
-def _matrix(frame: dict[str, Any], key: str, camera: str, side: int) -> Array | None:
+def _camera_matrix(frame: dict[str, Any], key: str, camera: str, side: int) -> Array | None:
     matrices = frame.get(key)
     values = matrices.get(camera) if isinstance(matrices, dict) else None
     if values is None:
@@ -244,20 +246,20 @@ def _matrix(frame: dict[str, Any], key: str, camera: str, side: int) -> Array | 
     return matrix if matrix.shape == (side, side) and np.isfinite(matrix).all() else None
 
 
-def _poses(frames: Sequence[dict[str, Any]], camera: str) -> Array | None:
+def _camera_poses(frames: Sequence[dict[str, Any]], camera: str) -> Array | None:
     """Return a camera's poses (n, 4, 4), if all frames have one.
 
     raiden's converter writes identities for unknown poses.
     """
-    poses = [_matrix(frame, "extrinsics", camera, 4) for frame in frames]
+    poses = [_camera_matrix(frame, "extrinsics", camera, 4) for frame in frames]
     known = np.array([T for T in poses if T is not None])
     return known if len(known) == len(frames) and np.any(known != np.eye(4)) else None
 
 
-def _jpegs(files: Sequence[Path]) -> Iterator[bytes]:
+def _read_jpegs(files: Sequence[Path]) -> Iterator[bytes]:
     for file in files:
         try:
-            if file.suffix.lower() in _JPEG:
+            if file.suffix.lower() in _JPEG_SUFFIXES:
                 yield file.read_bytes()
             else:
                 yield encode_jpeg(read_image(file), JPEG_QUALITY)
@@ -265,16 +267,16 @@ def _jpegs(files: Sequence[Path]) -> Iterator[bytes]:
             raise DatasetError(f"{file} cannot be read: {error}") from error
 
 
-def _prompt(directory: Path) -> str:
-    metadata = _metadata(directory)
+def _read_prompt(directory: Path) -> str:
+    metadata = _read_metadata(directory)
     language = metadata.get("language")
     keys = ("task_instruction", "instruction", "task_name")
     texts = [language.get(key) for key in ("prompt", "task")] if isinstance(language, dict) else []
     return next((text for text in (*texts, *map(metadata.get, keys)) if isinstance(text, str)), "")
 
 
-def _problems(directory: Path, frames: int | None = None) -> tuple[str, ...]:
-    metadata, file = _metadata(directory), directory / _METADATA
+def _metadata_problems(directory: Path, frames: int | None = None) -> tuple[str, ...]:
+    metadata, file = _read_metadata(directory), directory / _METADATA_FILE
     problems = []
     if metadata.get("complete") is False:
         problems.append(f"{file} says that it is not complete: was the recording cut off?")
@@ -283,9 +285,9 @@ def _problems(directory: Path, frames: int | None = None) -> tuple[str, ...]:
     return tuple(problems)
 
 
-def _metadata(directory: Path) -> dict[str, Any]:
+def _read_metadata(directory: Path) -> dict[str, Any]:
     try:
-        content = json.loads((directory / _METADATA).read_bytes())
+        content = json.loads((directory / _METADATA_FILE).read_bytes())
     except (OSError, ValueError):
         return {}
     return content if isinstance(content, dict) else {}

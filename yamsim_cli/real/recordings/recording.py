@@ -16,7 +16,7 @@ from yamsim_cli.core.files.documents.config_base import NAME_PATTERN
 from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.core.recorded_motion import ArmMotion, RecordedMotion
 
-Samples = NDArray[np.int64]  # sample numbers, or times in ns
+SampleIndices = NDArray[np.int64]  # sample numbers, or times in ns
 
 JPEG_QUALITY = 95  # hardly any loss
 
@@ -25,7 +25,7 @@ JPEG_QUALITY = 95  # hardly any loss
 class CameraImages:
     """JPEG images of one camera: `read` yields one for each of the increasing `samples` (k,)."""
 
-    samples: Samples
+    samples: SampleIndices
     read: Callable[[], Iterator[bytes]]
 
 
@@ -61,7 +61,7 @@ class Recording:
                     "and _; rename it in the recording"
                 )
 
-    def in_metres(self, rig: RigConfig) -> RecordedMotion:
+    def motion_in_metres(self, rig: RigConfig) -> RecordedMotion:
         """Return the motion with openings in m of one finger."""
         if self.gripper == "metres":
             return self.motion
@@ -69,11 +69,13 @@ class Recording:
         for arm, k in zip(self.motion.arms, rig.recording_order, strict=True):
             fingers = rig.arms[k].robot.fingers
             full = fingers.full_opening if fingers else 0.0
-            measured, commanded = (self._metres(values, full) for values in (arm.openings, arm.commanded_openings))
+            measured, commanded = (
+                self._openings_in_metres(values, full) for values in (arm.openings, arm.commanded_openings)
+            )
             arms.append(replace(arm, openings=measured, commanded_openings=commanded))
         return replace(self.motion, arms=tuple(arms))
 
-    def _metres(self, values: Array | None, full: float) -> Array | None:
+    def _openings_in_metres(self, values: Array | None, full: float) -> Array | None:
         if values is None:
             return None
         return full * (1 - values if self.gripper == "closed_share" else values)

@@ -36,8 +36,8 @@ class CameraServer(UnixServer):
 
     def handle(self, ready: set[Any]) -> None:
         """Receive and answer requests."""
-        for client in self.read(ready):
-            self._serve(client)
+        for client in self.receive_from_clients(ready):
+            self._answer_received_requests(client)
 
     def flush(self) -> None:
         """Answer requests that have a newer image, and send bytes."""
@@ -47,52 +47,52 @@ class CameraServer(UnixServer):
         for client, (camera, after) in list(self._requests.items()):
             if shot is not None and shot.number > after:
                 del self._requests[client]
-                _send_picture(client, camera, shot)
+                _queue_picture(client, camera, shot)
         super().flush()
         for client in clients:
             if client.received and not client.outgoing:
-                self._serve(client)
+                self._answer_received_requests(client)
 
-    def _serve(self, client: ClientConnection) -> None:
+    def _answer_received_requests(self, client: ClientConnection) -> None:
         try:
             # One request at a time: answers must not pile up for a client that sends faster than it reads.
             while not client.outgoing and client not in self._requests:
                 if (request := _next_request(client)) is None:
                     break
-                self._answer(client, request)
-                self.write(client)
+                self._answer_request(client, request)
+                self.send_outgoing(client)
         except _InvalidRequestError:
-            self.drop(client)
+            self.drop_client(client)
             return
         if len(client.received) > _MAX_REQUEST_BYTES + 4:
-            self.drop(client)
+            self.drop_client(client)
 
-    def _answer(self, client: ClientConnection, request: dict[str, Any]) -> None:
+    def _answer_request(self, client: ClientConnection, request: dict[str, Any]) -> None:
         source = self._source
         kind, camera, after = request.get("ask"), request.get("camera"), request.get("after", -1)
         if kind == "cameras":
             width, height = source.size
             form = {"width": width, "height": height, "fps": source.fps}
-            _send(
+            _queue_message(
                 client, {"cameras": {name: {**form, "K": source.K[name].ravel().tolist()} for name in source.cameras}}
             )
         elif kind != "picture" or type(after) is not int:
-            _send(client, {"error": "ask for cameras, or for a picture with its camera and the number after"})
+            _queue_message(client, {"error": "ask for cameras, or for a picture with its camera and the number after"})
         elif camera not in source.cameras:
-            _send(client, {"error": f"there is no camera {camera!r:.80}; valid: {', '.join(source.cameras)}"})
+            _queue_message(client, {"error": f"there is no camera {camera!r:.80}; valid: {', '.join(source.cameras)}"})
         else:
             self._requests[client] = str(camera), after
 
 
-def _send_picture(client: ClientConnection, camera: str, shot: CameraFrames) -> None:
+def _queue_picture(client: ClientConnection, camera: str, shot: CameraFrames) -> None:
     picture = shot.pictures[camera]
     height, width, _ = picture.shape
     header = {"camera": camera, "number": shot.number, "time_ns": shot.time_ns, "sim_time": shot.sim_time}
     pose = shot.T_cam_in_base[camera].ravel().tolist()
-    _send(client, {**header, "width": width, "height": height, "T_cam_in_base": pose}, picture.tobytes())
+    _queue_message(client, {**header, "width": width, "height": height, "T_cam_in_base": pose}, picture.tobytes())
 
 
-def _send(client: ClientConnection, answer: dict[str, Any], data: bytes = b"") -> None:
+def _queue_message(client: ClientConnection, answer: dict[str, Any], data: bytes = b"") -> None:
     head = json.dumps({**answer, "bytes": len(data)}).encode()
     client.outgoing += len(head).to_bytes(4, "little") + head + data
 

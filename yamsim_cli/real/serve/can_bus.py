@@ -22,7 +22,7 @@ _READ_BYTES = READ_FRAMES * frames.FRAME_BYTES
 _BACKLOG_BYTES = 4096 * frames.FRAME_BYTES  # unsent bytes of a client; further frames are lost, as in a full adapter
 
 # Plugin that replaces python-can's `socketcan`, only for programs that `yamsim can-run` starts.
-_SITE = Path(__file__).resolve().parents[2] / "can_site"
+_CAN_SITE_FOLDER = Path(__file__).resolve().parents[2] / "can_site"
 
 
 class UnixBus(UnixServer):
@@ -37,7 +37,7 @@ class UnixBus(UnixServer):
 
     def receive(self, ready: set[socket.socket]) -> Iterator[CanFrame]:
         """Yield received frames, and send each to the other clients; `ready` are readable sockets."""
-        for client in self.read(ready):
+        for client in self.receive_from_clients(ready):
             whole = len(client.received) - len(client.received) % frames.FRAME_BYTES
             wires = bytes(client.received[:whole])
             del client.received[:whole]
@@ -50,12 +50,12 @@ class UnixBus(UnixServer):
 
     def send(self, frame: CanFrame, sender: ClientConnection | None = None) -> None:
         """Send a frame to all clients but its sender."""
-        wire = frames.to_wire(frame)
+        wire = frames.encode_frame(frame)
         for client in self.clients:
             if client is not sender:
                 if len(client.outgoing) + len(wire) <= _BACKLOG_BYTES:
                     client.outgoing += wire
-                self.write(client)
+                self.send_outgoing(client)
 
 
 class KernelBus:
@@ -99,7 +99,7 @@ class KernelBus:
     def send(self, frame: CanFrame) -> None:
         """Send a frame, which is lost if the interface is down or its buffer full."""
         try:
-            self._socket.send(frames.to_wire(frame))
+            self._socket.send(frames.encode_frame(frame))
         except OSError:
             return
 
@@ -122,5 +122,5 @@ def program_environment(environ: Mapping[str, str], folder: Path) -> dict[str, s
         raise ResourceError(
             f"{folder}: no server runs there; start `yamsim serve-robot --rig yam_v1+linear_4310` first"
         )
-    path = os.pathsep.join(filter(None, (str(_SITE), environ.get("PYTHONPATH"))))
+    path = os.pathsep.join(filter(None, (str(_CAN_SITE_FOLDER), environ.get("PYTHONPATH"))))
     return {"PYTHONPATH": path, "YAMSIM_CAN_FOLDER": str(folder.resolve())}

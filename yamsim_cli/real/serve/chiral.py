@@ -25,7 +25,7 @@ from .socket_servers import ClientConnection, TcpServer
 _READ_BYTES = 65_536  # largest number of bytes per read from a client
 HANDSHAKE_SECONDS = 5.0  # s in which a client must complete the WebSocket handshake
 MAX_QUEUED = 256  # unanswered messages above which a client is dropped
-_PER_STEP = 2  # messages of a client that are answered before physics continues
+_MESSAGES_PER_STEP = 2  # messages of a client that are answered before physics continues
 
 MAX_MESSAGE_BYTES = 65_536  # an action has some hundred bytes
 _MAX_ACTION_NUMBERS = 256
@@ -47,17 +47,17 @@ class _ChiralConnection:
         began: s of the monotonic clock.
         messages: unanswered, oldest first.
         parts: of an incomplete message.
-        pending: request that waits for images from simulated time `since`, s, or later.
+        pending: request that waits for images from simulated time `images_since`, s, or later.
         drives: has sent an action, so the arms stop when its connection ends.
     """
 
     protocol: Any
-    began: float
+    opened_at: float
     messages: deque[bytes] = field(default_factory=deque)
     parts: bytearray = field(default_factory=bytearray)
-    pending: str = ""
-    since: float = 0.0
-    drives: bool = False
+    pending_request: str = ""
+    images_since: float = 0.0
+    has_sent_action: bool = False
 
 
 class ChiralServer(TcpServer):
@@ -78,8 +78,8 @@ class ChiralServer(TcpServer):
 
     def handle(self, ready: set[Any]) -> None:
         """Receive messages, and answer them."""
-        for client in self.read(ready):
-            self._receive_messages(client, self._connection(client))
+        for client in self.receive_from_clients(ready):
+            self._receive_messages(client, self._connection_of(client))
 
     def flush(self) -> None:
         """Answer requests whose images are ready, send bytes, and stop arms whose client has gone."""
@@ -88,16 +88,16 @@ class ChiralServer(TcpServer):
         now = time.monotonic()
         clients = self.clients
         for client in clients:
-            self._connection(client)
+            self._connection_of(client)
         for client, connection in list(self._connections.items()):
             if client not in clients:
-                self._end(client)
-            elif connection.protocol.state is State.CONNECTING and now > connection.began + HANDSHAKE_SECONDS:
-                self.drop(client)
+                self._end_connection(client)
+            elif connection.protocol.state is State.CONNECTING and now > connection.opened_at + HANDSHAKE_SECONDS:
+                self.drop_client(client)
             else:
-                self._work(client, connection)
+                self._answer_messages(client, connection)
 
-    def _connection(self, client: ClientConnection) -> _ChiralConnection:
+    def _connection_of(self, client: ClientConnection) -> _ChiralConnection:
         from websockets.server import ServerProtocol
 
         if client not in self._connections:
@@ -125,22 +125,26 @@ class ChiralServer(TcpServer):
         if len(connection.messages) > MAX_QUEUED:
             protocol.fail(1008, "too many messages at once")
             connection.messages.clear()
-        self._work(client, connection)
+        self._answer_messages(client, connection)
 
-    def _work(self, client: ClientConnection, connection: _ChiralConnection) -> None:
-        """Answer up to `_PER_STEP` messages in order, but none while unsent bytes wait."""
+    def _answer_messages(self, client: ClientConnection, connection: _ChiralConnection) -> None:
+        """Answer up to `_MESSAGES_PER_STEP` messages in order, but none while unsent bytes wait."""
         try:
-            for _ in range(_PER_STEP):
-                if not self._send(client, connection) or client.outgoing or not self._answer_next(connection):
+            for _ in range(_MESSAGES_PER_STEP):
+                if (
+                    not self._send_protocol_data(client, connection)
+                    or client.outgoing
+                    or not self._answer_next(connection)
+                ):
                     return
         except (ChiralError, ValueError) as error:
             connection.messages.clear()
-            connection.pending = ""
+            connection.pending_request = ""
             connection.protocol.fail(1008, str(error)[:100])
-        self._send(client, connection)
+        self._send_protocol_data(client, connection)
 
     def _answer_next(self, connection: _ChiralConnection) -> bool:
-        if connection.pending:
+        if connection.pending_request:
             return self._answer_pending(connection)
         if connection.messages:
             self._handle_message(connection, connection.messages.popleft())
@@ -150,40 +154,42 @@ class ChiralServer(TcpServer):
     def _handle_message(self, connection: _ChiralConnection, message: bytes) -> None:
         kind, numbers = read_message(message)
         if kind == _METADATA:
-            connection.protocol.send_binary(_packed({"type": "metadata_response", "data": dict(self._robot.metadata)}))
+            connection.protocol.send_binary(
+                _pack_header({"type": "metadata_response", "data": dict(self._robot.metadata)})
+            )
         elif numbers is not None:
-            self._robot.act(numbers)
-            connection.drives = True
+            self._robot.queue_action(numbers)
+            connection.has_sent_action = True
         else:
-            connection.pending, connection.since = kind, 0.0
+            connection.pending_request, connection.images_since = kind, 0.0
             if kind == _RESET:
                 self._robot.reset()
 
     def _answer_pending(self, connection: _ChiralConnection) -> bool:
         robot, shot = self._robot, self._robot.camera_frames
-        is_reset = connection.pending == _RESET
+        is_reset = connection.pending_request == _RESET
         if is_reset and robot.is_going_home:
-            connection.since = robot.now
-        elif shot is not None and shot.sim_time >= connection.since:
-            connection.pending = ""
+            connection.images_since = robot.sim_time
+        elif shot is not None and shot.sim_time >= connection.images_since:
+            connection.pending_request = ""
             connection.protocol.send_binary(_observation_message(robot.observe(shot), is_reset=is_reset))
             return True
         return False
 
-    def _send(self, client: ClientConnection, connection: _ChiralConnection) -> bool:
+    def _send_protocol_data(self, client: ClientConnection, connection: _ChiralConnection) -> bool:
         """Return whether the connection stays open."""
         over = False
         for data in connection.protocol.data_to_send():
             over = over or not data  # an empty item ends the connection
             client.outgoing += data
         if client.outgoing:
-            self.write(client)
+            self.send_outgoing(client)
         if over:
-            self.drop(client)
+            self.drop_client(client)
         return not over
 
-    def _end(self, client: ClientConnection) -> None:
-        if self._connections.pop(client).drives and not self._robot.stopped:
+    def _end_connection(self, client: ClientConnection) -> None:
+        if self._connections.pop(client).has_sent_action and not self._robot.stop_reason:
             self._robot.stop("the program that drove the arms has gone; reset to go on")
 
 
@@ -226,7 +232,7 @@ def _observation_message(observation: RobotObservation, *, is_reset: bool) -> by
     parts: list[bytes] = []
     at = 0
 
-    def put(data: bytes) -> tuple[int, int]:
+    def append_part(data: bytes) -> tuple[int, int]:
         nonlocal at
         parts.append(data)
         at += len(data)
@@ -234,7 +240,7 @@ def _observation_message(observation: RobotObservation, *, is_reset: bool) -> by
 
     cameras = []
     for name, view in observation.views.items():
-        start, size = put(view.picture.tobytes())
+        start, size = append_part(view.picture.tobytes())
         cameras.append(
             {
                 "name": name,
@@ -249,7 +255,7 @@ def _observation_message(observation: RobotObservation, *, is_reset: bool) -> by
         )
     proprios = []
     for name, values in observation.proprios.items():
-        start, size = put(np.asarray(values, np.float32).tobytes())
+        start, size = append_part(np.asarray(values, np.float32).tobytes())
         proprios.append({"name": name, "dtype": "float32", "offset": start, "size": size})
     header = {
         "type": "reset_response" if is_reset else "obs_response",
@@ -259,10 +265,10 @@ def _observation_message(observation: RobotObservation, *, is_reset: bool) -> by
         "extra": dict(observation.extra),
         **({"info": {}} if is_reset else {}),
     }
-    return _packed(header) + b"".join(parts)
+    return _pack_header(header) + b"".join(parts)
 
 
-def _packed(header: Mapping[str, Any]) -> bytes:
+def _pack_header(header: Mapping[str, Any]) -> bytes:
     import msgpack
 
     packed: bytes = msgpack.packb(header)

@@ -36,17 +36,17 @@ class JointController:
         self._grip_torque = 0.0
         if hand is not None and arm.fingers is not None:
             # A gripper value of 1 is the fingers' joint limit, which the maker's SDK detects on the real arm.
-            self._ratio = np.append(self._ratio, hand.ratio * max(arm.fingers.opening_limits))
+            self._ratio = np.append(self._ratio, hand.shaft_ratio * max(arm.fingers.opening_limits))
             self._offset = np.append(self._offset, hand.closed)
             self._kp, self._kd = np.append(self._kp, hand.kp), np.append(self._kd, hand.kd)
             self._low, self._high = np.append(self._low, 0.0), np.append(self._high, 1.0)
             # N m: both fingers press with `_GRIP_FORCE`.
-            self._grip_torque = 2 * _GRIP_FORCE / abs(hand.ratio) + hand.friction
+            self._grip_torque = 2 * _GRIP_FORCE / abs(hand.shaft_ratio) + hand.friction
         # Positions, velocities, gains kp and kd, each (dofs,).
         self._command: tuple[Array, Array, Array, Array] | None = None
 
     @property
-    def commanded(self) -> Array | None:
+    def commanded_joints(self) -> Array | None:
         """Commanded joints (dofs,), if any."""
         return None if self._command is None else self._command[0].copy()
 
@@ -60,7 +60,7 @@ class JointController:
         position: Array = (angles - self._offset) / self._ratio
         return position
 
-    def observations(self) -> dict[str, Array]:
+    def get_observations(self) -> dict[str, Array]:
         """Return positions, velocities and torques (N m) by the keys of the SDK's `get_observations`."""
         values = {
             "pos": self.joint_pos(),
@@ -79,7 +79,7 @@ class JointController:
         Raises:
             ValueError: the number of values is wrong, or a value is not finite.
         """
-        position = self._numbers("joint_pos", joint_pos)
+        position = self._finite_vector("joint_pos", joint_pos)
         self._command = position, np.zeros(len(position)), self._kp, self._kd
 
     def command_joint_state(self, joint_state: Any) -> None:
@@ -90,14 +90,14 @@ class JointController:
         """
         if not isinstance(joint_state, dict) or not {"pos", "vel"} <= joint_state.keys():
             raise ValueError("a joint state has pos and vel, and may have kp and kd")
-        pos, vel = (self._numbers(key, joint_state[key]) for key in ("pos", "vel"))
+        pos, vel = (self._finite_vector(key, joint_state[key]) for key in ("pos", "vel"))
         kp, kd = (
-            np.clip(self._numbers(key, joint_state[key]), 0.0, most) if key in joint_state else own
+            np.clip(self._finite_vector(key, joint_state[key]), 0.0, most) if key in joint_state else own
             for key, most, own in (("kp", KP_MAX, self._kp), ("kd", KD_MAX, self._kd))
         )
         self._command = pos, vel, kp, kd
 
-    def tick(self) -> None:
+    def command_motors(self) -> None:
         """Send the last command and gravity torques to the motors."""
         if self._command is None:
             return
@@ -112,9 +112,9 @@ class JointController:
         for motor, *law in zip(
             self._motors, angles, speeds, kp, kd, self._plant.gravity_torques(self._number), strict=True
         ):
-            motor.drive(MitCommand(*map(float, law)), self._plant.now)
+            motor.drive(MitCommand(*map(float, law)), self._plant.sim_time)
 
-    def _numbers(self, what: str, given: Any) -> Array:
+    def _finite_vector(self, what: str, given: Any) -> Array:
         try:
             values = np.asarray(given, dtype=float)
         except (TypeError, ValueError):

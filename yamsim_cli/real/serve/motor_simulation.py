@@ -69,7 +69,7 @@ class MotorSimulation:
         self._shafts = [
             shaft
             for k, (arm, wiring, bus) in enumerate(zip(scene.arms, can_configs, buses, strict=True))
-            for shaft in _transmissions(k, arm, wiring, bus)
+            for shaft in _arm_transmissions(k, arm, wiring, bus)
         ]
         for arm, wiring in zip(scene.arms, can_configs, strict=True):
             if arm.fingers is not None and wiring.gripper is not None:
@@ -87,13 +87,13 @@ class MotorSimulation:
         mujoco.mj_setConst(model, self.data)
         self._stuck = [False] * len(self.buses)
         self._apply_control_laws()
-        scene.reset(self.data, _within_stops(model, start))
+        scene.reset(self.data, _clip_to_stops(model, start))
         for arm in scene.arms:
             _compensate_attachments(model, self.data, arm)
-        self._sense()
+        self._update_motor_states()
 
     @property
-    def now(self) -> float:
+    def sim_time(self) -> float:
         """Simulated time, s."""
         return self.steps * self.timestep
 
@@ -111,12 +111,12 @@ class MotorSimulation:
         data.qfrc_applied[:] = -self._weight_factors * data.qfrc_gravcomp
         mujoco.mj_step(self._model, data)
         self.steps += 1
-        now = self.now
+        now = self.sim_time
         for k, bus in enumerate(self.buses):
             bus.advance_to(now)
-            if bus.stuck is not self._stuck[k]:
-                self._set_stuck(k, bus.stuck)
-        self._sense()
+            if bus.is_gripper_stuck is not self._stuck[k]:
+                self._set_gripper_stuck(k, bus.is_gripper_stuck)
+        self._update_motor_states()
         if self.steps % _CHECK_STEPS == 0 and (text := physics_failure(data)):
             raise SimulationError(f"physics broke down within {now:.3f} s: {text}")
 
@@ -132,7 +132,7 @@ class MotorSimulation:
             self._model.actuator_biasprm[shaft.drive, :3] = law
             self._model.actuator_forcerange[shaft.drive] = -most, most
 
-    def _sense(self) -> None:
+    def _update_motor_states(self) -> None:
         data = self.data
         positions = (data.qpos[self._qpos] * self._ratio + self._offset).tolist()
         velocities = (data.qvel[self._dof] * self._ratio).tolist()
@@ -141,14 +141,14 @@ class MotorSimulation:
             motor = shaft.motor
             motor.position, motor.velocity, motor.torque = position, velocity, torque
 
-    def _set_stuck(self, arm: int, stuck: bool) -> None:
+    def _set_gripper_stuck(self, arm: int, stuck: bool) -> None:
         self._stuck[arm] = stuck
         if (fingers := self._fingers[arm]) is not None:
             self._model.dof_armature[fingers.dof] = _STUCK_MASS if stuck else self._armature[fingers.dof]
             self.data.qvel[fingers.dof] = 0.0
 
 
-def _transmissions(number: int, arm: ArmAddresses, can_config: CanConfig, bus: MotorBus) -> list[_Transmission]:
+def _arm_transmissions(number: int, arm: ArmAddresses, can_config: CanConfig, bus: MotorBus) -> list[_Transmission]:
     motors = bus.motors
     found = [
         _Transmission(number, motor, int(drive), int(qpos), int(dof), float(row.direction), 0.0, row.load)
@@ -158,7 +158,7 @@ def _transmissions(number: int, arm: ArmAddresses, can_config: CanConfig, bus: M
     ]
     if arm.fingers is not None and can_config.gripper is not None:
         left = int(arm.fingers.qpos[0]), int(arm.fingers.dof[0])
-        turns = can_config.gripper.ratio * float(arm.fingers.sign[0])
+        turns = can_config.gripper.shaft_ratio * float(arm.fingers.sign[0])
         found.append(_Transmission(number, motors[-1], arm.fingers.ctrl, *left, turns, can_config.gripper.closed, 0.0))
     return found
 
@@ -180,8 +180,8 @@ def _weight_factors(model: mujoco.MjModel, arms: Sequence[ArmAddresses], can_con
 
 def _set_gripper_motor(model: mujoco.MjModel, fingers: FingerAddresses, can_config: GripperCanConfig) -> None:
     """Halve the motor's armature and friction between the fingers, and add a limit where they meet."""
-    model.dof_armature[fingers.dof] = can_config.armature * can_config.ratio**2 / 2
-    model.dof_frictionloss[fingers.dof] = can_config.friction * abs(can_config.ratio) / 2
+    model.dof_armature[fingers.dof] = can_config.armature * can_config.shaft_ratio**2 / 2
+    model.dof_frictionloss[fingers.dof] = can_config.friction * abs(can_config.shaft_ratio) / 2
     for dof, sign in zip(fingers.dof, fingers.sign, strict=True):
         joint = model.dof_jntid[dof]
         model.jnt_range[joint] = sorted((0.0, float(sign * max(model.jnt_range[joint] * sign))))
@@ -189,7 +189,7 @@ def _set_gripper_motor(model: mujoco.MjModel, fingers: FingerAddresses, can_conf
         model.jnt_solref[joint] = 2 * model.opt.timestep, 1.0
 
 
-def _within_stops(model: mujoco.MjModel, qpos: Array) -> Array:
+def _clip_to_stops(model: mujoco.MjModel, qpos: Array) -> Array:
     inside = qpos.copy()
     for joint in np.flatnonzero(model.jnt_limited):
         address = model.jnt_qposadr[joint]

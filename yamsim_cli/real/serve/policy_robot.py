@@ -15,7 +15,7 @@ import numpy as np
 from yamsim_cli.core.config.rig import ArmConfig
 from yamsim_cli.core.expert.planning.arm_kinematics import ArmKinematics
 from yamsim_cli.core.expert.planning.ik import IkSolver
-from yamsim_cli.core.geometry.se3 import Array, inverse, pose
+from yamsim_cli.core.geometry.se3 import Array, invert_pose, pose
 from yamsim_cli.core.images.image import Image
 from yamsim_cli.core.images.resize import resize_image
 from yamsim_cli.core.scene.arm_model import kinematic_model
@@ -29,7 +29,7 @@ _HOME_S = 2.0  # s, motion home after a reset
 _COMMAND_S = 0.01  # s between a motion's commands
 _MAX_JOINT_STEP = 0.2  # rad, from a joint to its command
 _MAX_QUEUED = 32  # waiting actions; further ones are discarded
-_SIDE = 384  # px, of the square to which images are stretched
+_IMAGE_SIDE = 384  # px, of the square to which images are stretched
 
 _IK_ITERATIONS = 20  # for one pose, which is near the previous one
 _ROTATION_COSTS = (1.0, 1.0, 1.0)  # the position has priority for unreachable poses
@@ -73,13 +73,13 @@ class HandKinematics:
         self._solver = IkSolver(model, np.eye(4), _ROTATION_COSTS)
         home = np.array(arm.robot.home)
         T_pinch, T_grasp = (self._forward.T_site_in_base(home, site) for site in ("pinch_site", "grasp_site"))
-        self._solver.set_held_frame(inverse(T_pinch) @ T_grasp)
+        self._solver.set_held_frame(invert_pose(T_pinch) @ T_grasp)
 
     def T_in_base(self, joints: Array) -> Array:
         """Return the hand's pose (4, 4) in the arm's base, at joints (dof,), rad."""
         return self._forward.T_grasp_in_base(joints)
 
-    def joints(self, T_hand_in_base: Array, near: Array) -> Array:
+    def solve_joints(self, T_hand_in_base: Array, near: Array) -> Array:
         """Return joints (dof,), rad, found from `near`; the nearest if the pose (4, 4) is unreachable."""
         start = np.clip(near, *self._range.T)
         return self._solver.solve_next(T_hand_in_base, self._solver.solution_at(start), _IK_ITERATIONS).joints
@@ -105,7 +105,7 @@ def pose_from_rotation_rows(position: Array, rows: Array) -> Array:
 class _Interpolation:
     start: Array
     goal: Array
-    began: float
+    start_time: float
     duration: float
 
 
@@ -142,8 +142,8 @@ class PolicyRobot:
         self._motion: _Interpolation | None = None
         self._next_command = 0.0
         self._views: tuple[int, dict[str, CameraView]] = -1, {}
-        self.stopped = ""
-        self.discarded = 0
+        self.stop_reason = ""
+        self.discarded_actions = 0
 
     @property
     def metadata(self) -> dict[str, Any]:
@@ -167,26 +167,26 @@ class PolicyRobot:
         return self._motion is not None and self._motion.duration == _HOME_S
 
     @property
-    def now(self) -> float:
+    def sim_time(self) -> float:
         """Simulated time, s."""
-        return self._plant.now
+        return self._plant.sim_time
 
     def reset(self) -> None:
         """Accept actions again, and move home: joints 0, grippers open."""
         goal = np.concatenate([np.append(np.zeros(width - 1), 1.0) for width in self._widths])
         self._actions.clear()
-        self.stopped = ""
+        self.stop_reason = ""
         self._commanded = None
-        self._motion = _Interpolation(self._row(), goal, self._plant.now, _HOME_S)
+        self._motion = _Interpolation(self._measured_row(), goal, self._plant.sim_time, _HOME_S)
 
     def stop(self, why: str) -> None:
         """Hold current positions, and ignore actions until the next reset."""
-        self.stopped = why
+        self.stop_reason = why
         self._actions.clear()
         self._motion = None
-        self._send(self._row())
+        self._send_row(self._measured_row())
 
-    def act(self, numbers: Array) -> None:
+    def queue_action(self, numbers: Array) -> None:
         """Queue an action: all joints and grippers, or 10 numbers of hand pose per arm in `metadata`'s layout.
 
         A joint that would move too far stops the arms. Stopped or homing arms ignore actions.
@@ -198,7 +198,7 @@ class PolicyRobot:
             raise ValueError("an action has numbers that are not finite")
         if numbers.shape not in ((self._joint_numbers,), (self._pose_numbers,)):
             raise ValueError(f"an action has {self._pose_numbers} or {self._joint_numbers} numbers")
-        if self.stopped or self.is_going_home:
+        if self.stop_reason or self.is_going_home:
             return
         row = numbers if len(numbers) == self._joint_numbers else self._joints_from_hand_poses(numbers)
         if fault := self._is_too_far(row):
@@ -206,23 +206,23 @@ class PolicyRobot:
             return
         self._commanded = row
         if len(self._actions) >= _MAX_QUEUED:
-            self.discarded += 1
+            self.discarded_actions += 1
             return
         self._actions.append(row)
 
-    def tick(self) -> None:
+    def command_next_step(self) -> None:
         """Command the arms for the next physics step."""
-        now = self._plant.now
+        now = self._plant.sim_time
         if self._motion is None and self._actions:
-            command = self._command()
-            start = self._row() if command is None else command
+            command = self._commanded_row()
+            start = self._measured_row() if command is None else command
             self._motion = _Interpolation(start, self._actions.popleft(), now, _ACTION_S)
         motion = self._motion
         if motion is None or now < self._next_command:
             return
         self._next_command = now + _COMMAND_S
-        share = min((now - motion.began) / motion.duration, 1.0)
-        self._send((1 - share) * motion.start + share * motion.goal)
+        share = min((now - motion.start_time) / motion.duration, 1.0)
+        self._send_row((1 - share) * motion.start + share * motion.goal)
         if share == 1.0:
             self._motion = None
 
@@ -234,8 +234,11 @@ class PolicyRobot:
             values = joints, T[:3, 3], T[:2, :3].ravel(), joints[-1:]
             proprios |= dict(zip(_proprio_names(side), values, strict=True))
         if self._views[0] != shot.number:
-            self._views = shot.number, {self._names[camera]: self._view(shot, camera) for camera in shot.pictures}
-        extra = {"sim_time": shot.sim_time, "stopped": self.stopped}
+            self._views = (
+                shot.number,
+                {self._names[camera]: self._camera_view(shot, camera) for camera in shot.pictures},
+            )
+        extra = {"sim_time": shot.sim_time, "stopped": self.stop_reason}
         return RobotObservation(self._views[1], proprios, shot.time_ns * 1e-9, extra)
 
     @property
@@ -243,26 +246,28 @@ class PolicyRobot:
         """Newest images of all cameras, if any."""
         return self._source.newest_frames
 
-    def _view(self, shot: CameraFrames, camera: str) -> CameraView:
+    def _camera_view(self, shot: CameraFrames, camera: str) -> CameraView:
         width, height = self._source.size
-        K = np.diag([_SIDE / width, _SIDE / height, 1.0]) @ self._source.K[camera]
-        picture = resize_image(shot.pictures[camera], (_SIDE, _SIDE), pad=False)
+        K = np.diag([_IMAGE_SIDE / width, _IMAGE_SIDE / height, 1.0]) @ self._source.K[camera]
+        picture = resize_image(shot.pictures[camera], (_IMAGE_SIDE, _IMAGE_SIDE), pad=False)
         return CameraView(picture, K, shot.T_cam_in_base[camera], shot.time_ns)
 
     def _joints_from_hand_poses(self, numbers: Array) -> Array:
         """Return a row for an action: all positions (3), all rotations (6), all grippers (1)."""
         arms = len(self._widths)
         positions, rows, grips = np.split(numbers, [3 * arms, 9 * arms])
-        near = np.split(self._commanded if self._commanded is not None else self._row(), np.cumsum(self._widths)[:-1])
+        near = np.split(
+            self._commanded if self._commanded is not None else self._measured_row(), np.cumsum(self._widths)[:-1]
+        )
         found = []
         for hand, start, position, row, grip in zip(
             self._hands, near, positions.reshape(arms, 3), rows.reshape(arms, 6), grips, strict=True
         ):
-            found.append(np.append(hand.joints(pose_from_rotation_rows(position, row), start[:-1]), grip))
+            found.append(np.append(hand.solve_joints(pose_from_rotation_rows(position, row), start[:-1]), grip))
         return np.concatenate(found)
 
     def _is_too_far(self, row: Array) -> str:
-        off = np.abs(row - self._row())
+        off = np.abs(row - self._measured_row())
         ends = np.cumsum(self._widths)
         off[ends - 1] = 0.0  # may move through their whole range
         if off.max() <= _MAX_JOINT_STEP:
@@ -275,14 +280,14 @@ class PolicyRobot:
             f"more than {_MAX_JOINT_STEP} rad; reset to go on"
         )
 
-    def _command(self) -> Array | None:
-        rows = [follower.commanded for follower in self._followers]
+    def _commanded_row(self) -> Array | None:
+        rows = [follower.commanded_joints for follower in self._followers]
         return None if any(row is None for row in rows) else np.concatenate([row for row in rows if row is not None])
 
-    def _row(self) -> Array:
+    def _measured_row(self) -> Array:
         return np.concatenate([follower.joint_pos() for follower in self._followers])
 
-    def _send(self, row: Array) -> None:
+    def _send_row(self, row: Array) -> None:
         for follower, joints in zip(self._followers, np.split(row, np.cumsum(self._widths)[:-1]), strict=True):
             follower.command_joint_pos(joints)
 

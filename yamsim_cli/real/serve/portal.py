@@ -49,34 +49,34 @@ class PortalServer(TcpServer):
             "get_joint_pos": follower.joint_pos,
             "command_joint_pos": follower.command_joint_pos,
             "command_joint_state": follower.command_joint_state,
-            "get_observations": follower.observations,
+            "get_observations": follower.get_observations,
         }
         super().__init__(host, port, "--portal", _READ_BYTES, _BACKLOG_BYTES)
 
     def handle(self, ready: set[Any]) -> None:
         """Receive calls and answer them."""
-        for client in self.read(ready):
+        for client in self.receive_from_clients(ready):
             try:
                 while (message := _next_message(client)) is not None:
-                    client.outgoing += self._answer(message)
+                    client.outgoing += self._answer_call(message)
             except PortalError:
-                self.drop(client)
+                self.drop_client(client)
             else:
-                self.write(client)
+                self.send_outgoing(client)
 
-    def _answer(self, message: bytes) -> bytes:
+    def _answer_call(self, message: bytes) -> bytes:
         try:
             number, name, arguments = _read_call(message)
         except PortalError as error:
-            return _refusal(message[:8].ljust(8, b"\0"), f"Could not decode message: {error}")
+            return _error_answer(message[:8].ljust(8, b"\0"), f"Could not decode message: {error}")
         method = self._methods.get(name)
         if method is None:
-            return _refusal(number, f"Unknown method {name!r}; valid: {', '.join(self._methods)}")
+            return _error_answer(number, f"Unknown method {name!r}; valid: {', '.join(self._methods)}")
         try:
             return _add_frame_header(number + bytes(8) + pack_tree(method(*arguments)))
         # Wrong number or types of arguments.
         except (TypeError, ValueError) as error:
-            return _refusal(number, f"Error in server method: {error}")
+            return _error_answer(number, f"Error in server method: {error}")
 
 
 def _next_message(client: ClientConnection) -> bytes | None:
@@ -117,7 +117,7 @@ def _read_call(message: bytes) -> tuple[bytes, str, list[Any]]:
     return message[:8], name, arguments
 
 
-def _refusal(number: bytes, text: str) -> bytes:
+def _error_answer(number: bytes, text: str) -> bytes:
     return _add_frame_header(number + _STATUS_ERROR.to_bytes(8, "little") + text.encode())
 
 
@@ -131,7 +131,7 @@ def pack_tree(tree: Any) -> bytes:
 
     specs: list[list[Any]] = []
     buffers = []
-    for leaf in _leaves(tree):
+    for leaf in _iterate_leaves(tree):
         if leaf is None:
             specs.append(["none"])
             buffers.append(b"\0")
@@ -139,7 +139,7 @@ def pack_tree(tree: Any) -> bytes:
             array = np.asarray(leaf, order="C")
             specs.append(["array", list(array.shape), array.dtype.str])
             buffers.append(array.tobytes() or b"\0")
-    buffers = [msgpack.packb(_structure(tree)), msgpack.packb(specs), *buffers]
+    buffers = [msgpack.packb(_tree_structure(tree)), msgpack.packb(specs), *buffers]
     sizes = struct.pack(f"<{len(buffers)}Q", *map(len, buffers))
     return b"".join([len(buffers).to_bytes(8, "little"), sizes, *buffers])
 
@@ -168,28 +168,28 @@ def unpack_tree(data: bytes) -> Any:
         raise PortalError("the arguments are not packed as they should be") from error
     if not isinstance(specs, list) or len(specs) != len(buffers) - 2:
         raise PortalError("the description of the arguments is not valid")
-    leaves = iter([_leaf(spec, buffer) for spec, buffer in zip(specs, buffers[2:], strict=True)])
-    found = _filled(tree, leaves, 0)
+    leaves = iter([_decode_leaf(spec, buffer) for spec, buffer in zip(specs, buffers[2:], strict=True)])
+    found = _fill_tree(tree, leaves, 0)
     if next(leaves, leaves) is not leaves:
         raise PortalError("the message has more leaves than the tree")
     return found
 
 
-def _leaves(tree: Any) -> Iterator[Any]:
+def _iterate_leaves(tree: Any) -> Iterator[Any]:
     if isinstance(tree, dict | list):
         for value in tree.values() if isinstance(tree, dict) else tree:
-            yield from _leaves(value)
+            yield from _iterate_leaves(value)
     else:
         yield tree
 
 
-def _structure(tree: Any) -> Any:
+def _tree_structure(tree: Any) -> Any:
     if isinstance(tree, dict):
-        return {key: _structure(value) for key, value in tree.items()}
-    return [_structure(value) for value in tree] if isinstance(tree, list) else None
+        return {key: _tree_structure(value) for key, value in tree.items()}
+    return [_tree_structure(value) for value in tree] if isinstance(tree, list) else None
 
 
-def _leaf(spec: Any, data: bytes) -> Any:
+def _decode_leaf(spec: Any, data: bytes) -> Any:
     kind = spec[0] if isinstance(spec, list) and spec else None
     if kind == "none":
         return None
@@ -214,13 +214,13 @@ def _leaf(spec: Any, data: bytes) -> Any:
     return np.frombuffer(data if math.prod(shape) else b"", dtype).reshape(shape)
 
 
-def _filled(tree: Any, leaves: Iterator[Any], depth: int) -> Any:
+def _fill_tree(tree: Any, leaves: Iterator[Any], depth: int) -> Any:
     if depth > _MAX_DEPTH:
         raise PortalError("the arguments are nested too deeply")
     if isinstance(tree, dict):
-        return {key: _filled(value, leaves, depth + 1) for key, value in tree.items()}
+        return {key: _fill_tree(value, leaves, depth + 1) for key, value in tree.items()}
     if isinstance(tree, list):
-        return [_filled(value, leaves, depth + 1) for value in tree]
+        return [_fill_tree(value, leaves, depth + 1) for value in tree]
     try:
         return next(leaves)
     except StopIteration:

@@ -94,7 +94,7 @@ class RealtimeLoop:
         self._began = time.monotonic()
 
     @property
-    def pace(self) -> RealtimeStats:
+    def timing_stats(self) -> RealtimeStats:
         """Timing since `run` began."""
         buses = self._plant.buses
         return RealtimeStats(
@@ -104,7 +104,7 @@ class RealtimeLoop:
             late_steps=self._late_steps,
             lost_ms=1000 * self._lost,
             frames=sum(bus.frames_received for bus in buses),
-            dropped=sum(bus.dropped for bus in buses) + self._lost_frames,
+            dropped=sum(bus.frames_dropped for bus in buses) + self._lost_frames,
         )
 
     def run(self, stop: Callable[[], bool], seconds: float = float("inf")) -> None:
@@ -124,9 +124,9 @@ class RealtimeLoop:
                 self._tick()
                 plant.step()
                 due += step
-            self._exchange(due)
+            self._exchange_frames_until(due)
 
-    def _exchange(self, until: float) -> None:
+    def _exchange_frames_until(self, until: float) -> None:
         while True:
             now = time.monotonic()
             while self.answers and self.answers[0][0] <= now:
@@ -137,22 +137,22 @@ class RealtimeLoop:
                 one.flush()
             wake = min(until, self.answers[0][0]) if self.answers else until
             writers = [writer for port in self._ports for writer in port.writers]
-            ready = set(select.select(self._readers(), writers, [], max(0.0, wake - time.monotonic()))[0])
+            ready = set(select.select(self._all_readers(), writers, [], max(0.0, wake - time.monotonic()))[0])
             if ready:
-                self._receive(ready)
+                self._receive_ready(ready)
             if time.monotonic() >= until:
                 return
 
-    def _readers(self) -> list[Any]:
+    def _all_readers(self) -> list[Any]:
         return [reader for one in (*self.sockets, *self._ports) for reader in one.readers]
 
-    def _receive(self, ready: set[Any]) -> None:
+    def _receive_ready(self, ready: set[Any]) -> None:
         for k, one in enumerate(self.sockets):
             for frame in one.receive(ready):
                 if self._waiting[k] >= _MAX_QUEUED:
                     self._lost_frames += 1
                     continue
-                for answer in self._plant.buses[k].send(frame, self._plant.now):
+                for answer in self._plant.buses[k].send(frame, self._plant.sim_time):
                     self._waiting[k] += 1
                     now = time.monotonic()
                     due = max(now, self._free[k])

@@ -14,13 +14,13 @@ import numpy as np
 from yamsim_cli.core.attempt_data import Attempt, AttemptJob
 from yamsim_cli.core.config.session import Session
 from yamsim_cli.core.episode.attempt_payload import render_cameras
-from yamsim_cli.core.episode.simulator import simulator_for
+from yamsim_cli.core.episode.simulator import make_simulator
 from yamsim_cli.core.errors import ResourceError, SimulationError, YamsimError
 from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.core.images.image import Image
 from yamsim_cli.core.workers.process_pool import start_process
 
-_SLOTS = 2  # sets of images in shared memory: the newest, and one being rendered
+_IMAGE_SLOTS = 2  # sets of images in shared memory: the newest, and one being rendered
 _START_SECONDS = 300.0  # s; compiling meshes takes long on a busy machine
 _END_SECONDS = 5.0  # s
 # First byte of an answer.
@@ -89,7 +89,7 @@ class RenderProcess:
         self._requested: tuple[int, SceneState] | None = None
         self._count, self._due = 0, 0.0
         width, height = self.size
-        self._shape = (_SLOTS, len(self.cameras), height, width, 3)
+        self._shape = (_IMAGE_SLOTS, len(self.cameras), height, width, 3)
         self._memory = SharedMemory(create=True, size=int(np.prod(self._shape)))
         self._pictures = np.ndarray(self._shape, np.uint8, self._memory.buf)
         try:
@@ -103,12 +103,12 @@ class RenderProcess:
                 self._memory.name,
             )
         except BaseException:
-            self._free()
+            self._free_shared_memory()
             raise
         try:
             if not self._pipe.poll(_START_SECONDS):
                 raise ResourceError(f"the rendering process was not ready after {_START_SECONDS:g} s")
-            K = np.frombuffer(self._answer()).reshape(-1, 3, 3)
+            K = np.frombuffer(self._receive_answer()).reshape(-1, 3, 3)
         except BaseException:
             self.close()
             raise
@@ -132,7 +132,7 @@ class RenderProcess:
         """
         if self._pipe not in ready or self._requested is None:
             return
-        poses = np.frombuffer(self._answer()).reshape(-1, 4, 4)
+        poses = np.frombuffer(self._receive_answer()).reshape(-1, 4, 4)
         time_ns, state = self._requested
         self._requested = None
         self.newest_frames = CameraFrames(
@@ -141,7 +141,7 @@ class RenderProcess:
             state.sim_time,
             state.joints,
             dict(zip(self.cameras, poses, strict=True)),
-            dict(zip(self.cameras, self._pictures[self._count % _SLOTS], strict=True)),
+            dict(zip(self.cameras, self._pictures[self._count % _IMAGE_SLOTS], strict=True)),
         )
         self._count += 1
 
@@ -154,7 +154,7 @@ class RenderProcess:
         self._requested = self._clock(), self._state()
         # Sending does not block: a state is small, and the process waits for it.
         with contextlib.suppress(OSError):
-            self._pipe.send_bytes(bytes([self._count % _SLOTS]) + self._requested[1].qpos.tobytes())
+            self._pipe.send_bytes(bytes([self._count % _IMAGE_SLOTS]) + self._requested[1].qpos.tobytes())
 
     def close(self) -> None:
         """End the process."""
@@ -162,9 +162,9 @@ class RenderProcess:
         self._process.kill()
         self._process.join(_END_SECONDS)
         self.newest_frames = None
-        self._free()
+        self._free_shared_memory()
 
-    def _answer(self) -> bytes:
+    def _receive_answer(self) -> bytes:
         try:
             answer = self._pipe.recv_bytes()
         except (EOFError, OSError):
@@ -173,7 +173,7 @@ class RenderProcess:
             raise ResourceError(answer[1:].decode())
         return answer[1:]
 
-    def _free(self) -> None:
+    def _free_shared_memory(self) -> None:
         del self._pictures
         # Referenced images keep their memory until this process ends.
         with contextlib.suppress(BufferError):
@@ -189,7 +189,7 @@ def _render_states(
     attempt = Attempt(AttemptJob(0, 0))
     try:
         with (
-            simulator_for(session, AttemptJob(session.config.seed, 0)) as simulator,
+            make_simulator(session, AttemptJob(session.config.seed, 0)) as simulator,
             contextlib.suppress(EOFError, OSError),
         ):
             replica, size = simulator.state_replay, session.config.image.size_px

@@ -11,12 +11,12 @@ from yamsim_cli.core.attempt_data import ArmPosture, AttemptJob
 from yamsim_cli.core.config.recording import SCENE_CAMERA, RecordConfig
 from yamsim_cli.core.config.session import Session
 from yamsim_cli.core.episode.sampling import sample_attempt
-from yamsim_cli.core.episode.simulator import Simulator, simulator_for
+from yamsim_cli.core.episode.simulator import Simulator, make_simulator
 from yamsim_cli.core.errors import SimulationError, UsageError
 from yamsim_cli.core.geometry.se3 import Array
 
 from ..motors.can_config import load_can_config
-from ..motors.motor import KINDS, Motor
+from ..motors.motor import MOTOR_KINDS, Motor
 from ..motors.motor_bus import BusFault, MotorBus
 from .follower import JointController
 from .motor_simulation import MotorSimulation
@@ -24,7 +24,7 @@ from .policy_robot import HandKinematics, PolicyRobot
 from .render_process import RenderProcess, SceneState
 
 # Initial postures: folded, at rest without power; the model's home; the task's start.
-STARTS = ("rest", "home", "task")
+START_POSTURES = ("rest", "home", "task")
 
 
 @dataclass(frozen=True)
@@ -35,10 +35,10 @@ class ServedArms:
     sides: tuple[str, ...]
     followers: tuple[JointController, ...]
 
-    def state(self) -> SceneState:
+    def scene_state(self) -> SceneState:
         """Return the state to render."""
         joints = tuple(follower.joint_pos() for follower in self.followers)
-        return SceneState(self.motor_simulation.data.qpos.copy(), self.motor_simulation.now, joints)
+        return SceneState(self.motor_simulation.data.qpos.copy(), self.motor_simulation.sim_time, joints)
 
 
 def channel_names(sides: Sequence[str], given: Sequence[str]) -> tuple[str, ...]:
@@ -86,7 +86,7 @@ def serve_arms(
 
     Args:
         channels: as `given` in `channel_names`.
-        start: one of `STARTS`.
+        start: one of `START_POSTURES`.
 
     Raises:
         ConfigError: the motors of an arm or a gripper are unknown.
@@ -105,19 +105,19 @@ def serve_arms(
     )
     buses = []
     for name, wiring in zip(names, wirings, strict=True):
-        motors = [Motor(row.id, KINDS[row.kind]) for row in wiring.arm.motors]
+        motors = [Motor(row.id, MOTOR_KINDS[row.kind]) for row in wiring.arm.motors]
         if wiring.gripper is not None:
-            motors.append(Motor(wiring.gripper.id, KINDS[wiring.gripper.kind]))
+            motors.append(Motor(wiring.gripper.id, MOTOR_KINDS[wiring.gripper.kind]))
         buses.append(MotorBus(name, motors, faults, config.seed))
-    _check(faults, buses)
-    with simulator_for(session.without_meshes(), AttemptJob(config.seed, 0)) as simulator:
+    _check_faults(faults, buses)
+    with make_simulator(session.without_meshes(), AttemptJob(config.seed, 0)) as simulator:
         scene = simulator.scene
-        plant = MotorSimulation(scene, _start(simulator, config, start), wirings, buses)
+        plant = MotorSimulation(scene, _start_qpos(simulator, config, start), wirings, buses)
     rows = enumerate(zip(scene.arms, wirings, strict=True))
     return ServedArms(plant, sides, tuple(JointController(plant, k, arm, wiring) for k, (arm, wiring) in rows))
 
 
-def _start(simulator: Simulator, config: RecordConfig, start: str) -> Array:
+def _start_qpos(simulator: Simulator, config: RecordConfig, start: str) -> Array:
     scene = simulator.scene
     layout = sample_attempt(simulator, AttemptJob(config.seed, 0)).layout
     if layout is None:
@@ -130,7 +130,7 @@ def _start(simulator: Simulator, config: RecordConfig, start: str) -> Array:
     return scene.start_qpos(layout, postures)
 
 
-def _check(faults: Sequence[BusFault], buses: Sequence[MotorBus]) -> None:
+def _check_faults(faults: Sequence[BusFault], buses: Sequence[MotorBus]) -> None:
     for fault in faults:
         meant = [bus for bus in buses if fault.channel in ("", bus.channel)]
         if not meant:

@@ -17,7 +17,7 @@ CAMERA_SOCKET = "cameras.sock"  # its dot avoids conflicts with bus names
 _MAX_CLIENTS = 16  # further connections are closed
 
 
-def default_folder(environ: Mapping[str, str]) -> Path:
+def default_socket_folder(environ: Mapping[str, str]) -> Path:
     """Return this user's socket folder, in XDG_RUNTIME_DIR if set, else in the temporary folder."""
     runtime = environ.get("XDG_RUNTIME_DIR")
     return Path(runtime) / "yamsim-can" if runtime else Path(tempfile.gettempdir()) / f"yamsim-can-{os.getuid()}"
@@ -63,33 +63,33 @@ class SocketServer:
         """Sockets of clients with unsent bytes."""
         return [one for one, client in self._clients.items() if client.outgoing]
 
-    def read(self, ready: set[socket.socket]) -> Iterator[ClientConnection]:
+    def receive_from_clients(self, ready: set[socket.socket]) -> Iterator[ClientConnection]:
         """Accept connections, receive from `ready` sockets, and yield the clients that sent bytes."""
         if self._listener in ready:
-            self._accept()
+            self._accept_client()
         for one in ready & self._clients.keys():
             # The caller may have dropped it while handling an earlier client.
             client = self._clients.get(one)
-            if client is not None and self._receive(client):
+            if client is not None and self._receive_bytes(client):
                 yield client
 
-    def write(self, client: ClientConnection) -> None:
+    def send_outgoing(self, client: ClientConnection) -> None:
         """Send as many bytes as the socket accepts."""
         try:
             del client.outgoing[: client.socket.send(client.outgoing)]
         except BlockingIOError:
             if self._max_outgoing is not None and len(client.outgoing) > self._max_outgoing:
-                self.drop(client)
+                self.drop_client(client)
         except OSError:
-            self.drop(client)
+            self.drop_client(client)
 
     def flush(self) -> None:
         """Send all clients' outgoing bytes."""
         for client in self.clients:
             if client.outgoing:
-                self.write(client)
+                self.send_outgoing(client)
 
-    def drop(self, client: ClientConnection) -> None:
+    def drop_client(self, client: ClientConnection) -> None:
         """Close a client's connection."""
         client.socket.close()
         self._clients.pop(client.socket, None)
@@ -97,10 +97,10 @@ class SocketServer:
     def close(self) -> None:
         """Close all connections and the listening socket."""
         for client in self.clients:
-            self.drop(client)
+            self.drop_client(client)
         self._listener.close()
 
-    def _accept(self) -> None:
+    def _accept_client(self) -> None:
         try:
             one, _ = self._listener.accept()
         except OSError:
@@ -113,7 +113,7 @@ class SocketServer:
             one.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._clients[one] = ClientConnection(one)
 
-    def _receive(self, client: ClientConnection) -> bool:
+    def _receive_bytes(self, client: ClientConnection) -> bool:
         try:
             data = client.socket.recv(self._read_bytes)
         except BlockingIOError:
@@ -121,7 +121,7 @@ class SocketServer:
         except OSError:
             data = b""
         if not data:
-            self.drop(client)
+            self.drop_client(client)
             return False
         client.received += data
         return True
@@ -155,7 +155,7 @@ class UnixServer(SocketServer):
         listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         try:
             _make_folder(path.parent)
-            _remove_stale(path)
+            _remove_stale_socket(path)
             listener.bind(str(path))
         except OSError as error:
             listener.close()
@@ -182,7 +182,7 @@ def _make_folder(folder: Path) -> None:
         raise ResourceError(f"{folder}: other users can access this folder; give another --folder")
 
 
-def _remove_stale(path: Path) -> None:
+def _remove_stale_socket(path: Path) -> None:
     if not path.is_socket():
         return
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:

@@ -13,13 +13,13 @@ from yamsim_cli.core.attempt_data import AttemptJob
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.session import Session
 from yamsim_cli.core.episode.sampling import describe_missing_start, sample_attempt
-from yamsim_cli.core.episode.simulator import Simulators
+from yamsim_cli.core.episode.simulator import SimulatorCache
 from yamsim_cli.core.errors import ResourceError, SimulationError, UsageError
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.files.writing import describe_refusal, move_to_backup, publish_file, staged_directory, write_file
 from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.core.scene.blueprint import Blueprint
-from yamsim_cli.core.scene.compose import add_home_key, compose
+from yamsim_cli.core.scene.compose import add_home_key, compose_scene
 from yamsim_cli.viewers.show.scene_files import Reader, scene_files, zip_bytes
 
 
@@ -53,7 +53,7 @@ class HomeState:
 def first_attempt_start(session: Session) -> tuple[RecordConfig, HomeState]:
     """Sample a session's first attempt. Return the config with its objects, and its start state."""
     job = AttemptJob(session.config.seed, 0)
-    with Simulators(session.without_meshes()) as simulators:
+    with SimulatorCache(session.without_meshes()) as simulators:
         simulator = simulators.get(job)
         attempt = sample_attempt(simulator, job)
         config = simulator.config
@@ -73,7 +73,7 @@ def compose_at_home(
     blueprint: Blueprint, locations: Locations, home: HomeState | None = None
 ) -> tuple[mujoco.MjSpec, mujoco.MjModel]:
     """Compose a scene with keyframe `home`, by default without objects. Return spec and compiled model."""
-    spec, home = compose(blueprint, locations), home or HomeState()
+    spec, home = compose_scene(blueprint, locations), home or HomeState()
     return spec, add_home_key(spec, blueprint.rig, home.T_in_world, home.joints, home.parts)
 
 

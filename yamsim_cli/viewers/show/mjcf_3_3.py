@@ -91,7 +91,7 @@ CLASS_ELEMENTS: Mapping[str, str] = {
 }
 
 # Attributes with fewer values in 3.3: element -> attribute -> the values that 3.3 reads.
-VALUES: Mapping[str, Mapping[str, frozenset[str]]] = {
+ATTRIBUTE_VALUES: Mapping[str, Mapping[str, frozenset[str]]] = {
     # In 3.3, signed distance fields need a plugin.
     "worldbody/geom": {
         "type": frozenset({"plane", "hfield", "sphere", "capsule", "ellipsoid", "cylinder", "box", "mesh"})
@@ -103,7 +103,7 @@ VALUES: Mapping[str, Mapping[str, frozenset[str]]] = {
 # Leaving out `castshadow` of geoms (4.0) or `colorspace` (3.3.3) changes only the appearance. `input="pos"` (4.0) only
 # names the single control of an actuator; gain and bias determine the rest. MuJoCo applies `inheritrange` of `general`
 # (3.16) before it writes the file.
-OPTIONAL: Mapping[str, Mapping[str, frozenset[str] | None]] = {
+OPTIONAL_ATTRIBUTES: Mapping[str, Mapping[str, frozenset[str] | None]] = {
     "worldbody/geom": {"castshadow": None},
     "asset/texture": {"colorspace": None},
     "actuator/general": {"input": frozenset({"pos"}), "inheritrange": None},

@@ -11,11 +11,11 @@ import numpy as np
 from yamsim_cli.core.attempt_data import AttemptJob
 from yamsim_cli.core.config.session import Session
 from yamsim_cli.core.dataset.lowdim import has_simulation
-from yamsim_cli.core.dataset.reader import RecordedEpisode, RecordedImages, StoredEpisode, recorded_images
-from yamsim_cli.core.dataset.records import recorded_attempt
+from yamsim_cli.core.dataset.reader import RecordedEpisode, RecordedImages, StoredEpisode, read_side_by_side_images
+from yamsim_cli.core.dataset.records import attempt_from_record
 from yamsim_cli.core.episode.attempt_payload import render_cameras
-from yamsim_cli.core.episode.simulator import Simulator, simulator_for
-from yamsim_cli.core.errors import DatasetError, UsageError, suggest
+from yamsim_cli.core.episode.simulator import Simulator, make_simulator
+from yamsim_cli.core.errors import DatasetError, UsageError, suggest_similar
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.core.images.image import Image
@@ -51,8 +51,8 @@ def film_recorded(
     """Make a video of the recorded images of cameras side by side, by default the first, at `frame_period`, s."""
     if not episode.record.cameras:
         raise DatasetError(f"{episode.directory} has no images; without --video, its arms are shown")
-    chosen = _choose(cameras, tuple(episode.record.cameras))
-    return _film(recorded_images(episode, chosen), chosen, path, frame_period, overwrite=overwrite)
+    chosen = _choose_cameras(cameras, tuple(episode.record.cameras))
+    return _write_video(read_side_by_side_images(episode, chosen), chosen, path, frame_period, overwrite=overwrite)
 
 
 def film_rendered(
@@ -70,14 +70,14 @@ def film_rendered(
         session: result of `session_with_wrist_camera`, with its meshes.
     """
     with _simulator_of(episode, session) as simulator:
-        chosen = _choose(cameras, simulator.scene.cameras)
-        attempt = recorded_attempt(episode.record)
+        chosen = _choose_cameras(cameras, simulator.scene.cameras)
+        attempt = attempt_from_record(episode.record)
         seen = (render_cameras(simulator, attempt, qpos, chosen) for qpos in episode_positions(episode, simulator))
         images = (np.concatenate(list(image.values()), axis=1) for image in seen)
-        return _film(images, chosen, path, frame_period, overwrite=overwrite)
+        return _write_video(images, chosen, path, frame_period, overwrite=overwrite)
 
 
-def _film(
+def _write_video(
     images: Iterable[Image], cameras: tuple[str, ...], path: Path, frame_period: float, *, overwrite: bool
 ) -> WrittenVideo:
     size = (0, 0)
@@ -85,13 +85,13 @@ def _film(
         for image in images:
             video.write(image)
             size = (image.shape[1], image.shape[0])
-    return WrittenVideo(path, video.frames, video.frames * frame_period, size, cameras, video.moved_aside)
+    return WrittenVideo(path, video.frame_count, video.frame_count * frame_period, size, cameras, video.moved_aside)
 
 
-def _choose(wanted: Sequence[str], valid: Sequence[str]) -> tuple[str, ...]:
+def _choose_cameras(wanted: Sequence[str], valid: Sequence[str]) -> tuple[str, ...]:
     for name in wanted:
         if name not in valid:
-            raise UsageError(f"--camera {name!r} is not valid; {suggest(name, valid)}")
+            raise UsageError(f"--camera {name!r} is not valid; {suggest_similar(name, valid)}")
     return tuple(wanted) or (valid[0],)
 
 
@@ -119,7 +119,7 @@ def episode_positions(episode: StoredEpisode, simulator: Simulator) -> Array:
 
 
 def _simulator_of(episode: StoredEpisode, session: Session) -> Simulator:
-    return simulator_for(session, AttemptJob(episode.record.seed, episode.record.attempt))
+    return make_simulator(session, AttemptJob(episode.record.seed, episode.record.attempt))
 
 
 def play_simulated(
@@ -138,9 +138,9 @@ def play_simulated(
     record, config = episode.record, session.config
     with _simulator_of(episode, session_with_wrist_camera(session)) as simulator:
         states = episode_positions(episode, simulator)
-        model = simulator.set_variation(recorded_attempt(record)).model
+        model = simulator.apply_randomization(attempt_from_record(record)).model
         player = EpisodePlayer(f"{config.task.name} {record.episode}", model, states, record.frame_period_s, speed)
-        _show(player, episode, task_viewpoint(config), address, ready, stopped)
+        _show_player(player, episode, task_viewpoint(config), address, ready, stopped)
 
 
 def play_real(
@@ -161,10 +161,10 @@ def play_real(
     period = episode.record.frame_period_s
     states = _measured_positions(motion, blueprint, model, period)
     player = EpisodePlayer(str(episode.directory), model, states, period, speed)
-    _show(player, episode, rig_viewpoint(blueprint.rig), address, ready, stopped)
+    _show_player(player, episode, rig_viewpoint(blueprint.rig), address, ready, stopped)
 
 
-def _show(
+def _show_player(
     player: EpisodePlayer,
     episode: RecordedEpisode,
     viewpoint: Viewpoint,

@@ -42,7 +42,7 @@ class ViewScene:
     size: tuple[int, int]
     fine: tuple[int, int]
 
-    def renderer(self) -> SceneRenderer:
+    def open_renderer(self) -> SceneRenderer:
         """Return a renderer of the views, which the caller must close."""
         return SceneRenderer(self.model, self.size, self.fine)
 
@@ -51,7 +51,7 @@ def set_up_views(blueprint: Blueprint, locations: Locations, quality: RenderConf
     """Compose a rig with a camera for each view, placed by the rig's extent. `size` is (width, height), px."""
     rig = blueprint.rig
     spec, model = compose_at_home(replace(blueprint, pictures=PictureSettings(quality, size)), locations)
-    cameras = _cameras(rig, model, _at_home(model), size)
+    cameras = _view_cameras(rig, model, _at_home(model), size)
     for view in VIEWS:
         T = cameras[view.name].T_cam_in_world
         T_mujoco = pose(T[:3, 3], opencv_from_mujoco(T[:3, :3]))
@@ -75,9 +75,12 @@ def picture_names() -> list[str]:
 def render_views(views: ViewScene) -> dict[str, Image]:
     """Render all labelled views, and the montage. Return file name -> RGB image (height, width, 3)."""
     rig, images = views.rig, dict[str, Image]()
-    with views.renderer() as renderer:
+    with views.open_renderer() as renderer:
         for name, camera in views.cameras.items():
-            texts = {text: camera.pixel(point) for text, point in _names(rig, views.model, views.data).items()}
+            texts = {
+                text: camera.project_point(point)
+                for text, point in _label_positions(rig, views.model, views.data).items()
+            }
             title = f"{rig.name}: {name.replace('_', ' ')}"
             images[f"{name}.png"] = draw_labels(renderer.render(views.data, name), texts, title)
     images[MONTAGE] = montage(list(images.values()))
@@ -90,32 +93,32 @@ def write_views(images: dict[str, Image], out: Path) -> list[Path]:
     return [out / name for name in images]
 
 
-def _cameras(
+def _view_cameras(
     rig: RigConfig, model: mujoco.MjModel, data: mujoco.MjData, size: tuple[int, int]
 ) -> dict[str, PlacedCamera]:
     every = list(range(1, model.nbody))
     near_base = []
     for arm in rig.arms:
         names = [*([BOARD_BODY] if arm.board else []), *([MOUNT_BODY] if arm.mount else []), arm.robot.base]
-        near_base += [*(model.body(arm.prefix + name).id for name in names), _link(model, arm, 0)]
+        near_base += [*(model.body(arm.prefix + name).id for name in names), _body_of_joint(model, arm, 0)]
     return {
         view.name: place_camera(view, rig_points(model, data, near_base if view.low else every), size) for view in VIEWS
     }
 
 
-def _link(model: mujoco.MjModel, arm: ArmConfig, joint: int) -> int:
+def _body_of_joint(model: mujoco.MjModel, arm: ArmConfig, joint: int) -> int:
     return int(model.jnt_bodyid[model.joint(arm.prefix + arm.robot.joint_names[joint]).id])
 
 
-def _names(rig: RigConfig, model: mujoco.MjModel, data: mujoco.MjData) -> dict[str, np.ndarray]:
+def _label_positions(rig: RigConfig, model: mujoco.MjModel, data: mujoco.MjData) -> dict[str, np.ndarray]:
     """Return label -> position (3,) in `world`."""
     names = {}
     for arm in rig.arms:
-        names[f"{arm.name} ({arm.side})"] = data.xpos[_link(model, arm, arm.robot.dof // 2 - 1)] + np.array(
+        names[f"{arm.name} ({arm.side})"] = data.xpos[_body_of_joint(model, arm, arm.robot.dof // 2 - 1)] + np.array(
             [0, 0, 0.09]
         )
         if arm.board:
-            ids = arm.board.board.ids
+            ids = arm.board.board_in_metres.marker_ids
             # In front of the board as seen by the cameras. On the board, the text would hide the markers.
             in_front = data.geom(f"{arm.prefix}{BOARD_BODY}").xpos + np.array([0.085, 0, 0])
             names[f"ids {ids[0]}-{ids[-1]}"] = in_front

@@ -19,7 +19,7 @@ import numpy as np
 from yamsim_cli.core.errors import UsageError
 from yamsim_cli.core.geometry.se3 import Array
 
-from .mjcf_3_3 import ATTRIBUTES, CLASS_ELEMENTS, OPTIONAL, VALUES
+from .mjcf_3_3 import ATTRIBUTE_VALUES, ATTRIBUTES, CLASS_ELEMENTS, OPTIONAL_ATTRIBUTES
 
 Reader = Literal["3.3", "4"]  # oldest MuJoCo version that must read the scene
 Element = ElementTree.Element
@@ -56,13 +56,13 @@ def classic_xml(spec: mujoco.MjSpec, model: mujoco.MjModel) -> str:
     _write_defaults(root, model)
     for body, number in zip(root.iter("body"), range(1, model.nbody), strict=True):
         _write_inertia(body, model, number)
-    _unroll(_child(root, "worldbody"))
+    _unroll_frames(_find_or_add_child(root, "worldbody"))
     for light in root.iter("light"):
         _write_light_type(light)
-    for number, actuator in enumerate(_child(root, "actuator")):
+    for number, actuator in enumerate(_find_or_add_child(root, "actuator")):
         if model.actuator_ctrllimited[number]:
-            actuator.set("ctrlrange", _text(model.actuator_ctrlrange[number]))
-    _reduce(root, spec.modelname)
+            actuator.set("ctrlrange", _numbers_text(model.actuator_ctrlrange[number]))
+    _remove_optional_attributes(root, spec.modelname)
     ElementTree.indent(root)
     return ElementTree.tostring(root, encoding="unicode") + "\n"
 
@@ -85,19 +85,21 @@ def _write_defaults(root: Element, model: mujoco.MjModel) -> None:
     `island`, on by default since 3.3.6, is left out. It only solves the same equations in parts. Older versions colour
     each moving body by its island.
     """
-    option = _child(root, "option")
+    option = _find_or_add_child(root, "option")
     option.set("ccd_iterations", str(model.opt.ccd_iterations))
     # Since 3.8 a pair of convex geoms may touch at several points. Source: MuJoCo's changelog.
     several = not model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_MULTICCD
-    _child(option, "flag").set("multiccd", "enable" if several else "disable")
+    _find_or_add_child(option, "flag").set("multiccd", "enable" if several else "disable")
     # 4.0 has a third value for the headlight, which gives the same image as 1.
-    _child(_child(root, "visual"), "headlight").set("active", "1" if model.vis.headlight.active else "0")
+    _find_or_add_child(_find_or_add_child(root, "visual"), "headlight").set(
+        "active", "1" if model.vis.headlight.active else "0"
+    )
 
 
 def _write_inertia(body: Element, model: mujoco.MjModel, number: int) -> None:
     """Make a mass of 0 explicit. Otherwise MuJoCo 3.3.5 computes the centre of massless geoms."""
     if model.body_mass[number] == 0 and body.find("inertial") is None:
-        place = {"pos": _text(model.body_ipos[number]), "quat": _text(model.body_iquat[number])}
+        place = {"pos": _numbers_text(model.body_ipos[number]), "quat": _numbers_text(model.body_iquat[number])}
         body.insert(0, ElementTree.Element("inertial", {**place, "mass": "0", "diaginertia": "0 0 0"}))
 
 
@@ -108,57 +110,59 @@ def _write_light_type(light: Element) -> None:
         light.set("directional", "true" if kind == "directional" else "false")
 
 
-def _unroll(parent: Element) -> None:
+def _unroll_frames(parent: Element) -> None:
     """Replace every `frame` element by its children, with its pose and class applied to them."""
     for child in parent:
-        _unroll(child)
+        _unroll_frames(child)
     parent[:] = [item for child in parent for item in (_children_in_frame(child) if child.tag == "frame" else [child])]
 
 
 def _children_in_frame(frame: Element) -> Iterator[Element]:
-    position, quat = _numbers(frame, "pos", "0 0 0"), _numbers(frame, "quat", "1 0 0 0")
+    position, quat = _attribute_numbers(frame, "pos", "0 0 0"), _attribute_numbers(frame, "quat", "1 0 0 0")
     for child in frame:
         if name := frame.get("childclass"):
             attribute = "childclass" if child.tag == "body" else "class"
             child.set(attribute, child.get(attribute, name))
-        child.set("pos", _text(position + _turned(_numbers(child, "pos", "0 0 0"), quat)))
+        child.set("pos", _numbers_text(position + _rotate_vector(_attribute_numbers(child, "pos", "0 0 0"), quat)))
         match child.tag:
             case "light":
-                child.set("dir", _text(_turned(_numbers(child, "dir", "0 0 -1"), quat)))
+                child.set("dir", _numbers_text(_rotate_vector(_attribute_numbers(child, "dir", "0 0 -1"), quat)))
             case "joint":
-                child.set("axis", _text(_turned(_numbers(child, "axis", "0 0 1"), quat)))
+                child.set("axis", _numbers_text(_rotate_vector(_attribute_numbers(child, "axis", "0 0 1"), quat)))
             case _:
                 turn = np.empty(4)
-                mujoco.mju_mulQuat(turn, quat, _numbers(child, "quat", "1 0 0 0"))
-                child.set("quat", _text(turn))
+                mujoco.mju_mulQuat(turn, quat, _attribute_numbers(child, "quat", "1 0 0 0"))
+                child.set("quat", _numbers_text(turn))
         yield child
 
 
-def _reduce(root: Element, scene: str) -> None:
+def _remove_optional_attributes(root: Element, scene: str) -> None:
     """Remove attributes in `OPTIONAL`. Raise UsageError for anything else that MuJoCo 3.3 does not know."""
-    for where, element in _walk(root):
+    for where, element in _walk_elements(root):
         if where not in ATTRIBUTES:
-            raise UsageError(_unknown(scene, f"<{element.tag}>"))
-        known, optional, values = ATTRIBUTES[where], OPTIONAL.get(where, {}), VALUES.get(where, {})
+            raise UsageError(_unknown_feature_message(scene, f"<{element.tag}>"))
+        known, optional, values = ATTRIBUTES[where], OPTIONAL_ATTRIBUTES.get(where, {}), ATTRIBUTE_VALUES.get(where, {})
         for name, value in list(element.attrib.items()):
             if name in optional and ((harmless := optional[name]) is None or value in harmless):
                 del element.attrib[name]
             elif name not in known or value not in values.get(name, {value}):
-                raise UsageError(_unknown(scene, f'{name}="{value}" of <{element.tag}> {element.get("name", "")}'))
+                raise UsageError(
+                    _unknown_feature_message(scene, f'{name}="{value}" of <{element.tag}> {element.get("name", "")}')
+                )
 
 
-def _unknown(scene: str, what: str) -> str:
+def _unknown_feature_message(scene: str, what: str) -> str:
     return f"scene {scene!r} has {what.strip()}, which MuJoCo 3.3 lacks or reads differently: write it with --mujoco 4"
 
 
-def _walk(root: Element) -> Iterator[tuple[str, Element]]:
+def _walk_elements(root: Element) -> Iterator[tuple[str, Element]]:
     yield root.tag, root
     for section in root:
         for element in section.iter():
-            yield _key(section, element), element
+            yield _element_key(section, element), element
 
 
-def _key(section: Element, element: Element) -> str:
+def _element_key(section: Element, element: Element) -> str:
     if element is section or element.tag == "default":
         return element.tag
     if section.tag == "default":
@@ -166,21 +170,21 @@ def _key(section: Element, element: Element) -> str:
     return f"{section.tag}/{element.tag}"
 
 
-def _child(parent: Element, tag: str) -> Element:
+def _find_or_add_child(parent: Element, tag: str) -> Element:
     found = parent.find(tag)
     return ElementTree.SubElement(parent, tag) if found is None else found
 
 
-def _turned(vector: Array, quat: Array) -> Array:
+def _rotate_vector(vector: Array, quat: Array) -> Array:
     out = np.empty(3)
     mujoco.mju_rotVecQuat(out, vector, quat)
     return out
 
 
-def _numbers(element: Element, name: str, default: str) -> Array:
+def _attribute_numbers(element: Element, name: str, default: str) -> Array:
     return np.array([float(number) for number in element.get(name, default).split()])
 
 
-def _text(numbers: Iterable[float]) -> str:
+def _numbers_text(numbers: Iterable[float]) -> str:
     """Convert without loss of precision; -0 becomes 0."""
     return " ".join(repr(float(number) + 0.0).removesuffix(".0") for number in numbers)

@@ -23,7 +23,7 @@ from .compose import compose_at_home, first_attempt_start
 if TYPE_CHECKING:
     from ..scene_page import ScenePage
 
-PERIOD = 1 / 30  # s, between two images
+FRAME_PERIOD = 1 / 30  # s, between two images
 _PICTURE = (320, 240)  # px, (width, height) of camera images on the page
 
 
@@ -54,8 +54,8 @@ def _with_cameras(blueprint: Blueprint, quality: RenderConfig | None) -> Bluepri
 
 def task_viewpoint(config: RecordConfig) -> Viewpoint:
     """Return a view towards a point between the arm and the middle of the table."""
-    x, y, _ = config.table.position
-    return workspace_viewpoint(x - 0.15, y, config.table.top + 0.1, config.rig.span)
+    x, y, _ = config.widened_table.position
+    return workspace_viewpoint(x - 0.15, y, config.widened_table.top_height + 0.1, config.rig.arm_span)
 
 
 class LivePictures:
@@ -122,7 +122,7 @@ def show_scene(
     if address is None:
         from ..mujoco_window import run_window
 
-        run_window(scene, viewpoint, PERIOD, lambda: ready(None), stopped)
+        run_window(scene, viewpoint, FRAME_PERIOD, lambda: ready(None), stopped)
         return
     require_viser()
     page = open_page(address)
@@ -131,9 +131,9 @@ def show_scene(
             ready(page.url)
         while not stopped():
             began = time.monotonic()
-            scene.advance(began)
+            scene.advance_to(began)
             page.update()
-            time.sleep(max(0.0, began + PERIOD - time.monotonic()))
+            time.sleep(max(0.0, began + FRAME_PERIOD - time.monotonic()))
     finally:
         page.close()
 

@@ -15,11 +15,11 @@ from yamsim_cli.core.closable import Closable
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.session import Session
 from yamsim_cli.core.dataset.records import AttemptRecord, attempt_record, episode_record
-from yamsim_cli.core.dataset.writing.staged_writer import Sink
+from yamsim_cli.core.dataset.writing.staged_writer import EpisodeWriter
 from yamsim_cli.core.episode.attempt_payload import build_payload, payload_without_files
 from yamsim_cli.core.episode.execution import SimulatedAttempt, with_distractors
 from yamsim_cli.core.episode.runner import check_meshes
-from yamsim_cli.core.episode.simulator import Simulators
+from yamsim_cli.core.episode.simulator import SimulatorCache
 from yamsim_cli.core.workers.executors import Executor
 from yamsim_cli.core.workers.process_pool import ProcessPool
 
@@ -39,7 +39,7 @@ class TeleopAttemptRenderer(Closable):
         self._render = render
         if render:
             check_meshes(session)
-        self._simulators = Simulators(session)
+        self._simulators = SimulatorCache(session)
         # Compile the scene now, since its files may be gone when the first attempt arrives.
         self._simulators.get(AttemptJob(session.config.seed, 0))
 
@@ -47,7 +47,7 @@ class TeleopAttemptRenderer(Closable):
         """Return an attempt's record and, on success, its rendered files."""
         simulator, done = self._simulators.get(simulated.attempt.job), simulated
         if done.outcome.success:
-            done = replace(done, attempt=with_distractors(simulator, done.attempt, done.states))
+            done = replace(done, attempt=with_distractors(simulator, done.attempt, done.recorded_states))
         return build_payload(simulator, done) if self._render else payload_without_files(done)
 
     def close(self) -> None:
@@ -87,7 +87,7 @@ class AttemptWriter(Closable):
     def __init__(
         self,
         config: RecordConfig,
-        sink: Sink,
+        sink: EpisodeWriter,
         executor: TeleopExecutor,
         written: Callable[[int], None] = lambda attempt: None,
     ) -> None:
@@ -101,7 +101,7 @@ class AttemptWriter(Closable):
         self.episodes = sink.episodes
 
     @property
-    def waiting(self) -> int:
+    def waiting_count(self) -> int:
         """Submitted attempts that `next_written` has not returned yet."""
         return len(self._futures)
 
@@ -113,7 +113,7 @@ class AttemptWriter(Closable):
     def submit(self, simulated: SimulatedAttempt) -> None:
         """Queue an attempt for rendering and writing."""
         self._submitted += 1
-        self._futures.append(self._thread.submit(self._process, simulated))
+        self._futures.append(self._thread.submit(self._render_and_write, simulated))
 
     def next_written(self, timeout: float = 0.0) -> AttemptRecord | None:
         """Return the record of the next written attempt, waiting up to `timeout` s; None if none was written.
@@ -131,19 +131,19 @@ class AttemptWriter(Closable):
         self.episodes += attempt.episode is not None
         return attempt
 
-    def _process(self, simulated: SimulatedAttempt) -> AttemptRecord | None:
+    def _render_and_write(self, simulated: SimulatedAttempt) -> AttemptRecord | None:
         try:
             if self._ended.is_set():
                 return None
             self._executor.submit(simulated)
-            payload = self._payload()
-            return None if payload is None else self._write(payload)
+            payload = self._wait_for_payload()
+            return None if payload is None else self._write_attempt(payload)
         except BaseException:
             # Later attempts would leave a gap in the ledger.
             self._ended.set()
             raise
 
-    def _payload(self) -> AttemptPayload | None:
+    def _wait_for_payload(self) -> AttemptPayload | None:
         while not self._ended.is_set():
             try:
                 return self._executor.result(_POLL_SECONDS)[1]
@@ -151,13 +151,13 @@ class AttemptWriter(Closable):
                 continue
         return None
 
-    def _write(self, payload: AttemptPayload) -> AttemptRecord:
+    def _write_attempt(self, payload: AttemptPayload) -> AttemptRecord:
         number = self._sink.episodes if payload.outcome.success else None
         if number is not None:
             record = episode_record(self._config, payload, number).model_copy(update={"source": SOURCE})
-            self._sink.publish(record, dict(payload.files))
+            self._sink.publish_episode(record, dict(payload.files))
         attempt = attempt_record(payload, number)
-        self._sink.log(attempt)
+        self._sink.log_attempt(attempt)
         self._written(attempt.attempt)
         return attempt
 

@@ -17,7 +17,7 @@ from yamsim_cli.core.robots.joint_limits import describe_limit_violation
 
 from .teleop_scene import TeleopScene
 
-Row = tuple[FiniteFloat, FiniteFloat, FiniteFloat, Place]
+ArmRow = tuple[FiniteFloat, FiniteFloat, FiniteFloat, Place]
 
 _LIMIT_TOLERANCE = math.radians(30)  # rad, by which a leader arm may exceed the follower's joint limits
 _OPENING = QuantityBounds("m", -0.02, 0.1)  # drives report values slightly outside the valid range
@@ -49,7 +49,7 @@ class TeleopCommand(Config):
     t: Annotated[FiniteFloat, QuantityBounds("s", 0, 86400)]
     arm: Side | None = None
     joints: tuple[FiniteFloat, ...] | None = None
-    ee: tuple[Row, Row, Row, Row] | PoseTarget | None = None
+    ee: tuple[ArmRow, ArmRow, ArmRow, ArmRow] | PoseTarget | None = None
     gripper: Annotated[FiniteFloat, QuantityBounds("m", 0, 0.1)] | None = None
     magnet: bool | None = None
     event: Literal["start", "stop", "discard"] | None = None
@@ -83,12 +83,12 @@ def read_stream(file: Path, config: RecordConfig) -> list[TeleopCommand]:
         reason = error.strerror if isinstance(error, OSError) else "it is not UTF-8"
         raise ConfigError(f"--input {file} cannot be read: {reason}") from error
     commands: list[TeleopCommand] = []
-    arms = _Arms(config)
+    arms = _CommandChecker(config)
     for number, line in enumerate(lines, start=1):
         if not line.strip():
             continue
-        command = _read(line, f"{file}:{number}")
-        arms.check(command, f"{file}:{number}")
+        command = _parse_command(line, f"{file}:{number}")
+        arms.check_command(command, f"{file}:{number}")
         if commands and command.t < commands[-1].t:
             raise ConfigError(f"{file}:{number}: t {command.t:g} is before {commands[-1].t:g} of the line above")
         commands.append(command)
@@ -97,7 +97,7 @@ def read_stream(file: Path, config: RecordConfig) -> list[TeleopCommand]:
     return commands
 
 
-def _read(line: str, where: str) -> TeleopCommand:
+def _parse_command(line: str, where: str) -> TeleopCommand:
     try:
         return TeleopCommand.model_validate_json(line)
     except ValidationError as error:
@@ -108,15 +108,15 @@ def _read(line: str, where: str) -> TeleopCommand:
         raise ConfigError(f"{where}: {key + ': ' if key else ''}{message}") from error
 
 
-class _Arms:
+class _CommandChecker:
     def __init__(self, config: RecordConfig) -> None:
         rig = config.rig
         self._arms = {rig.arms[k].side: rig.arms[k] for k in rig.recording_order}
-        self._all = len(rig.arms) * rig.drives
-        self._driven: Side = config.acting_arms[0].side
+        self._all_drives = len(rig.arms) * rig.drive_count
+        self._commanded_side: Side = config.acting_arms[0].side
         self._task, self._grasp = config.task.name, config.grasp
 
-    def check(self, command: TeleopCommand, where: str) -> None:
+    def check_command(self, command: TeleopCommand, where: str) -> None:
         """Raise ConfigError if the arm, the weld or the joints are not valid."""
         if self._grasp != "weld" and command.magnet is not None:
             raise ConfigError(
@@ -125,17 +125,17 @@ class _Arms:
             )
         if command.arm is not None and command.arm not in self._arms:
             raise ConfigError(f"{where}: arm: the rig has only a {next(iter(self._arms))} arm; leave it out")
-        self._driven = command.arm or self._driven
+        self._commanded_side = command.arm or self._commanded_side
         if command.joints is None:
             return
         joints = np.array(command.joints)
-        count, dof = len(joints), self._arms[self._driven].robot.dof
-        rows = {self._driven: joints}
-        if len(self._arms) > 1 and count == self._all:
+        count, dof = len(joints), self._arms[self._commanded_side].robot.dof
+        rows = {self._commanded_side: joints}
+        if len(self._arms) > 1 and count == self._all_drives:
             rows = dict(zip(self._arms, joints.reshape(len(self._arms), -1), strict=True))
         elif count != dof:
-            both = f", or {self._all} of both" if len(self._arms) > 1 else ""
-            raise ConfigError(f"{where}: joints: {count} numbers; give {dof} of the {self._driven} arm{both}")
+            both = f", or {self._all_drives} of both" if len(self._arms) > 1 else ""
+            raise ConfigError(f"{where}: joints: {count} numbers; give {dof} of the {self._commanded_side} arm{both}")
         for side, row in rows.items():
             robot = self._arms[side].robot
             if fault := describe_limit_violation(self._arms[side].name, robot, row, _LIMIT_TOLERANCE):
@@ -155,20 +155,22 @@ class StreamPlayer:
         self._next = 0
 
     @property
-    def done(self) -> bool:
+    def is_done(self) -> bool:
         """Whether all commands were applied."""
         return self._next == len(self._commands)
 
-    def act(self, scene: TeleopScene, now: float) -> None:
+    def apply_due_commands(self, scene: TeleopScene, now: float) -> None:
         """Apply the commands due at `now`, s since the beginning of the stream."""
         # The tolerance covers rounding errors of `now`, which is a multiple of the tick.
-        while not self.done and self._commands[self._next].t <= now + 1e-9:
-            self._apply(scene, self._commands[self._next])
+        while not self.is_done and self._commands[self._next].t <= now + 1e-9:
+            self._apply_command(scene, self._commands[self._next])
             self._next += 1
 
-    def _apply(self, scene: TeleopScene, command: TeleopCommand) -> None:
+    def _apply_command(self, scene: TeleopScene, command: TeleopCommand) -> None:
         if command.event is not None:
-            {"start": scene.start, "stop": scene.stop, "discard": scene.discard}[command.event]()
+            {"start": scene.start_recording, "stop": scene.stop_recording, "discard": scene.discard_recording}[
+                command.event
+            ]()
         if command.arm is not None:
             scene.select_arm(command.arm)
         if command.joints is not None:

@@ -12,7 +12,7 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from yamsim_cli.core.attempt_data import Attempt, AttemptJob
-from yamsim_cli.core.dataset.dataset_paths import RECORDINGS
+from yamsim_cli.core.dataset.dataset_paths import RECORDINGS_FOLDER
 from yamsim_cli.core.geometry.se3 import Array
 
 _STOP = "stop"
@@ -56,74 +56,74 @@ class RecordingJournal:
     """
 
     def __init__(self, dataset: Path) -> None:
-        self._folder = dataset / RECORDINGS
+        self._folder = dataset / RECORDINGS_FOLDER
         self._file: BinaryIO | None = None
         self._attempt = -1
 
-    def begin(self, attempt: Attempt) -> None:
+    def open_recording(self, attempt: Attempt) -> None:
         """Open the file of a recording. Raise OSError if it cannot be written."""
-        self.end()
+        self.close_recording()
         self._folder.mkdir(exist_ok=True)
         assert attempt.start is not None, "a driven attempt has a start"
         self._attempt = attempt.job.attempt
         # Unbuffered, since a crash of this process would lose a buffer.
-        self._file = self._place(self._attempt).open("wb", buffering=0)
-        self._write(
+        self._file = self._recording_file(self._attempt).open("wb", buffering=0)
+        self._write_line(
             {
                 "seed": attempt.job.seed,
                 "attempt": attempt.job.attempt,
-                "layout": {name: list(place) for name, place in attempt.places.items()},
+                "layout": {name: list(place) for name, place in attempt.object_places.items()},
                 "start": attempt.start.tolist(),
             }
         )
 
-    def add(self, tick: CommandTick) -> None:
+    def add_tick(self, tick: CommandTick) -> None:
         """Write a tick, if a recording is open."""
         if self._file is not None:
             ctrl, reference = tick.ctrl.ravel().tolist(), tick.reference.ravel().tolist()
-            self._write({"ctrl": ctrl, "magnet": list(tick.magnet), "asked": reference})
+            self._write_line({"ctrl": ctrl, "magnet": list(tick.magnet), "asked": reference})
 
-    def stop(self) -> None:
+    def mark_stop(self) -> None:
         """Mark that the user stopped the recording. In the ticks that follow, the scene comes to rest."""
-        self._write({"event": _STOP})
+        self._write_line({"event": _STOP})
 
-    def end(self) -> None:
+    def close_recording(self) -> None:
         """Close the file, which stays on the disk."""
         if self._file is not None:
             self._file.close()
             self._file = None
 
-    def discard(self) -> None:
+    def discard_recording(self) -> None:
         """Close the file and remove it."""
-        self.end()
-        self.delete(self._attempt)
+        self.close_recording()
+        self.delete_recording(self._attempt)
 
-    def delete(self, attempt: int) -> None:
+    def delete_recording(self, attempt: int) -> None:
         """Remove the file of an attempt."""
-        self._place(attempt).unlink(missing_ok=True)
+        self._recording_file(attempt).unlink(missing_ok=True)
         with contextlib.suppress(OSError):
             self._folder.rmdir()
 
-    def unfinished(self) -> list[UnfinishedRecording]:
+    def unfinished_recordings(self) -> list[UnfinishedRecording]:
         """Return the recordings of killed sessions, and remove files without a complete first line."""
         found = []
         for path in sorted(self._folder.glob("*.jsonl")):
-            recording = _read(path)
+            recording = _read_recording(path)
             if recording is None:
                 path.unlink()
             else:
                 found.append(recording)
         return found
 
-    def _place(self, attempt: int) -> Path:
+    def _recording_file(self, attempt: int) -> Path:
         return self._folder / f"{attempt:06d}.jsonl"
 
-    def _write(self, line: Mapping[str, Any]) -> None:
+    def _write_line(self, line: Mapping[str, Any]) -> None:
         assert self._file is not None, "begin comes first"
         self._file.write(json.dumps(line, separators=(",", ":")).encode() + b"\n")
 
 
-def _read(path: Path) -> UnfinishedRecording | None:
+def _read_recording(path: Path) -> UnfinishedRecording | None:
     """Read up to the last complete line; None if the first line is not valid."""
     lines: list[dict[str, Any]] = []
     for line in path.read_bytes().split(b"\n"):
@@ -134,14 +134,14 @@ def _read(path: Path) -> UnfinishedRecording | None:
             break
     try:
         job, start = AttemptJob(int(lines[0]["seed"]), int(lines[0]["attempt"])), np.array(lines[0]["start"], float)
-        ticks = tuple(_tick(line) for line in lines[1:] if "ctrl" in line)
+        ticks = tuple(_parse_tick(line) for line in lines[1:] if "ctrl" in line)
     except (IndexError, KeyError, TypeError, ValueError):
         return None
     stops = [k for k, line in enumerate(lines[1:]) if line.get("event") == _STOP]
     return UnfinishedRecording(path, job, start, ticks, stops[0] if stops else None)
 
 
-def _tick(line: Mapping[str, Any]) -> CommandTick:
+def _parse_tick(line: Mapping[str, Any]) -> CommandTick:
     magnet = tuple(bool(on) for on in line["magnet"])
     ctrl, reference = (np.array(line[key], float).reshape(len(magnet), -1) for key in ("ctrl", "asked"))
     return CommandTick(ctrl, magnet, reference)

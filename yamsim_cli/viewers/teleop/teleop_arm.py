@@ -7,7 +7,7 @@ from yamsim_cli.core.attempt_data import ArmPosture
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.expert.planning.ik import IkSolver
 from yamsim_cli.core.expert.planning.joint_tracker import JointTracker
-from yamsim_cli.core.geometry.se3 import Array, inverse, pose
+from yamsim_cli.core.geometry.se3 import Array, invert_pose, pose
 from yamsim_cli.core.scene.arm_model import kinematic_model
 from yamsim_cli.core.scene.compiled import CompiledScene
 from yamsim_cli.core.sim.placement import ArmCollisionCheck
@@ -36,7 +36,7 @@ class TeleopArm:
         self.max_opening = self._arm.fingers.full_opening if self._arm.fingers else 0.0
         self._closed = min(_opening_around_object(config), self.max_opening)
         self._ik = IkSolver(kinematic_model(arm), self._arm.T_base_in_world)
-        self._tracker = JointTracker(self._arm.motor_speed, self._arm.joint_range, config.task.timing.tick)
+        self._tracker = JointTracker(self._arm.motor_speed, self._arm.joint_range, config.task.timing.tick_seconds)
         self._collision_check = ArmCollisionCheck(scene, number)
         self._T_pinch_in_grasp = _fixed_pose(
             scene.model, f"{self._arm.prefix}pinch_site", f"{self._arm.prefix}grasp_site"
@@ -46,14 +46,14 @@ class TeleopArm:
         """Set the reference (the joints at which the commands aim) to a posture."""
         self._tracker.reset(posture.joints)
         self._joint_target: Array | None = None
-        self._target = self._ik.pose_of(posture.joints)
+        self._target = self._ik.forward_kinematics(posture.joints)
         self.opening, self.magnet = posture.opening, False
         # An arm that starts with closed fingers keeps them closed until its first command.
         self._was_commanded = self.opening > 0.0
         self.target_distance, self.obstacle = 0.0, ""
 
     @property
-    def target(self) -> Array:
+    def target_pose(self) -> Array:
         """Target pose (4, 4) of the pinch frame in `world`."""
         return self._target.copy()
 
@@ -63,7 +63,7 @@ class TeleopArm:
         return self.opening > self._closed
 
     @property
-    def reference(self) -> Array:
+    def command_reference(self) -> Array:
         """Present reference (drives,): joints, rad, and, if the arm has fingers, opening, m."""
         return self._with_opening(self._tracker.joints)
 
@@ -87,7 +87,7 @@ class TeleopArm:
     def set_joint_target(self, joints: Array) -> None:
         """Set the target joints (dof,), rad, clipped to the joint limits."""
         reachable: Array = np.clip(joints, *self._arm.joint_range.T)
-        self._was_commanded, self._joint_target, self._target = True, reachable, self._ik.pose_of(reachable)
+        self._was_commanded, self._joint_target, self._target = True, reachable, self._ik.forward_kinematics(reachable)
 
     def set_gripper(self, opening: float) -> None:
         """Set the opening of each finger, m, clipped to its range."""
@@ -121,7 +121,7 @@ class TeleopArm:
         return self._with_opening(command)
 
     def posture_of(self, reference: Array) -> ArmPosture:
-        """Convert a value of `reference` (drives,) to a posture."""
+        """Convert a value of `command_reference` (drives,) to a posture."""
         return ArmPosture(reference[: self._arm.dof], float(reference[-1]) if self._arm.fingers else 0.0)
 
     def _with_opening(self, joints: Array) -> Array:
@@ -130,17 +130,17 @@ class TeleopArm:
     def _step_reference(self, qpos: Array) -> Array:
         """Move the reference a tick towards the target, unless blocked. Return its velocity (dof,), rad/s."""
         tracker = self._tracker
-        after = tracker.next_reference(self._goal())
-        depth, name = self._collision_check.depth(qpos, after)
+        after = tracker.next_reference(self._solve_goal_joints())
+        depth, name = self._collision_check.deepest_penetration(qpos, after)
         # A motion that reduces the penetration is allowed.
-        if depth and depth >= self._collision_check.depth(qpos, tracker.joints)[0]:
+        if depth and depth >= self._collision_check.deepest_penetration(qpos, tracker.joints)[0]:
             self.obstacle = name
             tracker.halt()
             return np.zeros(self._arm.dof)
         self.obstacle = ""
         return tracker.apply_reference(after)
 
-    def _goal(self) -> Array:
+    def _solve_goal_joints(self) -> Array:
         """Return the target joints (dof,), rad, and update `target_distance`."""
         if self._joint_target is not None:
             self.target_distance = 0.0
@@ -150,10 +150,10 @@ class TeleopArm:
         return solution.joints
 
     def _above_table(self, T: Array) -> Array:
-        table, lifted = self._config.table, T.copy()
+        table, lifted = self._config.widened_table, T.copy()
         x, y, _ = np.abs(T[:3, 3] - table.position)
         if x < table.half_size[0] and y < table.half_size[1]:
-            lifted[2, 3] = max(lifted[2, 3], table.top + _CLEARANCE)
+            lifted[2, 3] = max(lifted[2, 3], table.top_height + _CLEARANCE)
         return lifted
 
 
@@ -168,8 +168,8 @@ def _opening_around_object(config: RecordConfig) -> float:
 
 
 def _fixed_pose(model: mujoco.MjModel, site: str, reference: str) -> Array:
-    """Return the pose (4, 4) of a site in the frame of the site `reference` on the same body."""
+    """Return the pose (4, 4) of a site in the frame of the site `command_reference` on the same body."""
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     T, T_reference = (pose(data.site(name).xpos, data.site(name).xmat.reshape(3, 3)) for name in (site, reference))
-    return inverse(T_reference) @ T
+    return invert_pose(T_reference) @ T

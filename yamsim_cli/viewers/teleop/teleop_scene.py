@@ -14,7 +14,7 @@ from yamsim_cli.core.episode.episode_rules import EndRule, EpisodeRules
 from yamsim_cli.core.episode.execution import SimulatedAttempt, build_outcome
 from yamsim_cli.core.episode.expert import arm_sides
 from yamsim_cli.core.episode.sampling import describe_missing_start, sample_attempt
-from yamsim_cli.core.episode.simulator import Simulator, Simulators, open_episode
+from yamsim_cli.core.episode.simulator import Simulator, SimulatorCache, open_episode
 from yamsim_cli.core.errors import SimulationError
 from yamsim_cli.core.expert.planning.arm_solvers import start_postures
 from yamsim_cli.core.geometry.se3 import Array
@@ -36,14 +36,14 @@ class TeleopAttemptScene:
 
     def __init__(self, session: Session) -> None:
         self._config = session.config
-        self._simulators = Simulators(session)
+        self._simulators = SimulatorCache(session)
         self._simulator: Simulator | None = None
         self.sides = arm_sides(session.config)
         self.postures = start_postures(session.config)
 
-    def begin(self, job: AttemptJob) -> Attempt:
+    def begin_attempt(self, job: AttemptJob) -> Attempt:
         """Sample the attempt of a job, which becomes the present attempt."""
-        attempt = self.sample(job)
+        attempt = self.sample_attempt(job)
         if attempt.start is None:
             assert self._simulator is not None, "begin comes first"
             raise SimulationError(
@@ -51,8 +51,8 @@ class TeleopAttemptScene:
             )
         return attempt
 
-    def sample(self, job: AttemptJob, start: Array | None = None) -> Attempt:
-        """Sample the attempt of a job, which may lack a start unless `start` (nq,) is given."""
+    def sample_attempt(self, job: AttemptJob, start: Array | None = None) -> Attempt:
+        """Sample the attempt of a job, which may lack a start unless `start_recording` (nq,) is given."""
         simulator = self._simulators.get(job)
         if simulator is not self._simulator:
             self._simulator, self.scene = simulator, simulator.scene
@@ -67,10 +67,10 @@ class TeleopAttemptScene:
             arm.reset(posture)
         return open_episode(self._simulator, attempt, rules)
 
-    def result(self, attempt: Attempt, episode: Episode) -> SimulatedAttempt:
+    def finish_attempt(self, attempt: Attempt, episode: Episode) -> SimulatedAttempt:
         """Finish the episode, and return the attempt with its result."""
         assert self._simulator is not None, "begin comes first"
-        played = episode.finish()
+        played = episode.end_episode()
         return SimulatedAttempt(attempt, build_outcome(self._simulator, played), played)
 
 
@@ -105,7 +105,7 @@ class TeleopScene(TeleopInterface):
         super().__init__()
         self.config = config = session.config
         self._receiver, self._journal = receiver, journal
-        self._max_ticks = max(1, round(time_limit / config.task.timing.tick))
+        self._max_ticks = max(1, round(time_limit / config.task.timing.tick_seconds))
         self._rules = EpisodeRules(end)
         self._has_welds = config.grasp == "weld"
         self.title = f"{config.task.name} teleop"
@@ -118,13 +118,13 @@ class TeleopScene(TeleopInterface):
         self.discarded = 0
         self._ticks = 0
         # Remaining ticks until a stopped recording is submitted.
-        self._settling: int = 0
-        self._begin()
+        self._settling_ticks_left: int = 0
+        self._begin_attempt()
 
     @property
     def tick_seconds(self) -> float:
         """Duration of a control tick, s."""
-        return self.config.task.timing.tick
+        return self.config.task.timing.tick_seconds
 
     @property
     def dof(self) -> int:
@@ -132,29 +132,29 @@ class TeleopScene(TeleopInterface):
         return self.attempt_scene.scene.arms[0].dof
 
     @property
-    def time(self) -> float:
+    def simulated_seconds(self) -> float:
         """Simulated time since the session began, over all recordings, s."""
         return self._ticks * self.tick_seconds
 
     @property
-    def recording(self) -> bool:
+    def is_recording(self) -> bool:
         """Whether an attempt is being recorded, including the ticks after a stop."""
         return self._recording
 
     @property
-    def target(self) -> Array:
+    def target_pose(self) -> Array:
         """Target pose (4, 4) of the pinch frame in `world`."""
-        return self._arm.target
+        return self._selected_arm.target_pose
 
     @property
     def status(self) -> TeleopStatus:
         """State of the session, for display."""
         with self.lock:
-            arm = self._arm
+            arm = self._selected_arm
             return TeleopStatus(
                 arm=arm.side if len(self.sides) > 1 else "",
                 recording=self._recording,
-                seconds=self._episode.seconds,
+                seconds=self._episode.simulated_seconds,
                 episodes=self.episodes,
                 failures=self.failures,
                 waiting=self.waiting,
@@ -166,7 +166,7 @@ class TeleopScene(TeleopInterface):
                 is_weld_holding=self._episode.welds_active[self.active_arm],
                 message=self.message,
                 prompt=self._attempt.phrasing,
-                goal=self._episode.status,
+                goal=self._episode.goal_status,
             )
 
     def switch_arm(self) -> None:
@@ -181,20 +181,20 @@ class TeleopScene(TeleopInterface):
 
     def set_target_pose(self, T_pinch_in_world: Array) -> None:
         """Set the target pose (4, 4) of the pinch frame in `world`. A target inside the table is lifted above it."""
-        self._command(lambda arm: arm.set_target_pose(T_pinch_in_world))
+        self._command_arm(lambda arm: arm.set_target_pose(T_pinch_in_world))
 
     def set_grasp_target(self, T_grasp_in_base: Array) -> None:
         """Set the target pose (4, 4) of `grasp_site` in the base of the left or only arm."""
-        self._command(lambda arm: arm.set_grasp_target(self.attempt_scene.scene.T_base_in_world @ T_grasp_in_base))
+        self._command_arm(lambda arm: arm.set_grasp_target(self.attempt_scene.scene.T_base_in_world @ T_grasp_in_base))
 
     def set_joint_target(self, joints: Array) -> None:
         """Set the target joints (dof,), rad, clipped to the joint limits."""
-        self._command(lambda arm: arm.set_joint_target(joints))
+        self._command_arm(lambda arm: arm.set_joint_target(joints))
 
     def set_all_joint_targets(self, joints: Array) -> None:
         """Set target joints and openings (arms, drives), rad and m."""
         with self.lock:
-            if not self._settling:
+            if not self._settling_ticks_left:
                 for arm, row in zip(self._arms, joints, strict=True):
                     posture = arm.posture_of(row)
                     arm.set_joint_target(posture.joints)
@@ -202,47 +202,47 @@ class TeleopScene(TeleopInterface):
 
     def set_gripper(self, opening: float) -> None:
         """Set the opening of each finger, m, clipped to its range."""
-        self._command(lambda arm: arm.set_gripper(opening))
+        self._command_arm(lambda arm: arm.set_gripper(opening))
 
     def toggle_gripper(self) -> None:
         """Open the gripper fully, or close it. With welds, it closes to the opening around the object."""
-        self._command(lambda arm: arm.toggle_gripper())
+        self._command_arm(lambda arm: arm.toggle_gripper())
 
     def set_weld(self, on: bool) -> None:
         """Switch the weld, which holds an object near the hand, on or off."""
-        self._command(lambda arm: arm.set_weld(on))
+        self._command_arm(lambda arm: arm.set_weld(on))
 
-    def _command(self, command: Callable[[TeleopArm], None]) -> None:
+    def _command_arm(self, command: Callable[[TeleopArm], None]) -> None:
         with self.lock:
-            if not self._settling:
-                command(self._arm)
+            if not self._settling_ticks_left:
+                command(self._selected_arm)
 
-    def start(self) -> None:
+    def start_recording(self) -> None:
         """Reset the scene to the start of the attempt, and record."""
         with self.lock:
             self.settle()
-            self._begin(recording=True)
+            self._begin_attempt(recording=True)
             if self._journal:
-                self._journal.begin(self._attempt)
+                self._journal.open_recording(self._attempt)
             self.message = "recording"
 
-    def stop(self) -> None:
+    def stop_recording(self) -> None:
         """End the recording, and release objects that welds hold. The attempt is submitted after settling and hold
         time.
         """
         with self.lock:
-            if not self._recording or self._settling:
+            if not self._recording or self._settling_ticks_left:
                 self.message = "nothing was being recorded"
                 return
-            self._end()
+            self._end_recording()
 
-    def _end(self) -> None:
+    def _end_recording(self) -> None:
         self._halt_arms()
         if self._journal:
-            self._journal.stop()
-        self._settling = self._ticks_after_stop
+            self._journal.mark_stop()
+        self._settling_ticks_left = self._ticks_after_stop
         self.message = f"{'letting go, and ' if self._has_welds else ''}waiting until all is at rest"
-        if not self._settling:
+        if not self._settling_ticks_left:
             self._finish_recording()
 
     def _halt_arms(self) -> None:
@@ -267,7 +267,7 @@ class TeleopScene(TeleopInterface):
     def submit_unfinished(self, left: UnfinishedRecording) -> None:
         """Submit the recording of a killed session, after simulating the ticks that miss after its stop."""
         with self.lock:
-            self._set_attempt(self.attempt_scene.sample(left.job, left.start), self._rules)
+            self._set_attempt(self.attempt_scene.sample_attempt(left.job, left.start), self._rules)
             for tick in left.ticks:
                 self._episode.step(tick.ctrl, tick.magnet, tick.reference)
             for k, arm in enumerate(self._arms):
@@ -279,26 +279,26 @@ class TeleopScene(TeleopInterface):
             self._halt_arms()
             since = 0 if left.stopped is None else len(left.ticks) - left.stopped
             for _ in range(max(0, self._ticks_after_stop - since)):
-                self._act()
+                self._step_physics()
             self._submit_recording()
 
     def settle(self) -> None:
         """Simulate all remaining ticks after a stop."""
         with self.lock:
-            while self._settling:
-                self._tick()
+            while self._settling_ticks_left:
+                self._simulate_tick()
 
     def _finish_recording(self) -> None:
         if self._journal:
-            self._journal.end()
+            self._journal.close_recording()
         self._submit_recording()
 
     def _submit_recording(self) -> None:
-        self._receiver.submit(self.attempt_scene.result(self._attempt, self._episode))
+        self._receiver.submit(self.attempt_scene.finish_attempt(self._attempt, self._episode))
         self.message = f"attempt {self._attempt.job.attempt} is being rendered"
-        self._begin()
+        self._begin_attempt()
 
-    def discard(self) -> None:
+    def discard_recording(self) -> None:
         """End and delete the recording. The next attempt has the same layout."""
         with self.lock:
             if not self._recording:
@@ -306,31 +306,31 @@ class TeleopScene(TeleopInterface):
                 return
             self.discarded += 1
             if self._journal:
-                self._journal.discard()
+                self._journal.discard_recording()
             self.message = "discarded"
-            self._begin()
+            self._begin_attempt()
 
     def reset(self) -> None:
         """Reset the scene to the start of the attempt. Discard a present recording."""
         with self.lock:
             if self._recording:
-                self.discard()
+                self.discard_recording()
             else:
-                self._begin()
+                self._begin_attempt()
 
-    def tick(self) -> None:
+    def advance_tick(self) -> None:
         """Simulate a control tick, unless paused."""
         with self.lock:
             if not self.paused:
-                self._tick()
+                self._simulate_tick()
 
-    def advance(self, now: float) -> None:
+    def advance_to(self, now: float) -> None:
         """Simulate a control tick, unless paused: the caller paces the ticks."""
-        self.tick()
+        self.advance_tick()
 
-    def _begin(self, *, recording: bool = False) -> None:
+    def _begin_attempt(self, *, recording: bool = False) -> None:
         """Reset the scene to the start of the next attempt. End rule and time limit apply to recordings only."""
-        attempt = self.attempt_scene.begin(AttemptJob(self.config.seed, self._receiver.next_attempt))
+        attempt = self.attempt_scene.begin_attempt(AttemptJob(self.config.seed, self._receiver.next_attempt))
         self._set_attempt(attempt, self._rules if recording else EpisodeRules())
         self._recording = recording
 
@@ -338,38 +338,38 @@ class TeleopScene(TeleopInterface):
         self._attempt = attempt
         self._episode = self.attempt_scene.set_up(attempt, rules)
         self.model, self.data = self.attempt_scene.scene.model, self._episode.data
-        self._recording, self._settling = False, 0
+        self._recording, self._settling_ticks_left = False, 0
 
     @property
     def _arms(self) -> tuple[TeleopArm, ...]:
         return self.attempt_scene.arms
 
     @property
-    def _arm(self) -> TeleopArm:
+    def _selected_arm(self) -> TeleopArm:
         return self._arms[self.active_arm]
 
-    def _act(self) -> None:
+    def _step_physics(self) -> None:
         ctrl = np.array([arm.step(self.data.qpos) for arm in self._arms])
         magnet = tuple(arm.magnet for arm in self._arms)
-        reference = np.array([arm.reference for arm in self._arms])
+        reference = np.array([arm.command_reference for arm in self._arms])
         self._episode.step(ctrl, magnet, reference)
         if self._recording and self._journal:
-            self._journal.add(CommandTick(ctrl, magnet, reference))
+            self._journal.add_tick(CommandTick(ctrl, magnet, reference))
 
-    def _tick(self) -> None:
-        self._act()
+    def _simulate_tick(self) -> None:
+        self._step_physics()
         for arm, holds in zip(self._arms, self._episode.welds_active, strict=True):
             if arm.magnet and not holds:
                 arm.magnet = False
                 if self._has_welds:
                     self.message = "the magnet found nothing within its reach"
         self._ticks += 1
-        if self._settling:
-            self._settling -= 1
-            if not self._settling:
+        if self._settling_ticks_left:
+            self._settling_ticks_left -= 1
+            if not self._settling_ticks_left:
                 self._finish_recording()
         elif self._recording and self._episode.end is not None:
             self._finish_recording()
         elif self._recording and self._episode.ticks >= self._max_ticks:
-            self._end()
+            self._end_recording()
             self.message = f"stopped after {self._max_ticks * self.tick_seconds:.0f} s, the longest that is recorded"

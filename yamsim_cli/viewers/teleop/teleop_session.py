@@ -107,11 +107,11 @@ class TeleopSession:
     attempts: AttemptWriter
     dataset: DatasetWriter
 
-    def update(self, timeout: float = 0.0) -> None:
+    def update_scene_status(self, timeout: float = 0.0) -> None:
         """Update the scene's counts and message from the next attempt that is written within `timeout` s."""
         scene, attempts = self.scene, self.attempts
         attempt = attempts.next_written(timeout)
-        scene.episodes, scene.waiting = attempts.episodes, attempts.waiting
+        scene.episodes, scene.waiting = attempts.episodes, attempts.waiting_count
         if attempt is not None:
             scene.failures += attempt.episode is None
             end = f"failed: {attempt.outcome.detail}" if attempt.episode is None else episode_name(attempt.episode)
@@ -119,10 +119,10 @@ class TeleopSession:
 
     def finish(self, jitter: Jitter | None) -> TeleopReport:
         """Wait until all attempts are written, and return the report."""
-        while self.attempts.waiting:
-            self.update(_POLL_SECONDS)
+        while self.attempts.waiting_count:
+            self.update_scene_status(_POLL_SECONDS)
         data, trials = self.dataset, tuple(self.attempts.trials)
-        data.finish()
+        data.write_manifest()
         return TeleopReport(data.path, data.episodes, len(data.attempts), self.scene.discarded, trials, jitter)
 
 
@@ -156,14 +156,16 @@ def open_teleop(
             warn(repair.removesuffix(", and made again"))
         for number in sorted(writer.lost_lines):
             # A demonstration cannot be repeated, so write a placeholder record to the ledger.
-            writer.log(writer.attempts[number])
-        for lost in writer.missing:
+            writer.log_attempt(writer.attempts[number])
+        for lost in writer.attempts_without_episode:
             warn(f"{episode_name(lost.episode or 0)} is gone, and a demonstration cannot be made again.")
         try:
             journal = RecordingJournal(writer.path)
             with (
                 open_worker(session) as worker,
-                AttemptWriter(config_for_new_episodes(config, writer), writer, worker, journal.delete) as attempts,
+                AttemptWriter(
+                    config_for_new_episodes(config, writer), writer, worker, journal.delete_recording
+                ) as attempts,
             ):
                 scene = TeleopScene(session, attempts, journal, time_limit)
                 _submit_unfinished(scene, attempts, journal, warn)
@@ -175,7 +177,7 @@ def open_teleop(
             ) from error
         except BaseException:
             with contextlib.suppress(OSError):
-                writer.finish()
+                writer.write_manifest()
             raise
 
 
@@ -183,11 +185,11 @@ def _submit_unfinished(
     scene: TeleopScene, attempts: AttemptWriter, journal: RecordingJournal, warn: Callable[[str], None]
 ) -> None:
     """Submit recordings of killed sessions that continue the dataset without a gap."""
-    for left in journal.unfinished():
+    for left in journal.unfinished_recordings():
         attempt = left.job.attempt
         if attempt < attempts.next_attempt or not left.ticks:
             # The attempt is in the dataset already, or has no tick.
-            journal.delete(attempt)
+            journal.delete_recording(attempt)
         elif attempt > attempts.next_attempt:
             warn(f"{left.path} is kept, because attempts before this recording are missing.")
         else:
@@ -208,21 +210,21 @@ def run_stream(
     while not stop.is_requested:
         if clock is not None:
             clock.wait()
-        player.act(scene, scene.time)
-        if player.done:
+        player.apply_due_commands(scene, scene.simulated_seconds)
+        if player.is_done:
             break
-        scene.tick()
-        session.update()
-    if scene.recording and not stop.is_requested:
-        scene.stop()
+        scene.advance_tick()
+        session.update_scene_status()
+    if scene.is_recording and not stop.is_requested:
+        scene.stop_recording()
     _end_recording(scene)
     return session.finish(clock.jitter if clock else None)
 
 
 def _end_recording(scene: TeleopScene) -> None:
     scene.settle()
-    if scene.recording:
-        scene.discard()
+    if scene.is_recording:
+        scene.discard_recording()
 
 
 def run_page(
@@ -241,9 +243,9 @@ def run_page(
             ready(page.url)
         while not stop.is_requested:
             clock.wait()
-            session.scene.tick()
+            session.scene.advance_tick()
             page.update()
-            session.update()
+            session.update_scene_status()
     finally:
         page.close()
     _end_recording(session.scene)

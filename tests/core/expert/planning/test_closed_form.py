@@ -21,9 +21,9 @@ from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.geometry.se3 import Array, pose, rotation_from_vector, rotation_vector
 from yamsim_cli.core.scene.arm_model import kinematic_model
 
-WHERE = Locations.find({})
+WHERE = Locations.from_environment({})
 SHIPPED = ["single" if name == "i2rt_yam" else f"{name}+linear_4310" for name in WHERE.config_names("robots")]
-ANYHOW = Tolerance(1e-3, math.radians(1.0), margin=0.0)
+ANYHOW = Tolerance(1e-3, math.radians(1.0), joint_limit_margin=0.0)
 
 
 def _model(rig: str, where: Locations = WHERE) -> mujoco.MjModel:
@@ -63,7 +63,7 @@ def _require_complete(model: mujoco.MjModel, number: int) -> None:
     solver, forward = _solver(model), Forward(model)
     for joints in np.random.default_rng(7).uniform(*model.jnt_range.T, (number, 6)):
         T = forward(joints)
-        solutions = solver.solutions(T)
+        solutions = solver.all_solutions(T)
         _require_exact(model, solutions, T)
         assert np.abs(solutions - joints).max(axis=1).min() <= 1e-9
 
@@ -84,9 +84,9 @@ def test_many_poses_are_looked_at_together_as_one_by_one(rig: str, margin: float
     poses += [pose(place, rotation_from_vector(turn)) for place, turn in zip(places, turns, strict=True)]
     # At zero, the last axis is parallel to three others: joints 4 and 6 are not determined.
     poses.append(forward(np.clip(np.zeros(6), low, high)))
-    margins = [np.minimum(found - low, high - found).min(axis=1) for found in map(solver.solutions, poses)]
+    margins = [np.minimum(found - low, high - found).min(axis=1) for found in map(solver.all_solutions, poses)]
     reached = np.array([bool((one >= margin).any()) for one in margins])
-    asked = solver.passes_reach_test(np.array(poses), margin)
+    asked = solver.may_be_reachable(np.array(poses), margin)
     assert not (reached & ~asked).any()
     # Rounding, and undetermined joints, may add a pose that is out of reach.
     assert (asked & ~reached).sum() <= 2
@@ -100,9 +100,9 @@ def test_a_pose_out_of_reach_has_no_joints(rig: str) -> None:
     for place in rng.normal(size=(50, 3)):
         R = rotation_from_vector(rng.normal(size=3))
         far, within = 1.5 * place / np.linalg.norm(place), np.array([0.0, 0.0, 0.02])
-        assert solver.solutions(pose(far, R)).shape == (0, 6)
+        assert solver.all_solutions(pose(far, R)).shape == (0, 6)
         # In its own base, where the links are too long to fold, or joints beyond their limits.
-        assert solver.solutions(pose(within, np.diag([1.0, -1.0, -1.0]))).shape == (0, 6)
+        assert solver.all_solutions(pose(within, np.diag([1.0, -1.0, -1.0]))).shape == (0, 6)
 
 
 _CHAIN = """\
@@ -135,7 +135,9 @@ def test_every_whole_turn_in_a_joints_range_counts() -> None:
     model = _chain(_AXES, sixth='range="-9 9"')
     joints = np.array([0.3, 0.4, 1.0, 0.5, 0.7, 0.2])
     last = sorted(
-        solution[5] for solution in _solver(model).solutions(Forward(model)(joints)) if abs(solution[4] - 0.7) < 1e-6
+        solution[5]
+        for solution in _solver(model).all_solutions(Forward(model)(joints))
+        if abs(solution[4] - 0.7) < 1e-6
     )
     for turn in (-math.tau, 0.0, math.tau):
         assert min(abs(angle - 0.2 - turn) for angle in last) < 1e-9
@@ -169,7 +171,10 @@ def test_singular_poses_are_solved(rig: str) -> None:
     model = _model(rig)
     solver = _solver(model)
     low, high = model.jnt_range.T
-    bends = [solver.from_singular(np.array([0.0, 0.0, angle, 0.0, 0.0, 0.0])) for angle in np.linspace(2.5, 3.1, 601)]
+    bends = [
+        solver.distance_from_singularity(np.array([0.0, 0.0, angle, 0.0, 0.0, 0.0]))
+        for angle in np.linspace(2.5, 3.1, 601)
+    ]
     straight = 2.5 + 0.001 * int(np.argmin(bends))
     cases = [
         (0.3, 1.0, straight, 0.2, 0.1, 0.4),
@@ -181,12 +186,12 @@ def test_singular_poses_are_solved(rig: str) -> None:
     ]
     for joints in cases:
         T = Forward(model)(np.clip(joints, low, high))
-        solutions = solver.solutions(T)
+        solutions = solver.all_solutions(T)
         assert len(solutions) > 0
         _require_exact(model, solutions, T)
     # Both at once: few or no samples of the last joint leave the rest of the arm long enough.
     T = Forward(model)((0.3, 1.0, straight, 0.2, math.pi / 2, 0.4))
-    _require_exact(model, solver.solutions(T), T)
+    _require_exact(model, solver.all_solutions(T), T)
 
 
 def test_a_wrist_on_the_first_axis_leaves_that_joint_free() -> None:
@@ -200,7 +205,7 @@ def test_a_wrist_on_the_first_axis_leaves_that_joint_free() -> None:
         # Joint 2 rotates about y, until the wrist is as far behind joint 1 as it was before it.
         joints[1] = math.atan2(z, x) - math.acos(-0.02 / math.hypot(x, z))
         T = Forward(model)(joints)
-        _require_exact(model, solver.solutions(T), T)
+        _require_exact(model, solver.all_solutions(T), T)
 
 
 def test_of_several_solutions_the_nearest_is_taken() -> None:
@@ -208,12 +213,12 @@ def test_of_several_solutions_the_nearest_is_taken() -> None:
     solver, ik = _solver(model), IkSolver(model, np.eye(4))
     several = 0
     for joints in np.random.default_rng(2).uniform(*model.jnt_range.T, (200, 6)):
-        solutions = solver.solutions(Forward(model)(joints))
+        solutions = solver.all_solutions(Forward(model)(joints))
         several += len(solutions) > 1
         for start in solutions:
             near = start + 1e-4
-            np.testing.assert_allclose(ik.solve(ik.pose_of(joints), near, 0).joints, start, atol=1e-6)
-            found = ik.solve_from(ik.pose_of(joints), [near, near + 1.0], ANYHOW)
+            np.testing.assert_allclose(ik.solve(ik.forward_kinematics(joints), near, 0).joints, start, atol=1e-6)
+            found = ik.solve_from(ik.forward_kinematics(joints), [near, near + 1.0], ANYHOW)
             assert found is not None
             np.testing.assert_allclose(found, start, atol=1e-6)
     assert several > 20
@@ -223,9 +228,9 @@ def test_solutions_too_near_to_a_stop_are_not_reached() -> None:
     model = _model("single")
     ik, low = IkSolver(model, np.eye(4)), model.jnt_range[:, 0]
     joints = np.array([0.2, 1.2, 1.0, low[3] + 0.03, 0.1, 0.3])
-    T = ik.pose_of(joints)
-    assert ik.solve_from(T, [joints], Tolerance(1e-3, 0.02, margin=0.05)) is None
-    found = ik.solve_from(T, [joints], Tolerance(1e-3, 0.02, margin=0.02))
+    T = ik.forward_kinematics(joints)
+    assert ik.solve_from(T, [joints], Tolerance(1e-3, 0.02, joint_limit_margin=0.05)) is None
+    found = ik.solve_from(T, [joints], Tolerance(1e-3, 0.02, joint_limit_margin=0.02))
     assert found is not None
     np.testing.assert_allclose(found, joints, atol=1e-9)
 
@@ -236,26 +241,29 @@ def test_a_path_does_not_change_to_another_branch() -> None:
     ik, solver = IkSolver(model, np.eye(4)), _solver(model)
     changes = 0
     for joints in np.random.default_rng(4).uniform(*model.jnt_range.T, (200, 6)):
-        solutions = solver.solutions(Forward(model)(joints))
+        solutions = solver.all_solutions(Forward(model)(joints))
         for start in solutions:
             others = solutions[np.abs(solutions - start).max(axis=1) > 0.5]
             changes += len(others) > 0
             for other in others:
-                assert np.abs(ik.solve_next(ik.pose_of(other), ik.solution_at(start), 8).joints - start).max() < 0.35
+                assert (
+                    np.abs(ik.solve_next(ik.forward_kinematics(other), ik.solution_at(start), 8).joints - start).max()
+                    < 0.35
+                )
     assert changes > 10
 
 
 def test_an_arm_of_five_joints_is_searched(tmp_path: Path) -> None:
     write_robot(tmp_path)
-    model = _model(RIG, Locations.find({"YAMSIM_DATA_DIR": str(tmp_path)}))
+    model = _model(RIG, Locations.from_environment({"YAMSIM_DATA_DIR": str(tmp_path)}))
     assert model.nq == 5
     assert find_analytic_ik(model) is None
     ik = IkSolver(model, np.eye(4))
     joints = np.array([0.3, 0.4, 1.2, 1.0, 0.2])
-    T = ik.pose_of(joints)
+    T = ik.forward_kinematics(joints)
     assert ik.solve(T, joints + 0.1, 100).position_error < 1e-5
     assert ik.solve_next(T, ik.solution_at(joints + 0.1), 100).position_error < 1e-5
     found = ik.solve_from(T, [np.zeros(5), joints + 0.1], ANYHOW)
     assert found is not None
-    np.testing.assert_allclose(ik.pose_of(found), T, atol=2e-3)
+    np.testing.assert_allclose(ik.forward_kinematics(found), T, atol=2e-3)
     assert ik.solve_from(pose((2.0, 0.0, 0.2)), [joints], ANYHOW) is None

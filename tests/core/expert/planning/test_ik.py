@@ -16,7 +16,7 @@ from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.expert.planning.dynamics import ArmDynamics
 from yamsim_cli.core.expert.planning.ik import IkSolver, Tolerance
 from yamsim_cli.core.files.resources import Locations
-from yamsim_cli.core.geometry.se3 import inverse, pose, rotation_z
+from yamsim_cli.core.geometry.se3 import invert_pose, pose, rotation_z
 from yamsim_cli.core.scene.arm_model import arm_spec, kinematic_model
 
 # Source: I2RT YAM as in MuJoCo Menagerie i2rt_yam, ranges in rad.
@@ -34,9 +34,9 @@ def test_solution_is_where_forward_kinematics_says(ik: IkSolver) -> None:
     rng = np.random.default_rng(0)
     for _ in range(20):
         joints = rng.uniform([-1, 1.2, 0.8, -1.2, -0.4, -0.8], [1, 1.9, 1.6, -0.6, 0.4, 0.8])
-        T = ik.pose_of(joints)
+        T = ik.forward_kinematics(joints)
         solution = ik.solve(T, joints + rng.uniform(-0.1, 0.1, 6), 100)
-        np.testing.assert_allclose(ik.pose_of(solution.joints), T, atol=1e-4)
+        np.testing.assert_allclose(ik.forward_kinematics(solution.joints), T, atol=1e-4)
         assert solution.position_error < 1e-5
 
 
@@ -44,9 +44,9 @@ def test_a_held_frame_is_what_is_brought_to_the_target(ik: IkSolver) -> None:
     joints = np.array([0.2, 1.5, 1.2, -1.0, 0.1, 0.3])
     held = pose((0.01, -0.02, 0.03), rotation_z(0.4))
     ik.set_held_frame(np.eye(4))
-    T_pinch = ik.pose_of(joints)
+    T_pinch = ik.forward_kinematics(joints)
     ik.set_held_frame(held)
-    np.testing.assert_allclose(ik.pose_of(joints), T_pinch @ held, atol=1e-12)
+    np.testing.assert_allclose(ik.forward_kinematics(joints), T_pinch @ held, atol=1e-12)
 
 
 def test_targets_are_in_world(config: RecordConfig) -> None:
@@ -54,8 +54,10 @@ def test_targets_are_in_world(config: RecordConfig) -> None:
     moved = IkSolver(kinematic_model(config.rig.arms[0]), T_base)
     at_origin = IkSolver(kinematic_model(config.rig.arms[0]), np.eye(4))
     joints = np.array([0.2, 1.5, 1.2, -1.0, 0.1, 0.3])
-    np.testing.assert_allclose(inverse(T_base) @ moved.pose_of(joints), at_origin.pose_of(joints), atol=1e-12)
-    assert moved.solve(moved.pose_of(joints), joints + 0.05, 100).position_error < 1e-5
+    np.testing.assert_allclose(
+        invert_pose(T_base) @ moved.forward_kinematics(joints), at_origin.forward_kinematics(joints), atol=1e-12
+    )
+    assert moved.solve(moved.forward_kinematics(joints), joints + 0.05, 100).position_error < 1e-5
 
 
 def test_out_of_reach_is_said_not_hidden(ik: IkSolver) -> None:
@@ -79,7 +81,7 @@ def test_torques_move_the_arm_along_the_path(config: RecordConfig) -> None:
     joints = start + ease * np.array([0.5, 0.3, 0.4, -0.3, 0.4, -0.5])
     data = mujoco.MjData(model)
     data.qpos[:6] = start
-    for torque in dynamics.torques(joints, np.zeros(n), tick):
+    for torque in dynamics.inverse_dynamics_torques(joints, np.zeros(n), tick):
         data.qfrc_applied[:6] = torque
         mujoco.mj_step(model, data, 10)
     np.testing.assert_allclose(data.qpos[:6], joints[-1], atol=0.05)
@@ -105,7 +107,7 @@ def test_a_weight_in_the_hand_is_borne_by_every_joint_that_lifts_it(
         return float((site.xpos + site.xmat.reshape(3, 3) @ point)[2])
 
     dynamics = ArmDynamics(arm_spec(arm, {}).compile(), arm.robot)
-    (torques,) = dynamics.weight_torques(joints[None], point, weight=5.0)
+    (torques,) = dynamics.payload_torques(joints[None], point, weight=5.0)
     lifting = [(height(joints + step) - height(joints - step)) / 2e-6 for step in 1e-6 * np.eye(len(joints))]
     np.testing.assert_allclose(torques, 5.0 * np.array(lifting), atol=1e-6)
 
@@ -115,12 +117,12 @@ def test_a_waypoint_may_lean_where_the_pose_itself_is_out_of_reach(ik: IkSolver)
     rng, found = np.random.default_rng(0), 0
     for _ in range(200):
         joints = rng.uniform(LOW + 0.2, HIGH - 0.2)
-        joints[4] = HIGH[4] - narrow.margin + 0.04
-        T = ik.pose_of(joints)
+        joints[4] = HIGH[4] - narrow.joint_limit_margin + 0.04
+        T = ik.forward_kinematics(joints)
         if ik.solve_from(T, [joints], narrow) is None and (leaning := ik.solve_from(T, [joints], wide)) is not None:
             found += 1
-            T_there = ik.pose_of(leaning)
+            T_there = ik.forward_kinematics(leaning)
             turned = np.arccos(np.clip((np.trace(T[:3, :3].T @ T_there[:3, :3]) - 1) / 2, -1.0, 1.0))
             assert np.linalg.norm(T_there[:3, 3] - T[:3, 3]) < 1e-5 and turned <= wide.rotation
-            assert np.minimum(leaning - LOW, HIGH - leaning).min() >= wide.margin
+            assert np.minimum(leaning - LOW, HIGH - leaning).min() >= wide.joint_limit_margin
     assert found >= 5

@@ -13,7 +13,7 @@ from yamsim_cli.core.expert.skills.grasp_candidates import sideways_candidates
 
 
 def _item(name: str) -> ObjectConfig:
-    return load_config(ObjectConfig, "objects", name, API_SESSION_OPENER.locations())
+    return load_config(ObjectConfig, "objects", name, API_SESSION_OPENER.find_locations())
 
 
 def test_a_hand_leans_to_the_side_about_narrow_things_alone() -> None:

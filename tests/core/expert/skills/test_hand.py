@@ -11,7 +11,7 @@ import numpy as np
 from yamsim_cli.core.expert.planning.ik import Tolerance
 from yamsim_cli.core.expert.skills.hand import PREFERRED_JOINT_MARGIN, WAYPOINT_TOLERANCE, Hand, HeldObject
 from yamsim_cli.core.expert.skills.planning_context import PlanningContext
-from yamsim_cli.core.geometry.se3 import inverse, pose, rotation_from_vector, rotation_z
+from yamsim_cli.core.geometry.se3 import invert_pose, pose, rotation_from_vector, rotation_z
 
 _GRIP = pose((0.0, 0.0, 0.1), rotation_from_vector([math.pi, 0.0, 0.0]))
 
@@ -19,7 +19,7 @@ _GRIP = pose((0.0, 0.0, 0.1), rotation_from_vector([math.pi, 0.0, 0.0]))
 def _hand() -> Hand:
     nothing: Any = None
     hand = Hand(0, "left", nothing, nothing, nothing, np.zeros(6), 0.0)
-    hand.failed_grasps.append(HeldObject("can", inverse(_GRIP)))
+    hand.failed_grasps.append(HeldObject("can", invert_pose(_GRIP)))
     return hand
 
 
@@ -46,8 +46,8 @@ def test_hands_keep_the_reserve_and_lean_only_within_the_context() -> None:
         hand.solve_ik(_GRIP, [hand.ready_joints], WAYPOINT_TOLERANCE)
         hand.solve_ik(_GRIP, [hand.ready_joints])
     hand.solve_ik(_GRIP, [hand.ready_joints], WAYPOINT_TOLERANCE)
-    assert [(one.margin, one.allow_tilt) for one in used] == [
+    assert [(one.joint_limit_margin, one.allow_tilt) for one in used] == [
         (PREFERRED_JOINT_MARGIN, True),
         (PREFERRED_JOINT_MARGIN, False),
-        (WAYPOINT_TOLERANCE.margin, False),
+        (WAYPOINT_TOLERANCE.joint_limit_margin, False),
     ]

@@ -9,9 +9,9 @@ import pytest
 from tests.programs import STATION, changed, first_attempt, session_of
 from yamsim_cli.core.attempt_data import AttemptJob
 from yamsim_cli.core.config.session import Session
-from yamsim_cli.core.episode.execution import demonstrate
+from yamsim_cli.core.episode.execution import simulate_expert
 from yamsim_cli.core.episode.sampling import sample_attempt
-from yamsim_cli.core.episode.simulator import Simulators
+from yamsim_cli.core.episode.simulator import SimulatorCache
 from yamsim_cli.session_opener import SessionOpener
 
 TASK = changed(
@@ -36,9 +36,9 @@ TASK = changed(
 
 @pytest.mark.slow
 def test_a_bottle_is_handed_over_and_put_down(tmp_path: Path) -> None:
-    with Simulators(session_of(tmp_path, TASK)) as simulators:
+    with SimulatorCache(session_of(tmp_path, TASK)) as simulators:
         simulator, attempt = first_attempt(simulators)
-        outcome = demonstrate(simulator, attempt).outcome
+        outcome = simulate_expert(simulator, attempt).outcome
     assert outcome.success, outcome.detail
 
 
@@ -65,18 +65,18 @@ CUBE = changed(
 
 @pytest.mark.slow
 def test_a_cube_is_handed_over_and_put_down_on_another_face(tmp_path: Path) -> None:
-    with Simulators(session_of(tmp_path, CUBE)) as simulators:
+    with SimulatorCache(session_of(tmp_path, CUBE)) as simulators:
         simulator, attempt = first_attempt(simulators)
-        outcome = demonstrate(simulator, attempt).outcome
+        outcome = simulate_expert(simulator, attempt).outcome
     assert outcome.success, outcome.detail
 
 
 @pytest.mark.slow
 def test_an_object_wider_than_the_hand_is_refused_with_both_widths(tmp_path: Path) -> None:
     task = changed({("things", "cube", "of"): "054_softball"})
-    with Simulators(session_of(tmp_path, task)) as simulators:
+    with SimulatorCache(session_of(tmp_path, task)) as simulators:
         simulator, attempt = first_attempt(simulators)
-        outcome = demonstrate(simulator, attempt).outcome
+        outcome = simulate_expert(simulator, attempt).outcome
     assert not outcome.success
     assert "mm wide where it can be held, and the right hand opens 95.0 mm" in (outcome.detail or ""), outcome.detail
 
@@ -86,11 +86,13 @@ def test_an_object_wider_than_the_hand_is_refused_with_both_widths(tmp_path: Pat
 def test_joints_stay_away_from_their_stops(task: str, number: int) -> None:
     """Regression: in a handover, joints went down to 0 rad, because grips and retreats ignored the limits."""
     opener = SessionOpener({}, lambda text: None, str)
-    where = opener.locations()
+    where = opener.find_locations()
     job = AttemptJob(7, number)
-    with Simulators(Session(opener.config("default", where, task=task), where).without_meshes()) as simulators:
+    with SimulatorCache(
+        Session(opener.load_record_config("default", where, task=task), where).without_meshes()
+    ) as simulators:
         simulator = simulators.get(job)
-        outcome = demonstrate(simulator, sample_attempt(simulator, job)).outcome
+        outcome = simulate_expert(simulator, sample_attempt(simulator, job)).outcome
     assert outcome.success, outcome.detail
     assert outcome.margins is not None
     assert outcome.margins.joint > 0.08

@@ -12,16 +12,16 @@ import pytest
 from tests.programs import STATION
 from yamsim_cli.core.attempt_data import AttemptJob
 from yamsim_cli.core.config.session import Session
-from yamsim_cli.core.episode.execution import demonstrate
+from yamsim_cli.core.episode.execution import simulate_expert
 from yamsim_cli.core.episode.expert import arm_sides
 from yamsim_cli.core.episode.sampling import sample_attempt
-from yamsim_cli.core.episode.simulator import Simulators
+from yamsim_cli.core.episode.simulator import SimulatorCache
 from yamsim_cli.core.expert.planning.arm_solvers import start_postures
 from yamsim_cli.core.expert.skills.handover import Handover
 from yamsim_cli.core.expert.skills.pick import Pick, ReachableGrasp
 from yamsim_cli.core.expert.skills.place import Place
 from yamsim_cli.core.expert.skills.program import build_program
-from yamsim_cli.core.geometry.se3 import inverse
+from yamsim_cli.core.geometry.se3 import invert_pose
 from yamsim_cli.core.sim.sim_world import make_sim_world
 from yamsim_cli.session_opener import SessionOpener
 
@@ -30,10 +30,10 @@ from yamsim_cli.session_opener import SessionOpener
 def test_hands_meet_side_by_side_where_they_do_not_meet_face_to_face() -> None:
     """None of the first grips of this attempt lets hands meet face to face."""
     opener = SessionOpener(os.environ, lambda text: None, "--{}".format)
-    where = opener.locations()
-    config = opener.config("default", where, task="handover", rig=STATION, grasp="contact")
+    where = opener.find_locations()
+    config = opener.load_record_config("default", where, task="handover", rig=STATION, grasp="contact")
     job = AttemptJob(21, 24)
-    with Simulators(Session(config, where).without_meshes()) as simulators:
+    with SimulatorCache(Session(config, where).without_meshes()) as simulators:
         simulator = simulators.get(job)
         attempt, cast = sample_attempt(simulator, job), simulator.roles
         assert attempt.start is not None
@@ -49,7 +49,7 @@ def test_hands_meet_side_by_side_where_they_do_not_meet_face_to_face() -> None:
             for grip in bench.grasp_candidates(banana, giver.max_opening)
         )
         first = islice((reach for reach in taken if isinstance(reach, ReachableGrasp)), 12)
-        held = ((inverse(reach.candidate.T_pinch_in_thing), reach.grasp_joints) for reach in first)
-        assert any(handover.infeasibility(bench, cast, giver, banana, T, at, [place]) is None for T, at in held)
-        outcome = demonstrate(simulator, attempt).outcome
+        held = ((invert_pose(reach.candidate.T_pinch_in_thing), reach.grasp_joints) for reach in first)
+        assert any(handover.infeasibility_reason(bench, cast, giver, banana, T, at, [place]) is None for T, at in held)
+        outcome = simulate_expert(simulator, attempt).outcome
     assert outcome.success, outcome.detail

@@ -8,8 +8,8 @@ from typing import Any
 import pytest
 
 from tests.programs import ONTO_PLATE, STATION, changed, first_attempt, session_of
-from yamsim_cli.core.episode.execution import demonstrate
-from yamsim_cli.core.episode.simulator import Simulators
+from yamsim_cli.core.episode.execution import simulate_expert
+from yamsim_cli.core.episode.simulator import SimulatorCache
 from yamsim_cli.core.expert.skills.program import SKILLS
 
 CUBE = {"of": "cube_red"}
@@ -150,9 +150,9 @@ SLOW = ("set_upright", "turn", "fold", "flatten")
     "skill", [pytest.param(name, marks=pytest.mark.slow) if name in SLOW else name for name in TASKS]
 )
 def test_a_skill_does_what_it_is_for(skill: str, tmp_path: Path) -> None:
-    with Simulators(session_of(tmp_path, TASKS[skill])) as simulators:
+    with SimulatorCache(session_of(tmp_path, TASKS[skill])) as simulators:
         simulator, attempt = first_attempt(simulators)
-        outcome = demonstrate(simulator, attempt).outcome
+        outcome = simulate_expert(simulator, attempt).outcome
     assert outcome.success, (outcome.cause, outcome.detail, outcome.recoveries)
     assert outcome.margins is not None and outcome.margins.velocity < 1 and outcome.margins.torque < 1
 

@@ -19,7 +19,7 @@ from yamsim_cli.session_opener import SessionOpener
 
 @pytest.fixture(scope="module")
 def committed():
-    return load_lock(Locations.find({}))
+    return load_lock(Locations.from_environment({}))
 
 
 def test_the_committed_lock_has_the_sets_the_models_name(committed):
@@ -58,7 +58,7 @@ def test_the_committed_notices_carry_what_the_licenses_ask_for(committed):
 
 
 def test_nothing_committed_names_a_host():
-    for root in Locations.find({}).data:
+    for root in Locations.from_environment({}).data:
         for path in (root / "assets").rglob("*"):
             if path.suffix in {".json", ".txt"}:
                 assert "://" not in path.read_text()
@@ -116,13 +116,13 @@ def test_a_missing_notice_is_named(world):
 
 @pytest.mark.slow
 def test_without_names_all_is_fetched_that_a_shipped_rig_task_or_thing_shows(committed):
-    where = Locations.find({})
+    where = Locations.from_environment({})
     opener = SessionOpener({}, lambda text: None, str)
     rigs = {name: load_config(RigConfig, "rigs", name, where) for name in where.config_names("rigs")}
     things = {name: load_config(ObjectConfig, "objects", name, where) for name in where.config_names("objects")}
     # Older tasks name no rig, and `handover` needs two arms.
     given = {name: {"rig": "bimanual"} if name == "handover" else {} for name in where.config_names("tasks")}
-    tasks = {name: opener.config("default", where, task=name, **more) for name, more in given.items()}
+    tasks = {name: opener.load_record_config("default", where, task=name, **more) for name, more in given.items()}
     shown = {f"rigs/{name}": rig_mesh_sets(rig) for name, rig in rigs.items()}
     shown |= {f"objects/{name}": item.mesh_sets for name, item in things.items()}
     shown |= {f"tasks/{name}": visual_mesh_sets(recording_blueprint(config)) for name, config in tasks.items()}

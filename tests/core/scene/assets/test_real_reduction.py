@@ -10,11 +10,11 @@ import pytest
 
 from tests.silhouettes import DIRECTIONS, PIXELS, Silhouettes, overlap
 from yamsim_cli.core.files.resources import Locations
-from yamsim_cli.core.geometry.stl import read_stl
+from yamsim_cli.core.geometry.stl import decode_stl
 from yamsim_cli.core.geometry.surface_distance import hausdorff_distance
 from yamsim_cli.core.scene.assets import AssetStore, load_lock, make_reduced
 
-LOCATIONS = Locations.find(os.environ)
+LOCATIONS = Locations.from_environment(os.environ)
 LOCK = load_lock(LOCATIONS)
 # Generated meshes have few faces anyway.
 FILES = [(name, file) for name, assets in LOCK.sets.items() if assets.archive is not None for file in assets.files]
@@ -49,7 +49,7 @@ LARGE_SHARES = {
 def folders(name: str) -> tuple[Path, Path]:
     """Folder of a set, and that of its reduced meshes."""
     assets, store = LOCK.sets[name], AssetStore(LOCATIONS.assets)
-    source = store.resolve(assets)
+    source = store.find_verified_folder(assets)
     if source is None:
         pytest.skip(f"the meshes of {name} are not here: yamsim assets fetch")
     return source, make_reduced(store, assets, source, LOCK.notices[assets.notice]).directory
@@ -57,7 +57,7 @@ def folders(name: str) -> tuple[Path, Path]:
 
 def meshes(name: str, file: str) -> list[tuple]:
     """Source and reduced mesh, in mm."""
-    read = [read_stl((folder / file).read_bytes()) for folder in folders(name)]
+    read = [decode_stl((folder / file).read_bytes()) for folder in folders(name)]
     return [(vertices * 1000, faces) for vertices, faces in read]
 
 
@@ -85,4 +85,4 @@ def test_outlines_stay(name: str, file: str) -> None:
 @pytest.mark.parametrize("name", LOCK.sets)
 def test_few_faces_are_left(name: str) -> None:
     folder = folders(name)[1]
-    assert sum(len(read_stl(path.read_bytes())[1]) for path in folder.glob("*.stl")) <= MOST[name]
+    assert sum(len(decode_stl(path.read_bytes())[1]) for path in folder.glob("*.stl")) <= MOST[name]

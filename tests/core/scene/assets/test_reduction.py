@@ -8,7 +8,7 @@ import pytest
 from tests.meshes import ball, box, volume
 from yamsim_cli.core.errors import ResourceError
 from yamsim_cli.core.files.writing import sha256_bytes
-from yamsim_cli.core.geometry.stl import read_stl, stl_bytes
+from yamsim_cli.core.geometry.stl import decode_stl, encode_stl
 from yamsim_cli.core.geometry.surface_distance import hausdorff_distance
 from yamsim_cli.core.scene.assets import LockedFile, Reduction, find_reduced, make_reduced
 from yamsim_cli.core.scene.assets import mesh_reduction as reduction
@@ -19,13 +19,13 @@ BALL = ball(0.04, 40)
 
 
 def in_mm(data):
-    vertices, faces = read_stl(data)
+    vertices, faces = decode_stl(data)
     return vertices * 1000, faces
 
 
 @pytest.mark.slow
 def test_a_ball_stays_a_ball_with_far_fewer_faces():
-    source = stl_bytes(*BALL)
+    source = encode_stl(*BALL)
     reduced = reduce_stl(source, Reduction(faces=900))
     assert len(in_mm(reduced)[1]) < 1000
     assert hausdorff_distance(in_mm(source), in_mm(reduced), 1.0, 4000) <= MAX_DEVIATION_MM
@@ -34,7 +34,7 @@ def test_a_ball_stays_a_ball_with_far_fewer_faces():
 
 @pytest.mark.slow
 def test_slivers_of_a_flat_side_go_at_no_loss():
-    source = stl_bytes(*box(0.1, 12))
+    source = encode_stl(*box(0.1, 12))
     reduced = reduce_stl(source, None)
     assert len(in_mm(reduced)[1]) == 12
     assert hausdorff_distance(in_mm(source), in_mm(reduced), 1.0, 1000) < 1e-3
@@ -42,13 +42,13 @@ def test_slivers_of_a_flat_side_go_at_no_loss():
 
 @pytest.mark.slow
 def test_the_same_mesh_gives_the_same_bytes():
-    assert reduce_stl(stl_bytes(*BALL), Reduction(faces=700)) == reduce_stl(stl_bytes(*BALL), Reduction(faces=700))
+    assert reduce_stl(encode_stl(*BALL), Reduction(faces=700)) == reduce_stl(encode_stl(*BALL), Reduction(faces=700))
 
 
 @pytest.mark.slow
 def test_one_that_strays_too_far_is_not_used(monkeypatch):
     """A ball of 20 faces deviates by millimetres: only removing slivers is left."""
-    source = stl_bytes(*BALL)
+    source = encode_stl(*BALL)
     far = collapse_edges(in_mm(source), Reduction(faces=20))
     assert hausdorff_distance(in_mm(source), far, 10.0, 1000) > MAX_DEVIATION_MM
     reduced = reduce_stl(source, Reduction(faces=20))
@@ -63,13 +63,13 @@ def test_what_encloses_no_body_is_left_as_it_is():
     vertices, faces = box(100.0, 4)
     sheet = vertices, faces[(vertices[faces][..., 2] == 0).all(axis=1)]
     assert remove_slivers(sheet, 0.2) is sheet
-    data = stl_bytes(sheet[0] / 1000, sheet[1])
+    data = encode_stl(sheet[0] / 1000, sheet[1])
     assert reduce_stl(data, None) == data
 
 
 @pytest.mark.slow
 def test_no_face_without_an_area_is_left():
-    vertices, faces = in_mm(reduce_stl(stl_bytes(*BALL), Reduction(faces=300)))
+    vertices, faces = in_mm(reduce_stl(encode_stl(*BALL), Reduction(faces=300)))
     a, b, c = np.moveaxis(vertices[faces], 1, 0)
     assert np.linalg.norm(np.cross(b - a, c - a), axis=1).min() > 0
 
@@ -77,7 +77,7 @@ def test_no_face_without_an_area_is_left():
 @pytest.fixture
 def contents():
     """Finely cut, m, so that there is something to reduce."""
-    return {"part.stl": stl_bytes(*box(0.1, 6)), "tip.stl": stl_bytes(*ball(0.05, 12))}
+    return {"part.stl": encode_stl(*box(0.1, 6)), "tip.stl": encode_stl(*ball(0.05, 12))}
 
 
 @pytest.fixture

@@ -52,7 +52,7 @@ def test_a_file_of_the_wrong_size_is_not_read(tmp_path, world, monkeypatch):
 
     monkeypatch.setattr("yamsim_cli.core.scene.assets.asset_store.sha256_file", never)
     (tmp_path / "part.stl").write_bytes(b"x" * 100)
-    assert AssetStore(tmp_path).resolve(world.lock.sets["tiny"]) is None
+    assert AssetStore(tmp_path).find_verified_folder(world.lock.sets["tiny"]) is None
 
 
 def test_a_damaged_set_is_replaced_whole(world, contents):

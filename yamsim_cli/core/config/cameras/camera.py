@@ -34,7 +34,7 @@ class CameraConfig(Config):
     focal_sigma: float = Field(default=0.003, ge=0, le=0.5)
 
     @property
-    def model(self) -> CameraModel:
+    def camera_model(self) -> CameraModel:
         """The same camera as a `CameraModel`, which projects points."""
         return CameraModel(self.width, self.height, self.K, self.distortion, self.focal_sigma)
 
@@ -49,7 +49,7 @@ class CameraConfig(Config):
         return value
 
     @model_validator(mode="after")
-    def _plausible(self) -> CameraConfig:
+    def _check_plausible(self) -> CameraConfig:
         (fx, skew, cx), (left, fy, cy), last = self.K
         # OpenCV would silently ignore a skew.
         if last != (0.0, 0.0, 1.0) or left != 0.0 or skew != 0.0:
@@ -75,7 +75,7 @@ class CameraConfig(Config):
         return self
 
     @classmethod
-    def read(cls, path: Path) -> Document:
+    def read_document(cls, path: Path) -> Document:
         """Return one camera of a calibration file of yamsim, OpenCV, ROS, Kalibr or raiden. Raises as `read_camera`."""
         return read_camera(path)
 

@@ -13,9 +13,9 @@ import re
 from pathlib import Path
 from typing import Any
 
-from ...errors import ConfigError, suggest
-from ...files.documents.yaml_document import Document, KeyPath, load_yaml, read_config
-from ...files.resources import camera_file
+from ...errors import ConfigError, suggest_similar
+from ...files.documents.yaml_document import Document, KeyPath, load_yaml, read_config_bytes
+from ...files.resources import split_camera_path
 from .file_storage import parse_json, parse_xml
 
 # Key of yamsim -> keys of other calibration programs.
@@ -55,19 +55,19 @@ def read_camera(path: Path) -> Document:
         ConfigError: the file is unreadable, or does not have the format of its suffix. Or the camera is missing, `path`
             names none of several cameras, or the camera's model is not OpenCV's pinhole.
     """
-    file, name, document = _open(path)
-    named = _named(document)
+    file, name, document = _open_camera_document(path)
+    named = _camera_key_paths(document)
     if not named:
         if name:
             raise ConfigError(f"{file}: its camera has no name: leave out {':' + name!r}")
         return _single_camera(document)
     if not name and len(named) > 1:
         example = f"{file}:{min(named)}"
-        raise ConfigError(f"{file}: has {len(named)} cameras; name one, as in {example}; {suggest('', named)}")
+        raise ConfigError(f"{file}: has {len(named)} cameras; name one, as in {example}; {suggest_similar('', named)}")
     name = name or next(iter(named))
     if name not in named:
-        raise ConfigError(f"{file}: has no camera {name!r}; {suggest(name, named)}")
-    return _kalibr(document, named[name]) if len(named[name]) == 1 else _raiden(document, named[name])
+        raise ConfigError(f"{file}: has no camera {name!r}; {suggest_similar(name, named)}")
+    return _convert_kalibr(document, named[name]) if len(named[name]) == 1 else _convert_raiden(document, named[name])
 
 
 def cameras_in_file(path: Path) -> tuple[Path, ...]:
@@ -75,18 +75,18 @@ def cameras_in_file(path: Path) -> tuple[Path, ...]:
 
     Raises ConfigError if the file is unreadable, or does not have the format of its suffix.
     """
-    file, name, document = _open(path)
-    named = _named(document)
+    file, name, document = _open_camera_document(path)
+    named = _camera_key_paths(document)
     return (path,) if name or not named else tuple(Path(f"{file}:{each}") for each in named)
 
 
-def _open(path: Path) -> tuple[Path, str, Document]:
-    file, name = camera_file(str(path)) or (path, "")
+def _open_camera_document(path: Path) -> tuple[Path, str, Document]:
+    file, name = split_camera_path(str(path)) or (path, "")
     parse = {".json": parse_json, ".xml": parse_xml}.get(file.suffix)
-    return file, name, parse(read_config(file), str(file)) if parse else load_yaml(file)
+    return file, name, parse(read_config_bytes(file), str(file)) if parse else load_yaml(file)
 
 
-def _named(document: Document) -> dict[str, Keys]:
+def _camera_key_paths(document: Document) -> dict[str, Keys]:
     """Return the name of each camera in a file of Kalibr or raiden -> its key path; empty for other files."""
     data = document.data
     if isinstance(cameras := data.get("cameras"), dict) and cameras:
@@ -94,7 +94,7 @@ def _named(document: Document) -> dict[str, Keys]:
     return {name: (name,) for name, value in data.items() if re.fullmatch(r"cam\d+", name) and isinstance(value, dict)}
 
 
-class _Converter:
+class _CameraConverter:
     """Collects a camera's values under yamsim's keys, each with its line in the file."""
 
     def __init__(self, document: Document, at: Keys) -> None:
@@ -103,7 +103,7 @@ class _Converter:
         for key in at:
             self._values = self._values[key]
         self._ours: dict[str, Any] = {}
-        self._places: dict[KeyPath, str] = {(): document.place(at)}
+        self._places: dict[KeyPath, str] = {(): document.place_of(at)}
 
     def has(self, key: str) -> bool:
         return isinstance(self._values, dict) and key in self._values
@@ -111,7 +111,7 @@ class _Converter:
     def get(self, key: str, count: int = 0) -> Any:
         """Return the value of a required key; raise ConfigError if it is missing, or no list of `count` items."""
         if not self.has(key):
-            raise ConfigError(f"{self._document.place(self._at)}: {'.'.join((*self._at, key))}: missing; add it")
+            raise ConfigError(f"{self._document.place_of(self._at)}: {'.'.join((*self._at, key))}: missing; add it")
         value = self._values[key]
         if count and (not isinstance(value, list) or len(value) != count):
             self.refuse(key, f"must be {count} numbers")
@@ -119,15 +119,17 @@ class _Converter:
 
     def put(self, ours: str, theirs: str, value: Any) -> None:
         self._ours[ours] = value
-        self._places[(ours,)] = self._document.place((*self._at, theirs))
+        self._places[(ours,)] = self._document.place_of((*self._at, theirs))
 
     def expect(self, key: str, value: str, valid: tuple[str, ...]) -> None:
         """Refuse a camera or lens model that is not OpenCV's."""
         if value not in valid:
-            self.refuse(key, f"calibrate with one of OpenCV's pinhole models; {suggest(str(value), valid)}", value)
+            self.refuse(
+                key, f"calibrate with one of OpenCV's pinhole models; {suggest_similar(str(value), valid)}", value
+            )
 
     def refuse(self, key: str, why: str, value: Any = None) -> None:
-        place, path = self._document.place((*self._at, key)), ".".join((*self._at, key))
+        place, path = self._document.place_of((*self._at, key)), ".".join((*self._at, key))
         raise ConfigError(f"{place}: {path}: {self._values.get(key) if value is None else value!r} is not valid: {why}")
 
     def document(self) -> Document:
@@ -142,21 +144,21 @@ def _single_camera(document: Document) -> Document:
     data = document.data
     if not any(alias in data for names in _ALIASES.values() for alias in names):
         return document
-    camera = _Converter(document, ())
+    camera = _CameraConverter(document, ())
     # `fisheye_model` is a key of OpenCV's calibration program.
     model = "fisheye" if data.get("fisheye_model") else data.get("distortion_model", _ROS_MODELS[0])
     camera.expect("distortion_model", model, _ROS_MODELS)
     for key, aliases in _ALIASES.items():
         for alias in (key, *aliases):
             if camera.has(alias):
-                value = _matrix(data[alias])
+                value = _matrix_data(data[alias])
                 camera.put(key, alias, _coefficient_list(value) if key == "distortion" else value)
                 break
     return camera.document()
 
 
-def _kalibr(document: Document, at: Keys) -> Document:
-    camera = _Converter(document, at)
+def _convert_kalibr(document: Document, at: Keys) -> Document:
+    camera = _CameraConverter(document, at)
     camera.expect("camera_model", camera.get("camera_model"), _KALIBR_MODELS)
     camera.expect("distortion_model", camera.get("distortion_model"), _KALIBR_LENSES)
     fu, fv, pu, pv = camera.get("intrinsics", 4)
@@ -166,22 +168,22 @@ def _kalibr(document: Document, at: Keys) -> Document:
     return camera.document()
 
 
-def _raiden(document: Document, at: Keys) -> Document:
-    _Converter(document, at).get("intrinsics")
-    camera = _Converter(document, (*at, "intrinsics"))
+def _convert_raiden(document: Document, at: Keys) -> Document:
+    _CameraConverter(document, at).get("intrinsics")
+    camera = _CameraConverter(document, (*at, "intrinsics"))
     camera.put("K", "camera_matrix", camera.get("camera_matrix"))
     camera.put("distortion", "distortion_coeffs", _coefficient_list(camera.get("distortion_coeffs")))
     _put_size(camera, "image_size")
     return camera.document()
 
 
-def _put_size(camera: _Converter, key: str) -> None:
+def _put_size(camera: _CameraConverter, key: str) -> None:
     width, height = camera.get(key, 2)
     camera.put("width", key, width)
     camera.put("height", key, height)
 
 
-def _matrix(value: Any) -> Any:
+def _matrix_data(value: Any) -> Any:
     return value["data"] if isinstance(value, dict) and "data" in value else value
 
 

@@ -41,12 +41,12 @@ def parse_xml(raw: bytes, source: str) -> Document:
         ConfigError: the text is no XML of FileStorage, declares a document type, has a duplicate key, or is nested too
             deeply.
     """
-    root = _tree(raw, source)
+    root = _parse_elements(raw, source)
     if root.name != _ROOT:
         raise ConfigError(f"{source}:{root.line}: <{root.name}> is not the root of OpenCV's XML files, <{_ROOT}>")
     document = Document({}, source)
     try:
-        data = _value(root, (), document)
+        data = _element_value(root, (), document)
     # Python refuses integers of thousands of digits.
     except ValueError as error:
         raise ConfigError(f"{source}: not valid: {error}") from error
@@ -56,7 +56,7 @@ def parse_xml(raw: bytes, source: str) -> Document:
     return document
 
 
-def _tree(raw: bytes, source: str) -> _Element:
+def _parse_elements(raw: bytes, source: str) -> _Element:
     parser = expat.ParserCreate()
     parser.buffer_text = True
     top = _Element("", 0)
@@ -90,16 +90,16 @@ def _tree(raw: bytes, source: str) -> _Element:
     return top.inside[0]
 
 
-def _value(element: _Element, path: KeyPath, document: Document) -> Any:
+def _element_value(element: _Element, path: KeyPath, document: Document) -> Any:
     document.places[path] = f"{document.source}:{element.line}"
     if element.inside and all(inner.name == "_" for inner in element.inside):
-        return [_value(inner, (*path, k), document) for k, inner in enumerate(element.inside)]
+        return [_element_value(inner, (*path, k), document) for k, inner in enumerate(element.inside)]
     if element.inside:
         values: dict[str, Any] = {}
         for inner in element.inside:
             if inner.name in values:
                 raise ConfigError(f"{document.source}:{inner.line}: duplicate key {inner.name!r}; remove one")
-            values[inner.name] = _value(inner, (*path, inner.name), document)
+            values[inner.name] = _element_value(inner, (*path, inner.name), document)
         return values
     words = [number_or_text(plain) if plain else quoted for quoted, plain in _WORDS.findall(element.text)]
     return words[0] if len(words) == 1 else words or None

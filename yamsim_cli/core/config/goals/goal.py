@@ -34,12 +34,12 @@ class _Clause(Config):
         return self
 
     @property
-    def _item(self) -> tuple[str, Any]:
+    def _only_item(self) -> tuple[str, Any]:
         return next((name, value) for name in (*_JOINS, *PREDICATES) if (value := getattr(self, name)) is not None)
 
     def measures(self, world: GoalWorld, roles: RoleAssignment) -> list[GoalMeasure]:
         """Return the measures that all have to hold: for `any`, of its best clause; for `not`, one inverted measure."""
-        key, value = self._item
+        key, value = self._only_item
         match key:
             case "all":
                 return [measure for clause in value for measure in clause.measures(world, roles)]
@@ -48,13 +48,13 @@ class _Clause(Config):
                     (clause.measures(world, roles) for clause in value), key=lambda found: worst_measure(found).margin
                 )
             case "not":
-                return [_negate(worst_measure(value.measures(world, roles)))]
+                return [_negate_measure(worst_measure(value.measures(world, roles)))]
         predicate: Predicate = value
         return predicate.measures(world, roles)
 
     def holds_if(self, truth: Mapping[str, bool]) -> bool:
         """Return whether the clause holds, given the truth of each predicate by the predicate's `repr`."""
-        key, value = self._item
+        key, value = self._only_item
         match key:
             case "all":
                 return all(clause.holds_if(truth) for clause in value)
@@ -66,7 +66,7 @@ class _Clause(Config):
 
     def predicates(self, path: tuple[str | int, ...] = ()) -> Iterator[tuple[tuple[str | int, ...], Predicate]]:
         """Yield the key path below `path`, and the predicate, for every predicate of the clause."""
-        key, value = self._item
+        key, value = self._only_item
         if key in ("all", "any"):
             for k, clause in enumerate(value):
                 yield from clause.predicates((*path, key, k))
@@ -76,13 +76,13 @@ class _Clause(Config):
             yield (*path, key), value
 
 
-def _negate(measure: GoalMeasure) -> GoalMeasure:
+def _negate_measure(measure: GoalMeasure) -> GoalMeasure:
     """Return the measure of the negation. A predicate holds at a margin of 0, so its negation must not."""
     margin = -measure.margin if measure.margin else -1e-9
     return GoalMeasure(f"not {measure.what}", margin, measure.unit, measure.detail)
 
 
-def _optional(annotation: Any) -> Any:
+def _optional_field(annotation: Any) -> Any:
     # A clause has one key, its kind, so the keys of other kinds are not written.
     return Annotated[annotation, Field(exclude_if=lambda value: value is None)], None
 
@@ -93,11 +93,11 @@ Clause: Any = create_model(
     __base__=_Clause,
     __module__=__name__,
     **{
-        "all": _optional(tuple["Clause", ...] | None),  # type: ignore[misc]
-        "any": _optional(tuple["Clause", ...] | None),  # type: ignore[misc]
-        "not": _optional("Clause | None"),
+        "all": _optional_field(tuple["Clause", ...] | None),  # type: ignore[misc]
+        "any": _optional_field(tuple["Clause", ...] | None),  # type: ignore[misc]
+        "not": _optional_field("Clause | None"),
     }
-    | {name: _optional(predicate | None) for name, predicate in PREDICATES.items()},
+    | {name: _optional_field(predicate | None) for name, predicate in PREDICATES.items()},
 )
 
 

@@ -14,8 +14,8 @@ from pydantic import Field, FiniteFloat, model_validator
 
 from ...files.documents.config_base import Config
 from ...files.documents.units import Distance, Place, Share
-from ...geometry.cloth_folding import Fold, FoldPlan, fold_plans, outline_area, sheet_area
-from ...geometry.se3 import Array, inverse
+from ...geometry.cloth_folding import ClothFoldKind, FoldPlan, fold_plans, outline_area, sheet_area
+from ...geometry.se3 import Array, invert_pose
 from .measure import GoalMeasure, binary_measure
 from .role_assignment import RoleAssignment
 from .world import TABLE, GoalWorld
@@ -48,34 +48,36 @@ class _PerObjectPredicate(Predicate):
     thing: str
 
     def measures(self, world: GoalWorld, roles: RoleAssignment) -> list[GoalMeasure]:
-        return [measure for thing in roles.objects_of(self.thing) for measure in self._measures(world, thing)]
+        return [measure for thing in roles.objects_of(self.thing) for measure in self._object_measures(world, thing)]
 
-    def _measures(self, world: GoalWorld, thing: str) -> list[GoalMeasure]:
-        return [self._measure(world, thing)]
+    def _object_measures(self, world: GoalWorld, thing: str) -> list[GoalMeasure]:
+        return [self._measure_object(world, thing)]
 
-    def _measure(self, world: GoalWorld, thing: str) -> GoalMeasure:
+    def _measure_object(self, world: GoalWorld, thing: str) -> GoalMeasure:
         raise NotImplementedError
 
 
 class _PerPairPredicate(Predicate):
-    """A predicate on each object of a role and the object of another role that `RoleAssignment.pairs` assigns to it."""
+    """A predicate on each pair of objects of two roles, as `RoleAssignment.object_pairs` assigns them."""
 
     thing: str
 
     def measures(self, world: GoalWorld, roles: RoleAssignment) -> list[GoalMeasure]:
-        return [self._measure(world, *pair) for pair in roles.pairs(self.thing, getattr(self, self.ROLES[1]))]
+        return [
+            self._measure_pair(world, *pair) for pair in roles.object_pairs(self.thing, getattr(self, self.ROLES[1]))
+        ]
 
     @abstractmethod
-    def _measure(self, world: GoalWorld, thing: str, other: str) -> GoalMeasure: ...
+    def _measure_pair(self, world: GoalWorld, thing: str, other: str) -> GoalMeasure: ...
 
 
-def _still_held(world: GoalWorld, thing: str, what: str) -> GoalMeasure | None:
+def _failure_if_held(world: GoalWorld, thing: str, what: str) -> GoalMeasure | None:
     """Return a failed measure if a hand holds the object; None otherwise."""
     holders = world.holding_sides(thing)
     return binary_measure(what, False, f"the {' and the '.join(sorted(holders))} hand holds it") if holders else None
 
 
-def _overlap_xy(world: GoalWorld, upper: str, lower: str) -> float:
+def _depth_inside_box_xy(world: GoalWorld, upper: str, lower: str) -> float:
     """Return how far (m) the middle of `upper` lies inside the bounding box of `lower` from above; negative outside."""
     first, last = world.aabb(upper)
     middle = (first + last) / 2
@@ -83,11 +85,11 @@ def _overlap_xy(world: GoalWorld, upper: str, lower: str) -> float:
     return float(min(*(middle[:2] - low[:2]), *(high[:2] - middle[:2])))
 
 
-def _bottom(world: GoalWorld, thing: str) -> float:
+def _bottom_height(world: GoalWorld, thing: str) -> float:
     return float(world.aabb(thing)[0][2])
 
 
-def _top(world: GoalWorld, thing: str) -> float:
+def _top_height(world: GoalWorld, thing: str) -> float:
     return float(world.aabb(thing)[1][2])
 
 
@@ -107,9 +109,9 @@ class On(_PerPairPredicate):
     inside: Distance = 0.0
     radius: Distance | None = None
 
-    def _measure(self, world: GoalWorld, thing: str, other: str) -> GoalMeasure:
+    def _measure_pair(self, world: GoalWorld, thing: str, other: str) -> GoalMeasure:
         what = f"on({thing}, {other})"
-        if held := _still_held(world, thing, what):
+        if held := _failure_if_held(world, thing, what):
             return held
         if not world.are_touching(thing, other):
             return binary_measure(what, False, "they do not touch")
@@ -121,7 +123,7 @@ class On(_PerPairPredicate):
             apart = world.pose(thing)[:2, 3] - world.pose(other)[:2, 3]
             distance = float((apart @ apart) ** 0.5)
             return GoalMeasure(what, self.radius - distance, "m", f"{distance * 1000:.0f} mm from the middle")
-        inside = _overlap_xy(world, thing, other)
+        inside = _depth_inside_box_xy(world, thing, other)
         return GoalMeasure(what, inside - self.inside, "m", f"its middle {inside * 1000:.0f} mm inside the outline")
 
 
@@ -137,9 +139,9 @@ class Inside(_PerPairPredicate):
     container: str
     share: Annotated[Share, Field(gt=0)] = 0.8
 
-    def _measure(self, world: GoalWorld, thing: str, other: str) -> GoalMeasure:
+    def _measure_pair(self, world: GoalWorld, thing: str, other: str) -> GoalMeasure:
         what = f"in({thing}, {other})"
-        if held := _still_held(world, thing, what):
+        if held := _failure_if_held(world, thing, what):
             return held
         share = world.volume_fraction_inside(thing, other)
         return GoalMeasure(what, share - self.share, "share", f"{share:.0%} of it inside, of {self.share:.0%} asked")
@@ -161,19 +163,19 @@ class Stacked(Predicate):
         """Return a measure for each object and the object below it."""
         names = list(roles.objects_of(self.things))
         if self.order == "any":
-            names.sort(key=lambda name: _bottom(world, name))
-        return [self._measure(world, lower, upper) for lower, upper in pairwise(names)]
+            names.sort(key=lambda name: _bottom_height(world, name))
+        return [self._measure_pair(world, lower, upper) for lower, upper in pairwise(names)]
 
     @staticmethod
-    def _measure(world: GoalWorld, lower: str, upper: str) -> GoalMeasure:
+    def _measure_pair(world: GoalWorld, lower: str, upper: str) -> GoalMeasure:
         what = f"stacked({upper} on {lower})"
-        if held := _still_held(world, upper, what):
+        if held := _failure_if_held(world, upper, what):
             return held
         if not world.are_touching(upper, lower):
             return binary_measure(what, False, "they do not touch")
-        if _bottom(world, upper) <= _bottom(world, lower):
+        if _bottom_height(world, upper) <= _bottom_height(world, lower):
             return binary_measure(what, False, "it is not above the other")
-        inside = _overlap_xy(world, upper, lower)
+        inside = _depth_inside_box_xy(world, upper, lower)
         return GoalMeasure(what, inside, "m", f"its middle {inside * 1000:.0f} mm inside the lower one's outline")
 
 
@@ -191,9 +193,9 @@ class Over(_PerPairPredicate):
     surface: str
     gap: Distance = 0.02
 
-    def _measure(self, world: GoalWorld, thing: str, other: str) -> GoalMeasure:
-        inside = _overlap_xy(world, thing, other)
-        apart = _bottom(world, thing) - _top(world, other)
+    def _measure_pair(self, world: GoalWorld, thing: str, other: str) -> GoalMeasure:
+        inside = _depth_inside_box_xy(world, thing, other)
+        apart = _bottom_height(world, thing) - _top_height(world, other)
         detail = f"{inside * 1000:.0f} mm inside the outline, {apart * 1000:.0f} mm above the top"
         return GoalMeasure(f"over({thing}, {other})", min(inside, self.gap - abs(apart)), "m", detail)
 
@@ -216,17 +218,21 @@ class Piled(Predicate):
     def measures(self, world: GoalWorld, roles: RoleAssignment) -> list[GoalMeasure]:
         """Return a measure for each object and the object below it."""
         names = sorted(
-            (name for role in self.things for name in roles.objects_of(role)), key=lambda name: _bottom(world, name)
+            (name for role in self.things for name in roles.objects_of(role)),
+            key=lambda name: _bottom_height(world, name),
         )
-        return [self._measure(world, lower, upper) for lower, upper in pairwise(names)]
+        return [self._measure_pair(world, lower, upper) for lower, upper in pairwise(names)]
 
     def roles(self) -> tuple[tuple[str, str], ...]:
         """Return pairs of an argument that names a role, and the role."""
         return tuple(("things", role) for role in self.things)
 
-    def _measure(self, world: GoalWorld, lower: str, upper: str) -> GoalMeasure:
-        inside, higher = _overlap_xy(world, upper, lower), _bottom(world, upper) - _bottom(world, lower)
-        apart = _bottom(world, upper) - _top(world, lower)
+    def _measure_pair(self, world: GoalWorld, lower: str, upper: str) -> GoalMeasure:
+        inside, higher = (
+            _depth_inside_box_xy(world, upper, lower),
+            _bottom_height(world, upper) - _bottom_height(world, lower),
+        )
+        apart = _bottom_height(world, upper) - _top_height(world, lower)
         margin = min(inside, self.gap - apart)
         if higher <= 0:
             margin = min(margin, -1e-9)  # of two objects with equal bottoms, neither is on the other
@@ -244,7 +250,7 @@ class Upright(_PerObjectPredicate):
 
     tilt_deg: Annotated[FiniteFloat, Field(gt=0, lt=180)] = 15.0
 
-    def _measure(self, world: GoalWorld, thing: str) -> GoalMeasure:
+    def _measure_object(self, world: GoalWorld, thing: str) -> GoalMeasure:
         up = float(world.pose(thing)[2, 2])
         tilt = math.degrees(math.acos(max(-1.0, min(1.0, up))))
         return GoalMeasure(f"upright({thing})", self.tilt_deg - tilt, "deg", f"it leans by {tilt:.1f} deg")
@@ -275,7 +281,7 @@ class Near(Predicate):
     side: Literal["left", "right", "front", "behind"] | None = None
 
     @model_validator(mode="after")
-    def _one_of_both(self) -> Near:
+    def _exactly_one_given(self) -> Near:
         if (self.other is None) == (self.place is None):
             raise ValueError("give either `other` or `place`")
         return self
@@ -284,14 +290,15 @@ class Near(Predicate):
         """Return a measure for each object and its counterpart or the place."""
         if self.other is None:
             return [
-                self._measure(world, thing, "place", np.array(self.place)) for thing in roles.objects_of(self.thing)
+                self._measure_distance(world, thing, "place", np.array(self.place))
+                for thing in roles.objects_of(self.thing)
             ]
         return [
-            self._measure(world, thing, other, world.pose(other)[:2, 3])
-            for thing, other in roles.pairs(self.thing, self.other)
+            self._measure_distance(world, thing, other, world.pose(other)[:2, 3])
+            for thing, other in roles.object_pairs(self.thing, self.other)
         ]
 
-    def _measure(self, world: GoalWorld, thing: str, other: str, place: Array) -> GoalMeasure:
+    def _measure_distance(self, world: GoalWorld, thing: str, other: str, place: Array) -> GoalMeasure:
         off = world.pose(thing)[:2, 3] - place
         distance = float(np.linalg.norm(off))
         margin, detail = self.radius - distance, f"{distance * 1000:.0f} mm away"
@@ -316,8 +323,8 @@ class Above(_PerPairPredicate):
     other: str
     by: Distance = 0.0
 
-    def _measure(self, world: GoalWorld, thing: str, other: str) -> GoalMeasure:
-        height = _bottom(world, thing) - _top(world, other)
+    def _measure_pair(self, world: GoalWorld, thing: str, other: str) -> GoalMeasure:
+        height = _bottom_height(world, thing) - _top_height(world, other)
         return GoalMeasure(f"above({thing}, {other})", height - self.by, "m", f"{height * 1000:.0f} mm over it")
 
 
@@ -332,7 +339,7 @@ class HeldBy(_PerObjectPredicate):
     IN_HAND: ClassVar[bool | None] = True
     arm: Literal["left", "right", "either", "both"] = "either"
 
-    def _measure(self, world: GoalWorld, thing: str) -> GoalMeasure:
+    def _measure_object(self, world: GoalWorld, thing: str) -> GoalMeasure:
         holders = world.holding_sides(thing)
         match self.arm:
             case "either":
@@ -356,7 +363,7 @@ class HandedOver(_PerObjectPredicate):
     IN_HAND: ClassVar[bool | None] = True
     to: _Receiver = "either"
 
-    def _measure(self, world: GoalWorld, thing: str) -> GoalMeasure:
+    def _measure_object(self, world: GoalWorld, thing: str) -> GoalMeasure:
         hands = world.holders_since_rest(thing)
         receivers = [receiver for giver, receiver in pairwise(hands) if giver != receiver]
         holds = bool(receivers) if self.to == "either" else self.to in receivers
@@ -373,7 +380,7 @@ class WasHandedOver(_PerObjectPredicate):
 
     to: _Receiver = "either"
 
-    def _measure(self, world: GoalWorld, thing: str) -> GoalMeasure:
+    def _measure_object(self, world: GoalWorld, thing: str) -> GoalMeasure:
         passed = world.handovers(thing)
         detail = ", ".join(f"from {giver} to {receiver}" for giver, receiver in passed) or "never from hand to hand"
         holds = any(self.to in ("either", receiver) for _, receiver in passed)
@@ -401,7 +408,7 @@ class Sorted(Predicate):
     into: Mapping[str, str] = Field(default_factory=dict)
 
     @model_validator(mode="after")
-    def _one_of_both(self) -> Sorted:
+    def _exactly_one_given(self) -> Sorted:
         if bool(self.order) == bool(self.into):
             raise ValueError("give either `order` or `into`")
         return self
@@ -414,7 +421,7 @@ class Sorted(Predicate):
         """Return measures of neighbours and of the row, or a measure of each object in its container."""
         things = roles.objects_of(self.things)
         if self.into:
-            return [self._in_its_own(world, roles, thing) for thing in things]
+            return [self._measure_in_container(world, roles, thing) for thing in things]
         if strangers := [thing for thing in things if roles.config_names[thing] not in self.order]:
             return [
                 binary_measure(f"sorted({thing})", False, f"its kind {roles.config_names[thing]} is not in `order`")
@@ -425,7 +432,7 @@ class Sorted(Predicate):
         along, across = ("xy".index(self.axis), "yx".index(self.axis))
         places = {name: world.pose(name)[:2, 3] for name in names}
         found = [
-            self._after(one, other, float(places[other][along]) - float(places[one][along]))
+            self._measure_gap(one, other, float(places[other][along]) - float(places[one][along]))
             for one in names
             for other in names
             if rank[one] + 1 == rank[other]
@@ -436,10 +443,10 @@ class Sorted(Predicate):
             found.append(GoalMeasure(what, self.line - width, "m", f"{width * 1000:.0f} mm across the row"))
         return found
 
-    def _after(self, one: str, other: str, gap: float) -> GoalMeasure:
+    def _measure_gap(self, one: str, other: str, gap: float) -> GoalMeasure:
         return GoalMeasure(f"sorted({one}, {other})", gap - self.apart, "m", f"{gap * 1000:.0f} mm along {self.axis}")
 
-    def _in_its_own(self, world: GoalWorld, roles: RoleAssignment, thing: str) -> GoalMeasure:
+    def _measure_in_container(self, world: GoalWorld, roles: RoleAssignment, thing: str) -> GoalMeasure:
         kind = roles.config_names[thing]
         if kind not in self.into:
             return binary_measure(f"sorted({thing})", False, f"no container for a {kind}")
@@ -460,7 +467,7 @@ class Open(_PerObjectPredicate):
     share: Share = 0.7
     side: Literal["least", "most"] = "least"
 
-    def _measure(self, world: GoalWorld, thing: str) -> GoalMeasure:
+    def _measure_object(self, world: GoalWorld, thing: str) -> GoalMeasure:
         opening = world.joint_opening(thing, self.joint)
         margin = opening - self.share if self.side == "least" else self.share - opening
         return GoalMeasure(f"open({thing}, {self.joint})", margin, "share", f"open by {opening:.0%}")
@@ -482,9 +489,9 @@ class Swapped(Predicate):
     def measures(self, world: GoalWorld, roles: RoleAssignment) -> list[GoalMeasure]:
         """Return the measure of each of the two objects at the other's start."""
         one, other = roles.object_of(self.thing), roles.object_of(self.other)
-        return [self._measure(world, one, other), self._measure(world, other, one)]
+        return [self._measure_distance(world, one, other), self._measure_distance(world, other, one)]
 
-    def _measure(self, world: GoalWorld, thing: str, other: str) -> GoalMeasure:
+    def _measure_distance(self, world: GoalWorld, thing: str, other: str) -> GoalMeasure:
         off = float(np.linalg.norm(world.pose(thing)[:2, 3] - world.start_pose(other)[:2, 3]))
         detail = f"{off * 1000:.0f} mm from where the {other} started"
         return GoalMeasure(f"swapped({thing}, {other})", self.radius - off, "m", detail)
@@ -511,13 +518,13 @@ class Hung(_PerPairPredicate):
     radius: Distance = 0.022
     depth: Distance = 0.015
 
-    def _measure(self, world: GoalWorld, thing: str, other: str) -> GoalMeasure:
+    def _measure_pair(self, world: GoalWorld, thing: str, other: str) -> GoalMeasure:
         what = f"hung({thing}, {other})"
-        if held := _still_held(world, thing, what):
+        if held := _failure_if_held(world, thing, what):
             return held
         if world.are_touching(thing, TABLE):
             return binary_measure(what, False, "it touches the table")
-        T_eye_in_peg = inverse(world.handle_pose(other, self.peg)) @ world.handle_pose(thing, self.eye)
+        T_eye_in_peg = invert_pose(world.handle_pose(other, self.peg)) @ world.handle_pose(thing, self.eye)
         (x, y, z), through = T_eye_in_peg[:3, 3], T_eye_in_peg[:3, 2]
         # The peg is the z axis. It meets the eye's plane at z = `behind`, or never if parallel to the plane.
         behind = float(T_eye_in_peg[:3, 3] @ through / through[2]) if abs(through[2]) > 1e-6 else -np.inf
@@ -540,21 +547,21 @@ class Folded(_PerObjectPredicate):
 
     IN_HAND: ClassVar[bool | None] = False
     OF_CLOTH: ClassVar[bool] = True
-    how: Fold = "half"
+    how: ClothFoldKind = "half"
     error: Annotated[Distance, Field(gt=0)] = 0.02
     area: Annotated[Share, Field(gt=0)] = 0.1
     height: Annotated[Distance, Field(gt=0)] = 0.03
 
-    def _measures(self, world: GoalWorld, thing: str) -> list[GoalMeasure]:
+    def _object_measures(self, world: GoalWorld, thing: str) -> list[GoalMeasure]:
         what = f"folded({thing}, {self.how})"
-        if held := _still_held(world, thing, what):
+        if held := _failure_if_held(world, thing, what):
             return [held]
         points = world.cloth_points(thing)
         ways = fold_plans(self.how, *points.shape[:2])
         if not ways:
             return [binary_measure(what, False, "its grid of points cannot be folded in this way")]
         folded = min(ways, key=lambda way: _fold_error(points, way))
-        error, covered = _fold_error(points, folded), _covered(points)
+        error, covered = _fold_error(points, folded), _covered_area_share(points)
         high, order = float(np.ptp(points[..., 2])), _layer_gap(points, folded)
         off = abs(covered - folded.covered)
         return [
@@ -581,37 +588,39 @@ class Spread(_PerObjectPredicate):
     area: Annotated[Share, Field(gt=0, lt=1)] = 0.95
     height: Annotated[Distance, Field(gt=0)] = 0.015
 
-    def _measures(self, world: GoalWorld, thing: str) -> list[GoalMeasure]:
+    def _object_measures(self, world: GoalWorld, thing: str) -> list[GoalMeasure]:
         what = f"spread({thing})"
-        if held := _still_held(world, thing, what):
+        if held := _failure_if_held(world, thing, what):
             return [held]
         points = world.cloth_points(thing)
-        covered, high = _covered(points), float(np.ptp(points[..., 2]))
+        covered, high = _covered_area_share(points), float(np.ptp(points[..., 2]))
         return [
             GoalMeasure(what, covered - self.area, "share", f"it covers {covered:.1%} of its area"),
             GoalMeasure(f"{what}: flat", self.height - high, "m", f"{high * 1000:.1f} mm high"),
         ]
 
 
-def _covered(points: Array) -> float:
+def _covered_area_share(points: Array) -> float:
     """Return the share of a cloth's area that its outline covers, seen from above."""
     return outline_area(points[..., :2].reshape(-1, 2)) / sheet_area(points)
 
 
-def _layer(points: Array, layer: NDArray[np.int_]) -> Array:
+def _layer_points(points: Array, layer: NDArray[np.int_]) -> Array:
     there: Array = points[layer[:, 0], layer[:, 1]]
     return there
 
 
 def _fold_error(points: Array, plan: FoldPlan) -> float:
     """Return the largest horizontal distance between points that coincide in an exact fold, m."""
-    pairs = [(_layer(points, one), _layer(points, other)) for one, other in plan.layers]
+    pairs = [(_layer_points(points, one), _layer_points(points, other)) for one, other in plan.layers]
     return float(max(np.linalg.norm((one - other)[:, :2], axis=1).max() for one, other in pairs))
 
 
 def _layer_gap(points: Array, plan: FoldPlan) -> float:
     """Return the least height of a layer above the layer below, m; negative if the layers intersect."""
-    higher = np.concatenate([_layer(points, one)[:, 2] - _layer(points, other)[:, 2] for one, other in plan.layers])
+    higher = np.concatenate(
+        [_layer_points(points, one)[:, 2] - _layer_points(points, other)[:, 2] for one, other in plan.layers]
+    )
     return float(max(higher.min(), -higher.max()))  # a fold from below reverses the order of the layers
 
 

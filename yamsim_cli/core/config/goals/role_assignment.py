@@ -28,7 +28,7 @@ class RoleAssignment:
         """Return the name of a role's first object."""
         return self.objects_of(role)[0]
 
-    def pairs(self, role: str, other: str) -> Iterator[tuple[str, str]]:
+    def object_pairs(self, role: str, other: str) -> Iterator[tuple[str, str]]:
         """Yield each object of a role with its counterpart of another role.
 
         Roles with equal numbers of objects are paired in order. Otherwise, the counterpart is the other role's first.

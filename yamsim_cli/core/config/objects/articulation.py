@@ -22,13 +22,13 @@ _Damping = Annotated[FiniteFloat, QuantityBounds("N s/m or N m s/rad", 0, 1e4)]
 _Effort = Annotated[FiniteFloat, QuantityBounds("N or N m", 0, 500)]
 
 
-def _direction(value: tuple[float, float, float]) -> tuple[float, float, float]:
+def _require_direction(value: tuple[float, float, float]) -> tuple[float, float, float]:
     if math.hypot(*value) < 1e-6:
         raise ValueError("a vector of length 0 has no direction")
     return value
 
 
-Direction = Annotated[tuple[FiniteFloat, FiniteFloat, FiniteFloat], AfterValidator(_direction)]
+Direction = Annotated[tuple[FiniteFloat, FiniteFloat, FiniteFloat], AfterValidator(_require_direction)]
 
 
 class Handle(Config):

@@ -60,23 +60,23 @@ class Cloth(Config):
         return self.mass_g / 1000
 
     @property
-    def radius(self) -> float:
+    def half_thickness(self) -> float:
         """Half the thickness, m: the height of points above the surface on which they lie."""
         return self.thickness_mm / 2000
 
     @property
-    def spacing(self) -> float:
+    def max_point_spacing(self) -> float:
         """The larger of the distances between neighbours along x and along y, m."""
         return max(side / (count - 1) for side, count in zip(self.size, self.grid, strict=True))
 
     @property
-    def elasticity(self) -> tuple[float, float, float]:
+    def elastic_constants(self) -> tuple[float, float, float]:
         """Young's modulus (Pa), Poisson's ratio and thickness (m) of the plate with this stretching and bending."""
         thickness = math.sqrt(12 * (1 - _POISSON**2) * self.bending_n_m / self.stretching_n_m)
         return self.stretching_n_m / thickness, _POISSON, thickness
 
 
-def cloth_object(data: Mapping[str, Any]) -> dict[str, Any]:
+def object_keys_from_cloth(data: Mapping[str, Any]) -> dict[str, Any]:
     """Return the keys of an object's config that follow from its `cloth`, as of a flat box; empty if not valid."""
     if not isinstance(data.get("cloth"), dict):
         return {}
@@ -84,7 +84,7 @@ def cloth_object(data: Mapping[str, Any]) -> dict[str, Any]:
         cloth = Cloth.model_validate(data["cloth"])
     except ValidationError:
         return {}  # the validation of the whole config reports the error with its line
-    (x, y), mass, radius = cloth.size, cloth.mass, cloth.radius
+    (x, y), mass, radius = cloth.size, cloth.mass, cloth.half_thickness
     moments = (mass * y**2 / 12, mass * x**2 / 12, mass * (x**2 + y**2) / 12)
     return {
         "mesh": {

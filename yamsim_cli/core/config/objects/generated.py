@@ -13,7 +13,7 @@ from ...geometry.closed_surface import uniform_mass_properties
 from ...geometry.loft import concatenate_surfaces
 from ...geometry.se3 import Array, quat_from_rotation
 from ...geometry.shape_generators.generated_shape import GeneratedShape, ShapeGrasp
-from ...geometry.stl import stl_bytes
+from ...geometry.stl import encode_stl
 from .shapes import DENSITY, Shape
 
 GENERATED_SET = "made"  # name of the asset set for meshes that are generated when a scene is built
@@ -41,10 +41,13 @@ _WALL_CLEARANCE = 0.006  # m, from an open finger to a grasped wall: the outer o
 
 def generated_mesh_files(name: str, shape: Shape) -> dict[str, bytes]:
     """Return file name -> binary STL (m), one file for each role of pieces, such as the body and the handle."""
-    return {_file(name, role): stl_bytes(*surface) for role, surface in _surfaces(shape.form()).items()}
+    return {
+        _mesh_file_name(name, role): encode_stl(*surface)
+        for role, surface in _surfaces_by_role(shape.generated_shape()).items()
+    }
 
 
-def keys_from_shape(data: Mapping[str, Any]) -> dict[str, Any]:
+def object_keys_from_shape(data: Mapping[str, Any]) -> dict[str, Any]:
     """Return the keys of an object's config that follow from the sizes in its `shape`; empty without a valid shape."""
     if not isinstance(data.get("shape"), dict):
         return {}
@@ -61,10 +64,10 @@ def scaled_shape(shape: Shape, factor: float) -> Shape:
     Raises ValidationError if the scaled sizes are not valid.
     """
     data = shape.model_dump(mode="json", exclude_none=True)
-    return _SHAPE.validate_python({key: _scaled(key, value, factor) for key, value in data.items()})
+    return _SHAPE.validate_python({key: _scaled_value(key, value, factor) for key, value in data.items()})
 
 
-def _scaled(key: str, value: Any, factor: float) -> Any:
+def _scaled_value(key: str, value: Any, factor: float) -> Any:
     power = next((power for unit, power in _SCALE_POWERS.items() if key.endswith(unit)), 0)
     if not power:
         return value
@@ -73,11 +76,11 @@ def _scaled(key: str, value: Any, factor: float) -> Any:
 
 def object_from_shape(name: str, shape: Shape) -> dict[str, Any]:
     """Return the keys of an object's config that follow from a shape: meshes, inertia, contact, collision and grasp."""
-    form = shape.form()
+    form = shape.generated_shape()
     mass, centre, inertia = _mass_properties(shape, form)
     moments, axes = np.linalg.eigh(inertia)
     axes[:, 2] *= np.sign(np.linalg.det(axes))
-    meshes = [_mesh(name, role, shape) for role in _surfaces(form)]
+    meshes = [_mesh_data(name, role, shape) for role in _surfaces_by_role(form)]
     made: dict[str, Any] = {
         "mesh": meshes[0],
         "meshes": meshes[1:],
@@ -87,27 +90,27 @@ def object_from_shape(name: str, shape: Shape) -> dict[str, Any]:
             "diagonal": [float(f"{moment:.4g}") for moment in moments],
             "quat": [round(float(q), 5) + 0.0 for q in quat_from_rotation(axes)],
         },
-        "contact": _contact(form),
+        "contact": _contact_data(form),
         "collision": [dict(part) for part in form.collision],
         "rest_height": 0.0,
         "support": form.support_height,
         "preposition": form.preposition,
     }
     if form.grasps:
-        made["grasp"] = _grasp(form, mass, centre)
+        made["grasp"] = _grasp_data(form, mass, centre)
     return {key: value for key, value in made.items() if value not in (None, [])}
 
 
-def _surfaces(form: GeneratedShape) -> dict[str, Any]:
+def _surfaces_by_role(form: GeneratedShape) -> dict[str, Any]:
     roles = sorted({piece.role for piece in form.pieces}, key=lambda role: (role != _BODY, role))
     return {role: concatenate_surfaces(piece.surface for piece in form.pieces if piece.role == role) for role in roles}
 
 
-def _mesh(name: str, role: str, shape: Shape) -> dict[str, Any]:
+def _mesh_data(name: str, role: str, shape: Shape) -> dict[str, Any]:
     material = shape.materials[role]
     return {
         "set": GENERATED_SET,
-        "file": _file(name, role),
+        "file": _mesh_file_name(name, role),
         "origin": [0.0, 0.0, 0.0],
         "rgba": list(material.rgba),
         "specular": material.specular,
@@ -115,7 +118,7 @@ def _mesh(name: str, role: str, shape: Shape) -> dict[str, Any]:
     }
 
 
-def _file(name: str, role: str) -> str:
+def _mesh_file_name(name: str, role: str) -> str:
     return f"{name}_{role}.stl"
 
 
@@ -134,7 +137,7 @@ def _mass_properties(shape: Shape, form: GeneratedShape) -> tuple[float, Array, 
     return total, centre, inertia
 
 
-def _contact(form: GeneratedShape) -> dict[str, Any]:
+def _contact_data(form: GeneratedShape) -> dict[str, Any]:
     if form.rolling_radius:
         return {
             "friction": [*_FRICTION, round(_ROUND_FRICTION * form.rolling_radius, 5)],
@@ -144,7 +147,7 @@ def _contact(form: GeneratedShape) -> dict[str, Any]:
     return {"friction": [*_FRICTION, _FLAT_FRICTION], "condim": 4, "push_out_s": _PUSH_OUT}
 
 
-def _grasp(form: GeneratedShape, mass: float, centre: Array) -> Mapping[str, Any]:
+def _grasp_data(form: GeneratedShape, mass: float, centre: Array) -> Mapping[str, Any]:
     """Return the data of a grasp by a weld constraint, and of grasps by friction if pads can press hard enough."""
     # In a grasp near the centre of mass, the object rotates less in the pads.
     holds = tuple(sorted(form.grasps, key=lambda hold: round(_lever_arm(hold, centre), 3)))

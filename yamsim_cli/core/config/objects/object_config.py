@@ -14,8 +14,8 @@ from ...files.documents.units import Distance, Heading, OffsetPoint, QuantityBou
 from ...files.documents.yaml_document import Document
 from ...geometry.se3 import Array, pose, rotation_from_vector, rotation_z
 from .articulation import Handle, Link
-from .cloth import Cloth, cloth_object
-from .generated import GENERATED_SET, keys_from_shape, object_from_shape, scaled_shape
+from .cloth import Cloth, object_keys_from_cloth
+from .generated import GENERATED_SET, object_from_shape, object_keys_from_shape, scaled_shape
 from .object_part import Contact as Contact
 from .object_part import Inertia as Inertia
 from .object_part import ObjectMesh as ObjectMesh
@@ -126,14 +126,17 @@ class ObjectConfig(Config):
     handles: tuple[Handle, ...] = ()
 
     @classmethod
-    def read(cls, path: Path) -> Document:
+    def read_document(cls, path: Path) -> Document:
         """Return an object's file, completed from its `shape` or `cloth`. Raises as `load_yaml`."""
-        document = super().read(path)
+        document = super().read_document(path)
         document.data.setdefault("name", path.stem)
-        for source, made in (("shape", keys_from_shape(document.data)), ("cloth", cloth_object(document.data))):
+        for source, made in (
+            ("shape", object_keys_from_shape(document.data)),
+            ("cloth", object_keys_from_cloth(document.data)),
+        ):
             for key, value in made.items():
                 if key not in document.data:
-                    document.override((key,), value, document.place((source,)))
+                    document.override_value((key,), value, document.place_of((source,)))
         return document
 
     @model_validator(mode="after")
@@ -198,18 +201,18 @@ class ObjectConfig(Config):
         if self.shape is None:
             raise ValueError(f"the {self.name} has no `shape`, so its size is fixed")
         given = self.model_dump(mode="json")
-        made = self._regenerate(self.shape).model_dump(mode="json")
+        made = self._with_shape(self.shape).model_dump(mode="json")
         if own := sorted(key for key in given if given[key] != made.get(key)):
             raise ValueError(f"the {self.name} has its own `{own[0]}`, which does not scale with its `shape`")
         try:
-            return self._regenerate(scaled_shape(self.shape, factor))
+            return self._with_shape(scaled_shape(self.shape, factor))
         except ValidationError as error:
             first = error.errors(include_url=False)[0]
             where = ".".join(str(part) for part in first["loc"])
             reason = first["msg"].removeprefix("Value error, ")
             raise ValueError(f"the {self.name} cannot be scaled by {factor:g}: {where}: {reason}") from error
 
-    def _regenerate(self, shape: Shape) -> ObjectConfig:
+    def _with_shape(self, shape: Shape) -> ObjectConfig:
         """Return the object with `shape`, and with all keys that follow from the shape generated again."""
         made = object_from_shape(self.name, shape)
         given = self.model_dump(mode="json")
@@ -251,7 +254,7 @@ class ObjectConfig(Config):
         return any(isinstance(part, HullPart | SdfPart) for part in parts)
 
     @property
-    def footprint(self) -> tuple[tuple[float, float, float], ...]:
+    def footprint_discs(self) -> tuple[tuple[float, float, float], ...]:
         """Discs (x, y, radius) in the object's frame that cover its collision geometry seen from above, m."""
         discs: list[tuple[float, float, float]] = []
         for part in self.collision:
@@ -263,9 +266,9 @@ class ObjectConfig(Config):
                 case Cylinder() | Sphere():
                     discs.append((part.centre[0], part.centre[1], part.radius))
                 case Box():
-                    discs.extend(part.discs)
+                    discs.extend(part.covering_discs)
                 case HullPart() | SdfPart():
-                    discs.extend(part.bounding_box.discs)
+                    discs.extend(part.bounding_box.covering_discs)
                 case Ring():
                     discs.append((0.0, 0.0, max(part.inner[0], part.outer[0])))
         return tuple(discs)

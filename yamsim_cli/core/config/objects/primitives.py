@@ -49,7 +49,7 @@ class Box(Config):
     rgba: Rgba | None = None
 
     @property
-    def discs(self) -> tuple[tuple[float, float, float], ...]:
+    def covering_discs(self) -> tuple[tuple[float, float, float], ...]:
         """Discs (x, y, radius), m, that together cover the box seen from above."""
         long = self.half_size[0] >= self.half_size[1]
         length, width = (self.half_size[0], self.half_size[1]) if long else (self.half_size[1], self.half_size[0])

@@ -24,13 +24,13 @@ _Box = tuple[_Size, _Size, _Size]
 
 T = TypeVar("T")
 
-Stuff = Literal[
+MaterialName = Literal[
     "steel", "aluminium", "stoneware", "porcelain", "glass", "polypropylene", "nylon", "wood", "cardboard", "cotton",
     "durum", "fruit", "leaf", "paint",
 ]  # fmt: skip
 
 #: Density of each material, kg/m3, rounded from material tables. Folded cotton contains air; paint counts as massless.
-DENSITY: Mapping[Stuff, float] = {
+DENSITY: Mapping[MaterialName, float] = {
     "steel": 7900,
     "aluminium": 2700,
     "stoneware": 2300,
@@ -51,7 +51,7 @@ DENSITY: Mapping[Stuff, float] = {
 class Material(Config):
     """Material and appearance of a piece."""
 
-    stuff: Stuff
+    stuff: MaterialName
     rgba: Rgba
     specular: float = Field(default=0.3, ge=0, le=1)
     shininess: float = Field(default=0.4, ge=0, le=1)
@@ -68,17 +68,17 @@ class _Shape(Config):
     materials: Mapping[str, Material]
     mass_g: _Grams | None = None
 
-    def form(self) -> GeneratedShape:
+    def generated_shape(self) -> GeneratedShape:
         """Return the surfaces, collision primitives and grasps that follow from the sizes, in m."""
-        return self._form()
+        return self._generate_shape()
 
     @abstractmethod
-    def _form(self) -> GeneratedShape: ...
+    def _generate_shape(self) -> GeneratedShape: ...
 
     @model_validator(mode="after")
     def _every_piece_has_a_material(self) -> _Shape:
         try:
-            roles = {piece.role for piece in self.form().pieces}
+            roles = {piece.role for piece in self.generated_shape().pieces}
         except (ValueError, IndexError, FloatingPointError):
             raise ValueError("these sizes contradict each other: a part would have no room") from None
         if missing := sorted(roles - set(self.materials)):
@@ -114,7 +114,7 @@ class VesselShape(_Shape):
             raise ConflictError("shoulder_mm and slope_mm reach over the rim", ("shoulder_mm",))
         return self
 
-    def _form(self) -> GeneratedShape:
+    def _generate_shape(self) -> GeneratedShape:
         return vessels.make_vessel(_in_metres(vessels.VesselSizes, self))
 
 
@@ -127,8 +127,8 @@ class CapShape(_Shape):
     wall_mm: _Thin
     grips: int = Field(default=0, ge=0, le=96)
 
-    def _form(self) -> GeneratedShape:
-        return vessels.make_cap(_m(self.diameter_mm), _m(self.height_mm), _m(self.wall_mm), self.grips)
+    def _generate_shape(self) -> GeneratedShape:
+        return vessels.make_cap(_metres(self.diameter_mm), _metres(self.height_mm), _metres(self.wall_mm), self.grips)
 
 
 class FruitShape(_Shape):
@@ -141,8 +141,10 @@ class FruitShape(_Shape):
     depth: Annotated[FiniteFloat, QuantityBounds("of 1", 0, 0.2)] = 0.0
     stalk_mm: _Length = 0.0
 
-    def _form(self) -> GeneratedShape:
-        return vessels.make_fruit(_m(self.diameter_mm), _m(self.height_mm), self.lobes, self.depth, _m(self.stalk_mm))
+    def _generate_shape(self) -> GeneratedShape:
+        return vessels.make_fruit(
+            _metres(self.diameter_mm), _metres(self.height_mm), self.lobes, self.depth, _metres(self.stalk_mm)
+        )
 
 
 class ContainerShape(_Shape):
@@ -156,8 +158,8 @@ class ContainerShape(_Shape):
     lip_mm: _Length = 0.0
     cells: int = Field(default=1, ge=1, le=12)
 
-    def _form(self) -> GeneratedShape:
-        return boxes.make_container(_in_metres(boxes.Container, self))
+    def _generate_shape(self) -> GeneratedShape:
+        return boxes.make_container(_in_metres(boxes.ContainerSizes, self))
 
 
 class LidShape(_Shape):
@@ -170,9 +172,11 @@ class LidShape(_Shape):
     inset_mm: _Thin
     bar_mm: tuple[_Size, _Size]
 
-    def _form(self) -> GeneratedShape:
-        bar = (_m(self.bar_mm[0]), _m(self.bar_mm[1]))
-        return boxes.make_lid(_size(self.size_mm), _m(self.corner_mm), _m(self.plate_mm), _m(self.inset_mm), bar)
+    def _generate_shape(self) -> GeneratedShape:
+        bar = (_metres(self.bar_mm[0]), _metres(self.bar_mm[1]))
+        return boxes.make_lid(
+            _size_in_metres(self.size_mm), _metres(self.corner_mm), _metres(self.plate_mm), _metres(self.inset_mm), bar
+        )
 
 
 class BlockShape(_Shape):
@@ -184,8 +188,10 @@ class BlockShape(_Shape):
     edge_mm: _Length
     band: tuple[_Share, _Share] | None = None
 
-    def _form(self) -> GeneratedShape:
-        return boxes.make_block(_size(self.size_mm), _m(self.corner_mm), _m(self.edge_mm), self.band)
+    def _generate_shape(self) -> GeneratedShape:
+        return boxes.make_block(
+            _size_in_metres(self.size_mm), _metres(self.corner_mm), _metres(self.edge_mm), self.band
+        )
 
 
 class TextileShape(_Shape):
@@ -195,8 +201,8 @@ class TextileShape(_Shape):
     size_mm: _Box
     folds: int = Field(default=1, ge=1, le=16)
 
-    def _form(self) -> GeneratedShape:
-        return boxes.make_textile(_size(self.size_mm), self.folds)
+    def _generate_shape(self) -> GeneratedShape:
+        return boxes.make_textile(_size_in_metres(self.size_mm), self.folds)
 
 
 class RackShape(_Shape):
@@ -223,10 +229,12 @@ class RackShape(_Shape):
             )
         return self
 
-    def _form(self) -> GeneratedShape:
+    def _generate_shape(self) -> GeneratedShape:
         tine = self.size_mm[2] if self.tine_mm is None else self.tine_mm
         return boxes.make_rack(
-            boxes.Rack(_size(self.size_mm), _m(self.wire_mm), self.slots, _m(self.slot_mm), _m(tine))
+            boxes.RackSizes(
+                _size_in_metres(self.size_mm), _metres(self.wire_mm), self.slots, _metres(self.slot_mm), _metres(tine)
+            )
         )
 
 
@@ -240,8 +248,8 @@ class CutleryShape(_Shape):
     thickness_mm: _Thin
     handle_mm: _Thin
 
-    def _form(self) -> GeneratedShape:
-        return cutlery.make_cutlery(_in_metres(cutlery.Cutlery, self))
+    def _generate_shape(self) -> GeneratedShape:
+        return cutlery.make_cutlery(_in_metres(cutlery.CutlerySizes, self))
 
 
 class PastaShape(_Shape):
@@ -254,11 +262,13 @@ class PastaShape(_Shape):
     slant_deg: Annotated[FiniteFloat, QuantityBounds("degrees", 0, 60)] = 0.0
     ridges: int = Field(default=0, ge=0, le=40)
 
-    def _form(self) -> GeneratedShape:
-        return pasta.make_pasta(_m(self.diameter_mm), _m(self.length_mm), _m(self.wall_mm), self.slant_deg, self.ridges)
+    def _generate_shape(self) -> GeneratedShape:
+        return pasta.make_pasta(
+            _metres(self.diameter_mm), _metres(self.length_mm), _metres(self.wall_mm), self.slant_deg, self.ridges
+        )
 
 
-def _m(mm: float) -> float:
+def _metres(mm: float) -> float:
     return mm / 1000
 
 
@@ -271,12 +281,12 @@ def _in_metres(kind: type[T], shape: _Shape) -> T:
         if mm is None:
             values[field.name] = getattr(shape, field.name, None)
         else:
-            values[field.name] = _size(mm) if isinstance(mm, tuple) else _m(mm)
+            values[field.name] = _size_in_metres(mm) if isinstance(mm, tuple) else _metres(mm)
     made: T = dataclass(**values)
     return made
 
 
-def _size(mm: tuple[float, float, float]) -> tuple[float, float, float]:
+def _size_in_metres(mm: tuple[float, float, float]) -> tuple[float, float, float]:
     x, y, z = mm
     return x / 1000, y / 1000, z / 1000
 

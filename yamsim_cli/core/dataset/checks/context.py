@@ -15,8 +15,8 @@ from ...errors import DatasetError
 from ...files.resources import Locations
 from ...geometry.se3 import Array, pose
 from ...robots.robot import widest_joint_limits
-from ..dataset_paths import CONFIG, EPISODE, episode_directories, episode_name
-from ..imported_records import is_real, read_dataset_config, real_config
+from ..dataset_paths import CONFIG_FILE, EPISODE_FILE, episode_directories, episode_name
+from ..imported_records import is_imported_dataset, read_dataset_config, read_imported_config
 from .motion import ArmLimits
 from .problem import ProblemCollector
 
@@ -80,10 +80,10 @@ def find_episodes(dataset: Path) -> tuple[list[EpisodeDirectory], bool]:
             raise DatasetError(f"{dataset} is not a directory; {hint}")
         if _is_episode(dataset):
             raise DatasetError(f"{dataset} is one episode; give the directory around it, {dataset.absolute().parent}")
-        numbered = _numbered(dataset)
-        if is_real(dataset):
+        numbered = _numbered_episodes(dataset)
+        if is_imported_dataset(dataset):
             return numbered, False
-        if (dataset / CONFIG).is_file() or any((episode.path / EPISODE).is_file() for episode in numbered):
+        if (dataset / CONFIG_FILE).is_file() or any((episode.path / EPISODE_FILE).is_file() for episode in numbered):
             return numbered, True
         plain = [path for path in dataset.iterdir() if not path.name.startswith(".") and _is_episode(path)]
     except OSError as error:
@@ -92,12 +92,12 @@ def find_episodes(dataset: Path) -> tuple[list[EpisodeDirectory], bool]:
         ) from error
     if not plain:
         raise DatasetError(
-            f"{dataset} holds no episodes (ep_NNNNNN, or any with rgb/ and lowdim/) and no {CONFIG}; {hint}"
+            f"{dataset} holds no episodes (ep_NNNNNN, or any with rgb/ and lowdim/) and no {CONFIG_FILE}; {hint}"
         )
     return [EpisodeDirectory(path, None) for path in sorted(plain, key=_natural_sort_key)], False
 
 
-def _numbered(dataset: Path) -> list[EpisodeDirectory]:
+def _numbered_episodes(dataset: Path) -> list[EpisodeDirectory]:
     """Return the episodes in `ep_NNNNNN`. Spellings such as ep_0000001 are excluded, so that numbers are unique."""
     return [
         EpisodeDirectory(path, number)
@@ -122,27 +122,29 @@ def _natural_sort_key(path: Path) -> list[tuple[int, str]]:
 def read_context(dataset: Path, recorded: bool, locations: Locations, problems: ProblemCollector) -> CheckContext:
     """Build the check context from the dataset's config. Without a config, use limits that hold for every arm."""
     parsed: RecordConfig | None = None
-    if recorded and not (dataset / CONFIG).is_file():
+    if recorded and not (dataset / CONFIG_FILE).is_file():
         problems.add("config.missing")
     elif recorded:
         try:
             parsed = read_dataset_config(RecordConfig, dataset, locations)
         except DatasetError as error:
-            problems.add("config.damaged", CONFIG, str(error).removeprefix(f"{dataset}/"))
-    if parsed is None and is_real(dataset):
-        rig = real_config(dataset, locations).rig
+            problems.add("config.damaged", CONFIG_FILE, str(error).removeprefix(f"{dataset}/"))
+    if parsed is None and is_imported_dataset(dataset):
+        rig = read_imported_config(dataset, locations).rig
         return CheckContext(
             recorded,
-            _limits(rig),
+            _arm_limits(rig),
             rig.T_base_in_world(rig.recording_order[0]),
             wrist_cameras=_wrist_cameras(rig),
             real=True,
         )
     if parsed is None:
         arm = load_config(RecordConfig, "record", _PLAIN_CONFIG, locations).rig.arms[0]
-        return CheckContext(recorded, (ArmLimits(widest_joint_limits(arm.model), len(arm.robot.drives), None),), pose())
+        return CheckContext(
+            recorded, (ArmLimits(widest_joint_limits(arm.model), len(arm.robot.drive_names), None),), pose()
+        )
     rig = parsed.rig
-    arms, wrists = _limits(rig), _wrist_cameras(rig)
+    arms, wrists = _arm_limits(rig), _wrist_cameras(rig)
     T_base_in_world = rig.T_base_in_world(rig.recording_order[0])
     target, cast = parsed.task.target_predicate, parsed.task.typical_roles
     if target is None or target.radius is None:
@@ -153,25 +155,30 @@ def read_context(dataset: Path, recorded: bool, locations: Locations, problems: 
         T_base_in_world,
         cast.object_of(target.thing),
         cast.object_of(target.surface),
-        _region(parsed, (target.thing, target.surface)),
+        _bounding_start_region(parsed, (target.thing, target.surface)),
         target.radius,
         _MAX_HEIGHT,
         wrists,
     )
 
 
-def _region(config: RecordConfig, roles: Sequence[str]) -> StartRegion | None:
-    starts = [config.starts[role] for role in roles if role in config.starts and config.starts[role].on == TABLE]
+def _bounding_start_region(config: RecordConfig, roles: Sequence[str]) -> StartRegion | None:
+    starts = [
+        config.start_regions_in_world[role]
+        for role in roles
+        if role in config.start_regions_in_world and config.start_regions_in_world[role].on == TABLE
+    ]
     if not starts:
         return None
     x, y = ([bound for start in starts for bound in getattr(start, axis)] for axis in "xy")
     return StartRegion((min(x), max(x)), (min(y), max(y)))
 
 
-def _limits(rig: RigConfig) -> tuple[ArmLimits, ...]:
+def _arm_limits(rig: RigConfig) -> tuple[ArmLimits, ...]:
     robots = [rig.arms[k].robot for k in rig.recording_order]
     return tuple(
-        ArmLimits(robot.joints, len(robot.drives), robot.fingers.range if robot.fingers else None) for robot in robots
+        ArmLimits(robot.joints, len(robot.drive_names), robot.fingers.range if robot.fingers else None)
+        for robot in robots
     )
 
 

@@ -84,8 +84,8 @@ def recorded_specs(record: EpisodeRecord) -> dict[str, ValueSpec]:
 def frame_faults(frame: Mapping[str, Any], forms: Mapping[str, ValueSpec]) -> list[str]:
     """Compare a decoded frame with `forms` (flat key -> required spec), and return one text per fault."""
     problems = ProblemCollector()
-    LowdimChecks(forms, problems).take(0, "", frame)
-    return [problem.text for problem in problems.list()]
+    LowdimChecks(forms, problems).check_frame_values(0, "", frame)
+    return [problem.text for problem in problems.all_problems()]
 
 
 class LowdimChecks:
@@ -106,7 +106,7 @@ class LowdimChecks:
         self.frames: dict[int, dict[str, Any]] = {}
         self.values: dict[int, dict[str, Any]] = {}
 
-    def check(self, number: int, name: str, data: bytes) -> bool:
+    def check_file(self, number: int, name: str, data: bytes) -> bool:
         """Check the content `data` of a frame file `name`, and return whether the frame is readable."""
         try:
             frame = load_frame(data)
@@ -116,10 +116,10 @@ class LowdimChecks:
         except DatasetError as error:
             self._problems.add("lowdim.damaged", name, str(error).removeprefix("not a valid pickle: "))
             return False
-        self.take(number, name, frame)
+        self.check_frame_values(number, name, frame)
         return True
 
-    def take(self, number: int, name: str, frame: Mapping[str, Any]) -> None:
+    def check_frame_values(self, number: int, name: str, frame: Mapping[str, Any]) -> None:
         """Check a decoded frame, and store its valid values in `values`."""
         # `SIMULATION` keys are checked separately: their shapes differ in the last frame, and a frame may lack them.
         for fault in simulation_faults(frame):
@@ -150,11 +150,11 @@ class LowdimChecks:
             return add("lowdim.type", form, wanted)
         if form.shape != wanted.shape:
             return add("lowdim.shape", form, wanted)
-        if isinstance(value, np.ndarray | float) and not _finite(value):
+        if isinstance(value, np.ndarray | float) and not _is_finite(value):
             return add("lowdim.finite", np.array2string(np.asarray(value).ravel()[:8], precision=4), "finite numbers")
         return True
 
 
-def _finite(value: Any) -> bool:
+def _is_finite(value: Any) -> bool:
     array = np.asarray(value)
     return array.dtype.kind not in "fc" or bool(np.isfinite(array).all())

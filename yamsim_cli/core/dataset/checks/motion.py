@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from ...geometry.camera import project
-from ...geometry.se3 import Array, inverse
+from ...geometry.camera import project_points
+from ...geometry.se3 import Array, invert_pose
 from ...robots.models import JointLimits
 from .problem import ProblemCollector
 
@@ -90,7 +90,7 @@ class ArmData:
     openings: Mapping[int, float]
 
 
-def each_arm(joints: Mapping[int, Array], arms: Sequence[ArmLimits], *, repeated: bool) -> list[ArmData]:
+def split_by_arm(joints: Mapping[int, Array], arms: Sequence[ArmLimits], *, repeated: bool) -> list[ArmData]:
     """Split the frames' `joints` by arm, and return the motion of each arm; empty if the length does not match.
 
     Args:
@@ -241,7 +241,7 @@ def check_intrinsics(
             problems.add("camera.fit", name(k), value, valid, about=key)
 
 
-def check_view(
+def check_objects_in_view(
     camera: str,
     values: Mapping[int, Mapping[str, Any]],
     points: Mapping[str, Mapping[int, Array]],
@@ -261,10 +261,10 @@ def check_view(
             continue
         judged = True
         positions = np.array([by_frame[k][:, 3] for by_frame in points.values()], dtype=np.float64)
-        in_cam = (inverse(T_cam_in_base) @ positions.T).T[:, :3]
+        in_cam = (invert_pose(T_cam_in_base) @ positions.T).T[:, :3]
         in_front = in_cam[in_cam[:, 2] > 0.01]
         if len(in_front):
-            pixels = project(K, in_front)
+            pixels = project_points(K, in_front)
             if bool(((pixels >= -0.5) & (pixels < np.array(size) - 0.5)).all(axis=1).any()):
                 return
     if judged:

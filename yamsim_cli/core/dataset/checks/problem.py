@@ -113,7 +113,7 @@ _WARNINGS = {
 }
 
 # `<subject>.<fault>` -> kind of fault. Keys are stable across versions.
-CODES: Mapping[str, ProblemCode] = {
+PROBLEM_CODES: Mapping[str, ProblemCode] = {
     name: ProblemCode(severity, *texts)
     for severity, codes in ((Severity.ERROR, _ERRORS), (Severity.WARNING, _WARNINGS))
     for name, texts in codes.items()
@@ -125,7 +125,7 @@ class DatasetProblem:
     """A fault found by a check.
 
     Attributes:
-        code: key of `CODES`.
+        code: key of `PROBLEM_CODES`.
         episode: its directory name; "" for the dataset.
         file: first file with the fault, relative to the episode or the dataset; "" for all files.
         value, valid: the value found; the valid value or range, "" if the title states it.
@@ -142,7 +142,7 @@ class DatasetProblem:
     @property
     def kind(self) -> ProblemCode:
         """Severity, title and advice."""
-        return CODES[self.code]
+        return PROBLEM_CODES[self.code]
 
     @property
     def text(self) -> str:
@@ -152,7 +152,7 @@ class DatasetProblem:
         return f"{self.kind.title}: {self.value}{valid}{more}" if self.value else f"{self.kind.title}{more}"
 
     @property
-    def place(self) -> str:
+    def location_text(self) -> str:
         """The episode and file with the fault."""
         return "/".join(part for part in (self.episode, self.file) if part) or "dataset"
 
@@ -181,20 +181,20 @@ class ProblemCollector:
 
     def add(self, code: str, file: str = "", value: object = "", valid: object = "", *, about: Hashable = None) -> None:
         """Add a fault. Faults with equal `code` and equal `about` (not None) are counted in one `DatasetProblem`."""
-        assert code in CODES, code
+        assert code in PROBLEM_CODES, code
         key = (code, len(self._found)) if about is None else (code, "about", about)
         if earlier := self._found.get(key):
             self._found[key] = replace(earlier, count=earlier.count + 1)
         else:
             self._found[key] = DatasetProblem(
-                code, printable(self._episode), printable(file), printable(value), printable(valid)
+                code, printable_line(self._episode), printable_line(file), printable_line(value), printable_line(valid)
             )
 
     def has_code_prefix(self, prefix: str) -> bool:
         """Return whether the code of any fault begins with `prefix`."""
         return any(problem.code.startswith(prefix) for problem in self._found.values())
 
-    def list(self) -> list[DatasetProblem]:
+    def all_problems(self) -> list[DatasetProblem]:
         """Return the faults in the order in which they were added."""
         return list(self._found.values())
 
@@ -202,7 +202,7 @@ class ProblemCollector:
         return len(self._found)
 
 
-def printable(value: object) -> str:
+def printable_line(value: object) -> str:
     """Return a value as one short line of printable characters, so that dataset content cannot control a terminal."""
     text = str(value)
     if len(text) > _MAX_TEXT:

@@ -20,11 +20,11 @@ from enum import Enum
 from pathlib import Path
 from typing import Any
 
-from ...config.mesh_provenance import ShownMeshes, describe, describe_remedy, mesh_differences
+from ...config.mesh_provenance import ShownMeshes, describe_mesh_content, describe_remedy, mesh_differences
 from ...errors import ConfigError, ResourceError, UsageError
 from ...files.documents.yaml_document import load_yaml
 from ...files.writing import move_to_backup, why_not_directory
-from ..dataset_paths import CONFIG, LOCK, STAGING, is_leftover
+from ..dataset_paths import CONFIG_FILE, LOCK_FILE_NAME, STAGING_FOLDER, is_leftover
 
 # Errors that flock raises on filesystems without locks.
 _NO_FLOCK_ERRORS = (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP, errno.EINVAL)
@@ -68,7 +68,7 @@ def claim_directory(path: Path, mode: OpenMode, *, locks_reach_others: bool) -> 
         moved = _move_to_backup(path, locks_reach_others)
     if mode is OpenMode.NEW and _is_occupied(path):
         # An error that names the other recorder is more useful than "is not empty".
-        if (path / LOCK).exists():
+        if (path / LOCK_FILE_NAME).exists():
             DirectoryLock.acquire(path, reaches_others=locks_reach_others).release()
         raise _occupied_error(path)
     if not path.is_dir() and _is_occupied(path):
@@ -119,9 +119,9 @@ def _move_to_backup(path: Path, locks_reach_others: bool) -> Path:
 
 def _remove_leftovers(path: Path) -> None:
     for entry in path.iterdir():
-        if entry.name == STAGING:
+        if entry.name == STAGING_FOLDER:
             shutil.rmtree(entry, ignore_errors=True)
-        elif is_leftover(entry.name) and entry.name != LOCK:
+        elif is_leftover(entry.name) and entry.name != LOCK_FILE_NAME:
             entry.unlink()
 
 
@@ -168,11 +168,11 @@ class DirectoryLock:
             ResourceError: another recorder holds the lock; the message names its process and machine.
             OSError: the directory cannot be written.
         """
-        path = directory / LOCK
+        path = directory / LOCK_FILE_NAME
         while True:
             descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
             try:
-                taken, holder = _flock(descriptor), _read(descriptor)
+                taken, holder = _try_flock(descriptor), _read_lock_holder(descriptor)
                 if taken is False:
                     raise ResourceError(
                         f"{directory} is being recorded into by {holder or 'another process'}; wait for it, end it, or "
@@ -200,11 +200,11 @@ class DirectoryLock:
     def release(self) -> None:
         """Release the lock and remove its file."""
         with contextlib.suppress(OSError):
-            (self._directory / LOCK).unlink(missing_ok=True)
+            (self._directory / LOCK_FILE_NAME).unlink(missing_ok=True)
         os.close(self._descriptor)
 
 
-def _flock(descriptor: int) -> bool | None:
+def _try_flock(descriptor: int) -> bool | None:
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
@@ -216,7 +216,7 @@ def _flock(descriptor: int) -> bool | None:
     return True
 
 
-def _read(descriptor: int) -> _LockHolder | None:
+def _read_lock_holder(descriptor: int) -> _LockHolder | None:
     try:
         data = json.loads(os.pread(descriptor, 4096, 0))
         return _LockHolder(int(data["pid"]), str(data["host"]))
@@ -233,7 +233,7 @@ def _is_same_file(descriptor: int, path: Path) -> bool:
 
 def require_same_config(dataset: Path, recorded: Mapping[str, Any], wanted: Mapping[str, Any]) -> None:
     """Raise ConfigError if the recorded configuration or meshes differ from those of the resumed recording."""
-    changed = _changes(recorded, wanted)
+    changed = _config_differences(recorded, wanted)
     there, now = _stated_meshes(recorded), _stated_meshes(wanted)
     meshes = mesh_differences(there, now)
     if changed:
@@ -241,7 +241,7 @@ def require_same_config(dataset: Path, recorded: Mapping[str, Any], wanted: Mapp
         more = f"; and {len(changed) - _MAX_SHOWN_CHANGES} more" if len(changed) > _MAX_SHOWN_CHANGES else ""
         raise ConfigError(
             f"{dataset} was recorded with another configuration: {'; '.join(changed[:_MAX_SHOWN_CHANGES])}{more}; "
-            f"run with the same values (--config {dataset / CONFIG} has them), or record into another --out"
+            f"run with the same values (--config {dataset / CONFIG_FILE} has them), or record into another --out"
         )
     if meshes:
         raise ConfigError(
@@ -252,9 +252,10 @@ def require_same_config(dataset: Path, recorded: Mapping[str, Any], wanted: Mapp
 
 def describe_unstated_meshes(dataset: Path, wanted: Mapping[str, Any]) -> str:
     """Return a message: the dataset does not state which meshes its images show, and how to find out."""
-    texts = ", ".join(f"{name}: {describe(text)}" for name, text in _stated_meshes(wanted).items())
+    texts = ", ".join(f"{name}: {describe_mesh_content(text)}" for name, text in _stated_meshes(wanted).items())
     return (
-        f"{dataset / CONFIG} does not name the meshes of the episodes, because an earlier yamsim recorded them. New "
+        f"{dataset / CONFIG_FILE} does not name the meshes of the episodes, because an earlier yamsim recorded them. "
+        "New "
         f"episodes show {texts}; `yamsim verify {dataset} --sample 1 --images` shows whether the meshes are the same."
     )
 
@@ -262,7 +263,7 @@ def describe_unstated_meshes(dataset: Path, wanted: Mapping[str, Any]) -> str:
 def recorded_meshes(dataset: Path) -> ShownMeshes:
     """Return asset set -> description of the meshes in a dataset's images, from its config; empty if unreadable."""
     try:
-        return _stated_meshes(load_yaml(dataset / CONFIG).data)
+        return _stated_meshes(load_yaml(dataset / CONFIG_FILE).data)
     except ConfigError:
         return {}
 
@@ -272,8 +273,10 @@ def _stated_meshes(config: Mapping[str, Any]) -> ShownMeshes:
     return {str(name): str(text) for name, text in stated.items()} if isinstance(stated, Mapping) else {}
 
 
-def _changes(recorded: Mapping[str, Any], wanted: Mapping[str, Any]) -> list[str]:
-    old, new = (_flatten({key: value for key, value in data.items() if key != MESHES}) for data in (recorded, wanted))
+def _config_differences(recorded: Mapping[str, Any], wanted: Mapping[str, Any]) -> list[str]:
+    old, new = (
+        _flatten_keys({key: value for key, value in data.items() if key != MESHES}) for data in (recorded, wanted)
+    )
     return [
         f"{key}: {old.get(key)!r} there, {new.get(key)!r} now"
         for key in dict.fromkeys([*old, *new])
@@ -281,13 +284,15 @@ def _changes(recorded: Mapping[str, Any], wanted: Mapping[str, Any]) -> list[str
     ]
 
 
-def _flatten(data: Any, prefix: str = "") -> dict[str, Any]:
+def _flatten_keys(data: Any, prefix: str = "") -> dict[str, Any]:
     if isinstance(data, dict):
         return {
             key: value
             for name, inner in data.items()
-            for key, value in _flatten(inner, f"{prefix}.{name}" if prefix else name).items()
+            for key, value in _flatten_keys(inner, f"{prefix}.{name}" if prefix else name).items()
         }
     if isinstance(data, list | tuple):
-        return {key: value for k, inner in enumerate(data) for key, value in _flatten(inner, f"{prefix}[{k}]").items()}
+        return {
+            key: value for k, inner in enumerate(data) for key, value in _flatten_keys(inner, f"{prefix}[{k}]").items()
+        }
     return {prefix: data}

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from ...errors import DatasetError, NewerFormatError
 from ...files.writing import sha256_bytes
-from ..dataset_paths import DAMAGED, EPISODE, episode_directories
+from ..dataset_paths import EPISODE_FILE, QUARANTINE_FOLDER, episode_directories
 from ..records import EpisodeRecord, from_json
 
 _READER_THREADS = 32  # many, since each waits for the disk or network, and hashing releases the GIL
@@ -46,7 +46,7 @@ def quarantine_episode(episode: Path) -> Path:
 
 def quarantine_path(path: Path) -> Path:
     """Return an unused path in the quarantine directory, which is created if missing."""
-    folder = path.parent / DAMAGED
+    folder = path.parent / QUARANTINE_FOLDER
     folder.mkdir(exist_ok=True)
     number = 1
     while (target := folder / f"{path.name}.{number}").exists():
@@ -61,17 +61,17 @@ def inspect_episode(number: int, directory: Path) -> InspectedEpisode:
         return InspectedEpisode(number, directory, record, text, size, fault)
 
     try:
-        text = (directory / EPISODE).read_bytes()
+        text = (directory / EPISODE_FILE).read_bytes()
     except FileNotFoundError:
-        return found(None, b"", 0, f"{EPISODE} is missing")
+        return found(None, b"", 0, f"{EPISODE_FILE} is missing")
     try:
-        record = from_json(EpisodeRecord, text, EPISODE)
+        record = from_json(EpisodeRecord, text, EPISODE_FILE)
     except NewerFormatError:
         raise  # the episode is not damaged, and must not be quarantined
     except DatasetError as error:
         return found(None, text, 0, str(error))
     if record.episode != number:
-        return found(record, text, 0, f"{EPISODE} is that of episode {record.episode}")
+        return found(record, text, 0, f"{EPISODE_FILE} is that of episode {record.episode}")
     size = 0
     for name, sha256 in record.files.items():
         try:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from ...errors import DatasetError
 from ...files.writing import write_file
-from ..dataset_paths import ATTEMPTS, episode_name
+from ..dataset_paths import LEDGER_FILE, episode_name
 from ..records import AttemptRecord, EpisodeRecord, OutcomeRecord, from_json, to_json
 from .integrity import quarantine_path
 
@@ -18,7 +18,7 @@ from .integrity import quarantine_path
 LOST_LINE_OUTCOME = OutcomeRecord(
     success=False,
     cause="line_lost",
-    detail=f"its line in {ATTEMPTS} could not be read",
+    detail=f"its line in {LEDGER_FILE} could not be read",
     dxy_m=None,
     dz_m=None,
     speed_mps=None,
@@ -37,8 +37,8 @@ class Ledger:
 
     def __init__(self, dataset: Path) -> None:
         """Read the file. A missing file holds no attempts. A truncated last line is ignored."""
-        self._file = dataset / ATTEMPTS
-        self.known: dict[int, AttemptRecord] = {}
+        self._file = dataset / LEDGER_FILE
+        self.known_attempts: dict[int, AttemptRecord] = {}
         self.fault: str | None = None
         self._lines: dict[int, bytes] = {}
         self._read = self._file.read_bytes() if self._file.is_file() else b""
@@ -46,7 +46,7 @@ class Ledger:
         for number, line in enumerate(lines, start=1):
             if line:
                 self._read_line(number, line, last=number == len(lines))
-        self.known = dict(sorted(self.known.items()))
+        self.known_attempts = dict(sorted(self.known_attempts.items()))
 
     def _read_line(self, number: int, line: bytes, *, last: bool) -> None:
         try:
@@ -57,21 +57,21 @@ class Ledger:
             if not last:
                 self.fault = self.fault or str(error)
             return
-        if attempt.attempt in self.known:
+        if attempt.attempt in self.known_attempts:
             self.fault = self.fault or f"line {number}: attempt {attempt.attempt} is listed twice"
             if attempt.attempt != number - 1:
                 # The earlier line of this attempt is at the correct position.
                 return
-        self._put(attempt, line + b"\n")
+        self._store_line(attempt, line + b"\n")
 
-    def _put(self, attempt: AttemptRecord, line: bytes) -> None:
-        self.known[attempt.attempt] = attempt
+    def _store_line(self, attempt: AttemptRecord, line: bytes) -> None:
+        self.known_attempts[attempt.attempt] = attempt
         self._lines[attempt.attempt] = line
 
     @property
-    def missing(self) -> set[int]:
+    def missing_attempts(self) -> set[int]:
         """Numbers of the attempts before the last known attempt whose lines are lost."""
-        return set(range(max(self.known, default=-1))) - self.known.keys()
+        return set(range(max(self.known_attempts, default=-1))) - self.known_attempts.keys()
 
     def restore_lost_lines(self, episodes: Sequence[EpisodeRecord]) -> None:
         """Restore lost lines from the intact episodes of the dataset, and drop lines that contradict the episodes.
@@ -80,29 +80,30 @@ class Ledger:
             DatasetError: an episode and the ledger contradict each other, and neither is known to be correct.
         """
         made = {record.episode: record for record in episodes}
-        for attempt in list(self.known.values()):
+        for attempt in list(self.known_attempts.values()):
             if attempt.episode in made and made[attempt.episode].attempt != attempt.attempt:
                 name, other = episode_name(attempt.episode), made[attempt.episode].attempt
                 self.fault = self.fault or f"attempt {attempt.attempt} is listed as {name}, but that is attempt {other}"
-                del self.known[attempt.attempt], self._lines[attempt.attempt]
+                del self.known_attempts[attempt.attempt], self._lines[attempt.attempt]
         for record in episodes:
-            line = self.known.get(record.attempt)
+            line = self.known_attempts.get(record.attempt)
             if line is not None and line.episode != record.episode:
                 raise DatasetError(
-                    f"{self._file.parent / episode_name(record.episode)} is attempt {record.attempt}, which {ATTEMPTS} "
+                    f"{self._file.parent / episode_name(record.episode)} is attempt {record.attempt}, "
+                    f"which {LEDGER_FILE} "
                     "contradicts; the dataset cannot be resumed"
                 )
             if line is None:
                 adopted = AttemptRecord.model_validate(
                     {key: getattr(record, key) for key in AttemptRecord.model_fields}
                 )
-                self._put(adopted, to_json(adopted))
+                self._store_line(adopted, to_json(adopted))
         self._check_order()
         self._drop_after_gap()
-        self.known = dict(sorted(self.known.items()))
+        self.known_attempts = dict(sorted(self.known_attempts.items()))
 
     def _check_order(self) -> None:
-        numbers = [self.known[number].episode for number in sorted(self.known)]
+        numbers = [self.known_attempts[number].episode for number in sorted(self.known_attempts)]
         episodes = [number for number in numbers if number is not None]
         if episodes != sorted(set(episodes)):
             raise DatasetError(
@@ -111,39 +112,41 @@ class Ledger:
 
     def _drop_after_gap(self) -> None:
         """Drop failed attempts after a gap if no episode follows them. They are simulated again if needed."""
-        last = max((number for number, attempt in self.known.items() if attempt.episode is not None), default=-1)
-        while last + 1 in self.known:
+        last = max(
+            (number for number, attempt in self.known_attempts.items() if attempt.episode is not None), default=-1
+        )
+        while last + 1 in self.known_attempts:
             last += 1
-        for number in [number for number in self.known if number > last]:
+        for number in [number for number in self.known_attempts if number > last]:
             self.fault = self.fault or f"attempt {number} is there, and {last + 1} is not"
-            del self.known[number], self._lines[number]
+            del self.known_attempts[number], self._lines[number]
 
-    def insert(self, attempt: AttemptRecord) -> None:
+    def insert_lost_attempt(self, attempt: AttemptRecord) -> None:
         """Insert the line of an attempt whose line was lost. After an OSError the file is unchanged."""
-        self._put(attempt, to_json(attempt))
-        self._write()
+        self._store_line(attempt, to_json(attempt))
+        self._write_lines()
 
-    def repair(self) -> Path | None:
-        """Rewrite the ledger file if it differs from `known`. After an OSError the file is unchanged.
+    def repair_file(self) -> Path | None:
+        """Rewrite the ledger file if it differs from `known_attempts`. After an OSError the file is unchanged.
 
         Returns:
             Path of a copy of the damaged file; None if the file was not damaged.
         """
-        if self._read == self._text():
+        if self._read == self._joined_lines():
             return None
         kept = None
         if self.fault is not None:
             # Copy instead of move, so that a ledger exists at all times.
             kept = quarantine_path(self._file)
             write_file(kept, self._read)
-        self._write()
+        self._write_lines()
         return kept
 
-    def _text(self) -> bytes:
+    def _joined_lines(self) -> bytes:
         return b"".join(self._lines[number] for number in sorted(self._lines))
 
-    def _write(self) -> None:
-        write_file(self._file, self._text())
+    def _write_lines(self) -> None:
+        write_file(self._file, self._joined_lines())
 
 
 def missing_episode(attempts: Sequence[AttemptRecord], attempt: int) -> int | None:

@@ -24,7 +24,7 @@ from typing import Any
 from ...errors import ConfigError, DatasetError, ResourceError
 from ...files.documents.yaml_document import dump_yaml, load_yaml
 from ...files.writing import append_line, move_to_backup, publish_directory, sha256_bytes, write_file
-from ..dataset_paths import ATTEMPTS, CONFIG, EPISODE, STAGING, episode_directories, episode_name
+from ..dataset_paths import CONFIG_FILE, EPISODE_FILE, LEDGER_FILE, STAGING_FOLDER, episode_directories, episode_name
 from ..disk_errors import describe_disk_error
 from ..records import AttemptRecord, EpisodeRecord, from_json, to_json
 from ..upgrade import upgrade_config
@@ -65,7 +65,7 @@ class StagedWriter(AttemptLog):
         super().__init__(target.path)
         self.attempts = list(target.attempts)
         self.episodes = target.episodes
-        self.missing = target.missing
+        self.attempts_without_episode = target.attempts_without_episode
         # Copied because the move thread changes the set of `target`.
         self.lost_lines = set(target.lost_lines)
         self._target = target
@@ -96,29 +96,31 @@ class StagedWriter(AttemptLog):
         """Number of episodes that are in the stage and not yet in the dataset."""
         return len(episode_directories(self.folder)) if self.folder.is_dir() else 0
 
-    def publish(self, record: EpisodeRecord, files: Mapping[str, bytes]) -> None:
+    def publish_episode(self, record: EpisodeRecord, files: Mapping[str, bytes]) -> None:
         """Write one episode atomically to the stage, from which the move thread moves it to the dataset."""
         self._raise_error()
         publish_directory(
-            self.folder / episode_name(record.episode), {**files, EPISODE: to_json(record)}, self.folder / STAGING
+            self.folder / episode_name(record.episode),
+            {**files, EPISODE_FILE: to_json(record)},
+            self.folder / STAGING_FOLDER,
         )
         if record.attempt < len(self.attempts):
-            # `self.attempts` already has the attempt, so `log` does not queue its episode.
-            self._put(_StagedItem(record.episode, None))
+            # `self.attempts` already has the attempt, so `log_attempt` does not queue its episode.
+            self._queue_item(_StagedItem(record.episode, None))
 
-    def log(self, attempt: AttemptRecord) -> None:
+    def log_attempt(self, attempt: AttemptRecord) -> None:
         """Log an attempt, and queue it for the dataset. Blocks while `MAX_WAITING` attempts wait to be moved."""
         self._raise_error()
         if attempt.attempt in self.lost_lines:
-            # `publish` has already queued the episode, if any. If the stage is lost, the episode is recorded again.
-            self._restore(attempt)
-            self._put(_StagedItem(None, attempt))
+            # `publish_episode` has queued the episode, if any. If the stage is lost, the episode is recorded again.
+            self._restore_lost_attempt(attempt)
+            self._queue_item(_StagedItem(None, attempt))
             return
-        append_line(self.folder / ATTEMPTS, to_json(attempt).decode().rstrip("\n"))
-        self._count(attempt)
-        self._put(_StagedItem(attempt.episode, attempt))
+        append_line(self.folder / LEDGER_FILE, to_json(attempt).decode().rstrip("\n"))
+        self._add_attempt(attempt)
+        self._queue_item(_StagedItem(attempt.episode, attempt))
 
-    def drain(self, seconds: float) -> bool:
+    def wait_until_moved(self, seconds: float) -> bool:
         """Return whether all items are moved within `seconds`. Raise OSError or DatasetError if one cannot be moved."""
         end = time.monotonic() + seconds
         with self._queue.all_tasks_done:
@@ -128,13 +130,13 @@ class StagedWriter(AttemptLog):
         self._raise_error()
         return done
 
-    def finish(self) -> None:
+    def write_manifest(self) -> None:
         """Stop the move thread and write the dataset manifest. Remove the stage if all items were moved."""
         arrived = not self._queue.unfinished_tasks
         if not self._stop_move_thread():
             # The move thread still waits for the target, which would block this thread too.
             return
-        self._target.finish()
+        self._target.write_manifest()
         if arrived and self._error is None:
             shutil.rmtree(self.folder, ignore_errors=True)
 
@@ -152,7 +154,7 @@ class StagedWriter(AttemptLog):
         self._move_thread.join(HALT_SECONDS)
         return not self._move_thread.is_alive()
 
-    def _put(self, item: _StagedItem) -> None:
+    def _queue_item(self, item: _StagedItem) -> None:
         # While the queue is full, wait in short steps to notice an error of the move thread.
         while True:
             self._raise_error()
@@ -170,7 +172,7 @@ class StagedWriter(AttemptLog):
             if self._halt.is_set():
                 return
             try:
-                self._move(item)
+                self._move_item(item)
             # The recording thread raises the error at its next call. Items that were not moved stay in the stage.
             except BaseException as error:  # noqa: BLE001
                 with self._queue.all_tasks_done:
@@ -179,37 +181,39 @@ class StagedWriter(AttemptLog):
                 return
             self._queue.task_done()
 
-    def _move(self, item: _StagedItem) -> None:
+    def _move_item(self, item: _StagedItem) -> None:
         if item.episode is not None:
             directory = self.folder / episode_name(item.episode)
             found = inspect_episode(item.episode, directory)
             if found.record is None or found.fault:
                 raise DatasetError(f"{directory} was damaged in transfer: {found.fault}; --resume records it again")
-            self._target.publish(found.record, {name: (directory / name).read_bytes() for name in found.record.files})
+            self._target.publish_episode(
+                found.record, {name: (directory / name).read_bytes() for name in found.record.files}
+            )
         if item.attempt is not None:
-            self._target.log(item.attempt)
+            self._target.log_attempt(item.attempt)
         if item.episode is not None:
             shutil.rmtree(directory)
 
     def _recover_waiting(self, config: Mapping[str, Any]) -> list[AttemptRecord]:
         """Return the attempts that an earlier recording left. Remove or back up all other content of the stage."""
         try:
-            require_same_config(self.folder, upgrade_config(load_yaml(self.folder / CONFIG).data), config)
+            require_same_config(self.folder, upgrade_config(load_yaml(self.folder / CONFIG_FILE).data), config)
         except ConfigError:
             # The content belongs to another dataset or config and must not be deleted.
             self._start_empty(config)
         waiting = []
         for attempt in self._read_log():
             if attempt.attempt == len(self.attempts) and self._is_staged(attempt):
-                self._count(attempt)
+                self._add_attempt(attempt)
                 waiting.append(attempt)
         kept = {attempt.episode for attempt in waiting}
-        write_file(self.folder / ATTEMPTS, b"".join(map(to_json, waiting)))
+        write_file(self.folder / LEDGER_FILE, b"".join(map(to_json, waiting)))
         for number, directory in episode_directories(self.folder):
             if number not in kept:
                 # The episode is already in the dataset, or is missing in the stage's ledger and will be recorded again.
                 shutil.rmtree(directory)
-        shutil.rmtree(self.folder / STAGING, ignore_errors=True)
+        shutil.rmtree(self.folder / STAGING_FOLDER, ignore_errors=True)
         return waiting
 
     def _start_empty(self, config: Mapping[str, Any]) -> None:
@@ -220,10 +224,10 @@ class StagedWriter(AttemptLog):
             self.repairs.append(f"The staging directory held episodes of another recording: they are now in {moved}.")
             self.folder.mkdir()
             self._lock = DirectoryLock.acquire(self.folder)
-        write_file(self.folder / CONFIG, dump_yaml(config).encode())
+        write_file(self.folder / CONFIG_FILE, dump_yaml(config).encode())
 
     def _read_log(self) -> list[AttemptRecord]:
-        file = self.folder / ATTEMPTS
+        file = self.folder / LEDGER_FILE
         attempts: list[AttemptRecord] = []
         for line in file.read_bytes().splitlines() if file.is_file() else []:
             try:
@@ -240,4 +244,4 @@ class StagedWriter(AttemptLog):
 
 
 # Writer of a recording: directly into the dataset, or through a stage.
-Sink = DatasetWriter | StagedWriter
+EpisodeWriter = DatasetWriter | StagedWriter

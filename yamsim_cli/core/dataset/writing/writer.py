@@ -12,7 +12,7 @@ from ...config.recording import RecordConfig
 from ...errors import DatasetError, ResourceError, join_ranges
 from ...files.documents.yaml_document import dump_yaml, parse_yaml
 from ...files.writing import append_line, publish_directory, sha256_bytes, write_file
-from ..dataset_paths import ATTEMPTS, CONFIG, EPISODE, MANIFEST, STAGING, episode_name
+from ..dataset_paths import CONFIG_FILE, EPISODE_FILE, LEDGER_FILE, MANIFEST_FILE, STAGING_FOLDER, episode_name
 from ..disk_errors import describe_disk_error
 from ..records import AttemptRecord, EpisodeRecord, Manifest, ManifestEntry, to_json
 from ..upgrade import upgrade_config
@@ -39,11 +39,11 @@ class AttemptLog:
         self.lost_lines: set[int] = set()
         self.repairs: list[str] = []
 
-    def _count(self, attempt: AttemptRecord) -> None:
+    def _add_attempt(self, attempt: AttemptRecord) -> None:
         self.attempts.append(attempt)
         self.episodes += attempt.episode is not None
 
-    def _restore(self, attempt: AttemptRecord) -> None:
+    def _restore_lost_attempt(self, attempt: AttemptRecord) -> None:
         self.lost_lines.remove(attempt.attempt)
         self.attempts[attempt.attempt] = attempt
         self.episodes += attempt.episode is not None
@@ -84,9 +84,9 @@ class DatasetWriter(AttemptLog, Closable):
             self._lock, self.moved_aside = held.lock, held.moved_aside
             try:
                 if held.occupied:
-                    self._resume(config)
+                    self._resume_dataset(config)
                 else:
-                    write_file(path / CONFIG, dump_yaml(config).encode())
+                    write_file(path / CONFIG_FILE, dump_yaml(config).encode())
             except BaseException:
                 self.close()
                 raise
@@ -96,30 +96,30 @@ class DatasetWriter(AttemptLog, Closable):
             ) from error
 
     @property
-    def missing(self) -> list[AttemptRecord]:
+    def attempts_without_episode(self) -> list[AttemptRecord]:
         """Attempts whose episodes are in the ledger but not on disk."""
         return [
             attempt for attempt in self.attempts if attempt.episode is not None and attempt.episode not in self.entries
         ]
 
-    def publish(self, record: EpisodeRecord, files: Mapping[str, bytes]) -> None:
+    def publish_episode(self, record: EpisodeRecord, files: Mapping[str, bytes]) -> None:
         """Publish one episode atomically. After an OSError no part of the episode is visible."""
         name = episode_name(record.episode)
         text = to_json(record)
-        publish_directory(self.path / name, {**files, EPISODE: text}, self.path / STAGING)
-        self.entries[record.episode] = _entry(record, text, sum(map(len, files.values())))
+        publish_directory(self.path / name, {**files, EPISODE_FILE: text}, self.path / STAGING_FOLDER)
+        self.entries[record.episode] = _manifest_entry(record, text, sum(map(len, files.values())))
 
-    def log(self, attempt: AttemptRecord) -> None:
+    def log_attempt(self, attempt: AttemptRecord) -> None:
         """Add an attempt to the ledger: the next one in order, or one of `lost_lines`. Publish its episode first."""
         if attempt.attempt not in self.lost_lines:
-            append_line(self.path / ATTEMPTS, to_json(attempt).decode().rstrip("\n"))
-            self._count(attempt)
+            append_line(self.path / LEDGER_FILE, to_json(attempt).decode().rstrip("\n"))
+            self._add_attempt(attempt)
             return
         assert self._ledger is not None
-        self._ledger.insert(attempt)
-        self._restore(attempt)
+        self._ledger.insert_lost_attempt(attempt)
+        self._restore_lost_attempt(attempt)
 
-    def finish(self) -> Manifest:
+    def write_manifest(self) -> Manifest:
         """Write and return the manifest of all published episodes, and remove the staging directory."""
         entries = [self.entries[number] for number in sorted(self.entries)]
         manifest = Manifest(
@@ -130,22 +130,22 @@ class DatasetWriter(AttemptLog, Closable):
             bytes=sum(entry.bytes for entry in entries),
             episodes=entries,
         )
-        write_file(self.path / MANIFEST, to_json(manifest, indent=1))
-        shutil.rmtree(self.path / STAGING, ignore_errors=True)
+        write_file(self.path / MANIFEST_FILE, to_json(manifest, indent=1))
+        shutil.rmtree(self.path / STAGING_FOLDER, ignore_errors=True)
         return manifest
 
     def close(self) -> None:
         """Release the directory for other recorders."""
         self._lock.release()
 
-    def _resume(self, config: Mapping[str, Any]) -> None:
+    def _resume_dataset(self, config: Mapping[str, Any]) -> None:
         self._check_config(config)
         ledger = Ledger(self.path)
         ledger.restore_lost_lines(
             [record for found in inspect_episodes(self.path) if (record := self._accept_episode(found)) is not None]
         )
         self._load_attempts(ledger)
-        for attempt in self.missing:
+        for attempt in self.attempts_without_episode:
             place = self.path / episode_name(attempt.episode or 0)
             if place.exists():
                 self.repairs.append(
@@ -153,20 +153,20 @@ class DatasetWriter(AttemptLog, Closable):
                 )
 
     def _load_attempts(self, ledger: Ledger) -> None:
-        kept, self.lost_lines = ledger.repair(), ledger.missing
+        kept, self.lost_lines = ledger.repair_file(), ledger.missing_attempts
         if kept is not None:
-            self.repairs.append(f"{ATTEMPTS} was damaged ({ledger.fault}): repaired; the damaged file is {kept}")
+            self.repairs.append(f"{LEDGER_FILE} was damaged ({ledger.fault}): repaired; the damaged file is {kept}")
         if self.lost_lines:
             self._ledger = ledger
             numbers = join_ranges(sorted(self.lost_lines))
-            self.repairs.append(f"the line of attempt {numbers} in {ATTEMPTS} is lost; yamsim makes it again")
-        for number in range(max(ledger.known, default=-1) + 1):
-            self._count(ledger.known.get(number) or placeholder_record(number, self._seed))
+            self.repairs.append(f"the line of attempt {numbers} in {LEDGER_FILE} is lost; yamsim makes it again")
+        for number in range(max(ledger.known_attempts, default=-1) + 1):
+            self._add_attempt(ledger.known_attempts.get(number) or placeholder_record(number, self._seed))
 
     def _check_config(self, config: Mapping[str, Any]) -> None:
-        file = self.path / CONFIG
+        file = self.path / CONFIG_FILE
         if not file.is_file():
-            raise DatasetError(f"{self.path} has no {CONFIG}, so it cannot be resumed; choose another --out")
+            raise DatasetError(f"{self.path} has no {CONFIG_FILE}, so it cannot be resumed; choose another --out")
         recorded = upgrade_config(parse_yaml(file.read_bytes(), str(file)).data)
         if config.get(MESHES) is not None and recorded.get(MESHES) is None:
             # Resume the dataset without meshes: they would be useless in only some of the episodes.
@@ -181,7 +181,7 @@ class DatasetWriter(AttemptLog, Closable):
                 f"{found.directory.name}: {fault}; moved to {quarantine_episode(found.directory)}, to be recorded again"
             )
             return None
-        self.entries[found.number] = _entry(record, found.text, found.size)
+        self.entries[found.number] = _manifest_entry(record, found.text, found.size)
         return record
 
 
@@ -190,7 +190,7 @@ def config_for_new_episodes(config: RecordConfig, writer: DatasetWriter) -> Reco
     return config if writer.config.get(MESHES) is not None else config.model_copy(update={"meshes": None})
 
 
-def _entry(record: EpisodeRecord, text: bytes, size: int) -> ManifestEntry:
+def _manifest_entry(record: EpisodeRecord, text: bytes, size: int) -> ManifestEntry:
     return ManifestEntry(
         episode=record.episode,
         path=episode_name(record.episode),

@@ -25,7 +25,7 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ...geometry.se3 import Array, inverse, pose
+from ...geometry.se3 import Array, invert_pose, pose
 
 Vector = tuple[float, float, float]
 Joints = tuple[float, ...]
@@ -37,7 +37,7 @@ _COSINE_ROUNDING = 1e-9  # excess of a cosine over 1 where two solutions meet
 _MIN_COEFFICIENT = 1e-7  # m or 1, smaller coefficients leave an angle undetermined; the error is below 1e-6
 _SAMPLE_ANGLES = tuple(math.tau * k / 16 for k in range(16))  # rad, tried for an undetermined joint
 _LIMIT_ROUNDING = 1e-7  # rad, excess of a joint over its limit
-_REACH_SLACK = 1e-5  # rad and 1, extra tolerance of `maybe_reachable` over `solutions`: far above rounding
+_REACH_SLACK = 1e-5  # rad and 1, extra tolerance of `maybe_reachable` over `all_solutions`: far above rounding
 _VALIDATION_POSES = 20  # random poses that must be solved before an arm counts as having analytic inverse kinematics
 _CACHE_SIZE = 4096  # poses whose solutions are cached: a search solves each pose up to five times
 HAND_LENGTH = 0.13  # m, from the flange to the fingertips: lever that converts a rotation of the hand to a distance
@@ -53,7 +53,7 @@ class AnalyticIk:
         # Views of MuJoCo's arrays: they change with its state.
         self._qpos, self._position = self._data.qpos, self._data.xpos[self._flange]
         self._rotation = self._data.xmat[self._flange].reshape(3, 3)
-        T_flange = self.pose_of(np.zeros(model.nq))
+        T_flange = self.forward_kinematics(np.zeros(model.nq))
         axes, anchors = self._data.xaxis.copy(), self._data.xanchor.copy()
         h = axes[1]
         across = np.cross(h, np.eye(3)[np.argmin(np.abs(h))])
@@ -61,29 +61,29 @@ class AnalyticIk:
         # The third axis is h; x and y span the plane across h.
         basis = np.array([across, np.cross(h, across), h])
         self._signs = (1.0, *np.sign(axes[1:4] @ h).tolist(), 1.0, 1.0)
-        self._T_zero = inverse(T_flange) @ pose(rotation=basis.T)
+        self._T_zero = invert_pose(T_flange) @ pose(rotation=basis.T)
         self._T_basis = pose(rotation=basis)
         h1, h5, h6 = (basis @ axes[k] for k in (0, 4, 5))
         along = np.cross(h5, h6)
         # The point of axis 5 that is nearest to axis 6.
         share = np.cross(basis @ (anchors[5] - anchors[4]), h6) @ along / (along @ along)
         centre = basis @ anchors[4] + share * h5
-        self._h1, self._h5, self._h6 = _vector(h1), _vector(h5), _vector(h6)
+        self._h1, self._h5, self._h6 = _to_vector(h1), _to_vector(h5), _to_vector(h6)
         self._h5_h6, self._along_5 = _cross(self._h5, self._h6), self._h5[2] * _dot(self._h5, self._h6)
-        self._a1, self._centre, self._height = _vector(basis @ anchors[0]), centre, float(centre[2])
+        self._a1, self._centre, self._height = _to_vector(basis @ anchors[0]), centre, float(centre[2])
         a2, a3, a4 = (complex(*(basis @ anchors[k])[:2]) for k in (1, 2, 3))
         self._a2, self._upper, self._fore, self._wrist = a2, a3 - a2, a4 - a3, complex(*centre[:2]) - a4
         steps = np.linalg.norm(np.diff([*anchors, T_flange[:3, 3]], axis=0), axis=1)
         self._levers = np.cumsum(steps[::-1])[::-1] + HAND_LENGTH
-        self._cached_solutions = functools.lru_cache(_CACHE_SIZE)(self._solutions)
+        self._cached_solutions = functools.lru_cache(_CACHE_SIZE)(self._compute_solutions)
 
-    def pose_of(self, joints: Array) -> Array:
+    def forward_kinematics(self, joints: Array) -> Array:
         """Return the flange's pose in the base at joints (6,), rad."""
         self._qpos[:] = joints
         mujoco.mj_kinematics(self._model, self._data)
         return pose(self._position, self._rotation)
 
-    def solutions(self, T_flange_in_base: Array) -> Array:
+    def all_solutions(self, T_flange_in_base: Array) -> Array:
         """Return all joints (n, 6), rad, within their limits that bring the flange to a pose in the base.
 
         Where the wrist's centre lies on the first joint's axis, or the last axis is parallel to axes 2 to 4, a joint is
@@ -91,16 +91,17 @@ class AnalyticIk:
         """
         return self._cached_solutions(T_flange_in_base.tobytes())
 
-    def _solutions(self, T_flange_in_base: bytes) -> Array:
+    def _compute_solutions(self, T_flange_in_base: bytes) -> Array:
         T = np.frombuffer(T_flange_in_base).reshape(4, 4)
-        candidates = self._candidates(self._T_basis @ T @ self._T_zero)
-        found = np.array([joints for joints in candidates if self._reaches(joints, T)]).reshape(-1, self._model.nq)
+        candidates = self._candidate_joints(self._T_basis @ T @ self._T_zero)
+        found = np.array([joints for joints in candidates if self._joints_reach_pose(joints, T)]).reshape(
+            -1, self._model.nq
+        )
         found.flags.writeable = False
         return found
 
-    def passes_reach_test(self, T_flange_in_base: Array, margin: float) -> Array:
-        """Return which flange poses (n, 4, 4) in the base may have `solutions` with a `margin` (rad) to all limits, as
-        (n,).
+    def may_be_reachable(self, T_flange_in_base: Array, margin: float) -> Array:
+        """Return (n,) which flange poses (n, 4, 4) in the base may have solutions with a `margin` (rad) to all limits.
 
         A batch is some 30 times as fast as single poses. Its rounding differs between processors, so borderline poses
         give True.
@@ -108,15 +109,15 @@ class AnalyticIk:
         T = self._T_basis @ T_flange_in_base @ self._T_zero
         R, wrist = T[:, :3, :3], T[:, :3, :3] @ self._centre + T[:, :3, 3] - self._a1
         h1, h5, h6 = (np.array(v) for v in (self._h1, self._h5, self._h6))
-        z, x, across_6 = np.array((0.0, 0.0, 1.0)), np.array((1.0, 0.0, 0.0)), _skew(h6).T
+        z, x, across_6 = np.array((0.0, 0.0, 1.0)), np.array((1.0, 0.0, 0.0)), _skew_matrix(h6).T
         along_1 = self._h1[2] * (wrist @ h1)
         bent = self._upper.conjugate() * self._fore
         # Each block drops the poses whose joint is too near to a limit. `k` indexes the arrays of the previous block.
-        a1, b1, c1 = wrist[:, 2] - along_1, -(wrist @ _skew(h1).T)[:, 2], self._height - self._a1[2] - along_1
-        q1, number = self._solve_all(0, a1, b1, c1, margin)
+        a1, b1, c1 = wrist[:, 2] - along_1, -(wrist @ _skew_matrix(h1).T)[:, 2], self._height - self._a1[2] - along_1
+        q1, number = self._solve_angles_within_limits(0, a1, b1, c1, margin)
         before_6 = np.einsum("nji,nj->ni", R[number], _rotate_all(z, h1, q1))
         a5, b5, c5 = self._h6[2] - self._along_5, self._h5_h6[2], before_6 @ h6 - self._along_5
-        q5, k = self._solve_all(4, a5, b5, c5, margin)
+        q5, k = self._solve_angles_within_limits(4, a5, b5, c5, margin)
         q1, number, v, u = q1[k], number[k], before_6[k] @ across_6, _rotate_all(z, h5, -q5) @ across_6
         q6 = np.arctan2(np.einsum("ni,ni->n", v @ across_6, u), np.einsum("ni,ni->n", v, u))
         is_undetermined = np.maximum(np.abs(v), np.abs(u)).max(axis=1) <= _REACH_SLACK
@@ -127,14 +128,16 @@ class AnalyticIk:
         place = _as_complex(_rotate_all(wrist[number], h1, -q1) + self._a1) - self._a2
         far = place - np.exp(1j * q234) * self._wrist
         c3 = (np.abs(far) ** 2 - abs(self._upper) ** 2 - abs(self._fore) ** 2) / 2
-        q3, k = self._solve_all(2, bent.real, -bent.imag, c3, margin)
+        q3, k = self._solve_angles_within_limits(2, bent.real, -bent.imag, c3, margin)
         q2 = np.angle(far[k]) - np.angle(self._upper + self._fore * np.exp(1j * q3))
         q4 = q234[k] - q2 - q3
         reached = np.zeros(len(T), bool)
         reached[number[k[self._within_limits(1, q2, margin) & self._within_limits(3, q4, margin)]]] = True
         return reached
 
-    def _solve_all(self, joint: int, a: ArrayLike, b: ArrayLike, c: Array, margin: float) -> tuple[Array, Ids]:
+    def _solve_angles_within_limits(
+        self, joint: int, a: ArrayLike, b: ArrayLike, c: Array, margin: float
+    ) -> tuple[Array, Ids]:
         """Return both angles (m,) with `a cos q + b sin q = c` that keep a margin to a joint's limits, and their
         indices into `c`.
 
@@ -155,7 +158,7 @@ class AnalyticIk:
         within: NDArray[np.bool_] = angles + math.tau * np.ceil((low - angles) / math.tau) <= high
         return within
 
-    def nearest(self, solutions: Array, start: Array) -> Array:
+    def nearest_solution(self, solutions: Array, start: Array) -> Array:
         """Return the solution (6,) of several (n, 6), n > 0, that moves the hand least from joints `start` (6,).
 
         A joint's lever is the distance from its axis to the end of the stretched arm.
@@ -164,52 +167,58 @@ class AnalyticIk:
         nearest: Array = solutions[np.argmin(np.einsum("ij,ij->i", weighted, weighted))]
         return nearest
 
-    def from_singular(self, joints: Array) -> float:
+    def distance_from_singularity(self, joints: Array) -> float:
         """Return the distance of joints (6,) from a singular posture, rad.
 
         It is the smaller of the elbow's bend, 0 for a stretched arm, and the angle between the last axis and the three
         parallel axes.
         """
         fore = self._fore * cmath.rect(1.0, self._signs[2] * float(joints[2]))
-        x, y, along = _rotate(self._h6, self._h5, float(joints[4]))
+        x, y, along = _rotate_about_axis(self._h6, self._h5, float(joints[4]))
         return min(abs(cmath.phase(self._upper.conjugate() * fore)), math.atan2(math.hypot(x, y), abs(along)))
 
-    def _candidates(self, T: Array) -> Iterator[Joints]:
+    def _candidate_joints(self, T: Array) -> Iterator[Joints]:
         """Yield joints (6,) for the flange's motion from zero, in the frame whose third axis is h."""
         rows = T[:3, :3].tolist()
         columns = tuple(zip(*rows, strict=True))
-        wrist = _minus(_vector(T[:3, :3] @ self._centre + T[:3, 3]), self._a1)
+        wrist = _minus(_to_vector(T[:3, :3] @ self._centre + T[:3, 3]), self._a1)
         along_1 = self._h1[2] * _dot(self._h1, wrist)
-        for q1 in _solve_angle(wrist[2] - along_1, -_cross(self._h1, wrist)[2], self._height - self._a1[2] - along_1):
-            if not (all_q1 := self._joint_positions(0, q1)):
+        for q1 in _solve_cosine_sine_equation(
+            wrist[2] - along_1, -_cross(self._h1, wrist)[2], self._height - self._a1[2] - along_1
+        ):
+            if not (all_q1 := self._equivalent_joint_positions(0, q1)):
                 continue
-            before_6 = _product(columns, _rotate((0.0, 0.0, 1.0), self._h1, q1))
-            x, y, _ = _rotate(wrist, self._h1, -q1)
+            before_6 = _matrix_vector_product(columns, _rotate_about_axis((0.0, 0.0, 1.0), self._h1, q1))
+            x, y, _ = _rotate_about_axis(wrist, self._h1, -q1)
             place = complex(x + self._a1[0], y + self._a1[1]) - self._a2
             c5 = _dot(before_6, self._h6) - self._along_5
-            for q5 in _solve_angle(self._h6[2] - self._along_5, self._h5_h6[2], c5):
-                if not (all_q5 := self._joint_positions(4, q5)):
+            for q5 in _solve_cosine_sine_equation(self._h6[2] - self._along_5, self._h5_h6[2], c5):
+                if not (all_q5 := self._equivalent_joint_positions(4, q5)):
                     continue
-                after_6 = _rotate((0.0, 0.0, 1.0), self._h5, -q5)
+                after_6 = _rotate_about_axis((0.0, 0.0, 1.0), self._h5, -q5)
                 for q6 in _angle_between(before_6, after_6, self._h6):
-                    if not (all_q6 := self._joint_positions(5, q6)):
+                    if not (all_q6 := self._equivalent_joint_positions(5, q6)):
                         continue
-                    ahead = _product(rows, _rotate(_rotate((1.0, 0.0, 0.0), self._h5, -q5), self._h6, -q6))
-                    ahead = _rotate(ahead, self._h1, -q1)
+                    ahead = _matrix_vector_product(
+                        rows, _rotate_about_axis(_rotate_about_axis((1.0, 0.0, 0.0), self._h5, -q5), self._h6, -q6)
+                    )
+                    ahead = _rotate_about_axis(ahead, self._h1, -q1)
                     q234 = math.atan2(ahead[1], ahead[0])
-                    for q2, q3 in self._two_links(place - cmath.rect(1.0, q234) * self._wrist):
-                        if (all_q3 := self._joint_positions(2, q3)) and (all_q2 := self._joint_positions(1, q2)):
-                            all_q4 = self._joint_positions(3, q234 - q2 - q3)
+                    for q2, q3 in self._solve_two_links(place - cmath.rect(1.0, q234) * self._wrist):
+                        if (all_q3 := self._equivalent_joint_positions(2, q3)) and (
+                            all_q2 := self._equivalent_joint_positions(1, q2)
+                        ):
+                            all_q4 = self._equivalent_joint_positions(3, q234 - q2 - q3)
                             yield from itertools.product(all_q1, all_q2, all_q3, all_q4, all_q5, all_q6)
 
-    def _two_links(self, place: complex) -> Iterator[tuple[float, float]]:
+    def _solve_two_links(self, place: complex) -> Iterator[tuple[float, float]]:
         """Yield angles of joints 2 and 3 that bring joint 4's anchor to `place`, relative to joint 2's anchor."""
         bent = self._upper.conjugate() * self._fore
         rest = (abs(place) ** 2 - abs(self._upper) ** 2 - abs(self._fore) ** 2) / 2
-        for q3 in _solve_angle(bent.real, -bent.imag, rest):
+        for q3 in _solve_cosine_sine_equation(bent.real, -bent.imag, rest):
             yield cmath.phase(place) - cmath.phase(self._upper + self._fore * cmath.rect(1.0, q3)), q3
 
-    def _joint_positions(self, k: int, angle: float) -> list[float]:
+    def _equivalent_joint_positions(self, k: int, angle: float) -> list[float]:
         low, high = self._ranges[k]
         joint = self._signs[k] * angle
         turn = math.ceil((low - _LIMIT_ROUNDING - joint) / math.tau)
@@ -220,7 +229,7 @@ class AnalyticIk:
             turn += 1
         return turns
 
-    def _reaches(self, joints: Joints, T: Array) -> bool:
+    def _joints_reach_pose(self, joints: Joints, T: Array) -> bool:
         self._qpos[:] = joints
         mujoco.mj_kinematics(self._model, self._data)
         off, turn = self._position - T[:3, 3], self._rotation - T[:3, :3]
@@ -248,13 +257,13 @@ def find_analytic_ik(model: mujoco.MjModel) -> AnalyticIk | None:
         return None
     solver, (low, high) = AnalyticIk(model), model.jnt_range.T
     for joints in np.random.default_rng(0).uniform(low, high, (_VALIDATION_POSES, model.nq)):
-        found = solver.solutions(solver.pose_of(joints))
+        found = solver.all_solutions(solver.forward_kinematics(joints))
         if not len(found) or np.abs(found - joints).max(axis=1).min() > _SOLUTION_TOLERANCE:
             return None
     return solver
 
 
-def _solve_angle(a: float, b: float, c: float) -> tuple[float, ...]:
+def _solve_cosine_sine_equation(a: float, b: float, c: float) -> tuple[float, ...]:
     """Return the angles q with `a cos q + b sin q = c`; sample angles if every angle is a solution."""
     length = math.hypot(a, b)
     if length < _MIN_COEFFICIENT:
@@ -268,11 +277,11 @@ def _solve_angle(a: float, b: float, c: float) -> tuple[float, ...]:
 
 def _rotate_all(v: Array, axis: Array, angles: Array) -> Array:
     c, s = np.cos(angles)[:, None], np.sin(angles)[:, None]
-    turned: Array = c * v + s * (v @ _skew(axis).T) + (1.0 - c) * (v @ axis)[..., None] * axis
+    turned: Array = c * v + s * (v @ _skew_matrix(axis).T) + (1.0 - c) * (v @ axis)[..., None] * axis
     return turned
 
 
-def _skew(axis: Array) -> Array:
+def _skew_matrix(axis: Array) -> Array:
     x, y, z = axis
     return np.array(((0.0, -z, y), (z, 0.0, -x), (-y, x, 0.0)))
 
@@ -291,7 +300,7 @@ def _angle_between(v: Vector, u: Vector, axis: Vector) -> tuple[float, ...]:
     return (math.atan2(_dot(axis, _cross(v, u)), _dot(v, u)),)
 
 
-def _vector(values: Array) -> Vector:
+def _to_vector(values: Array) -> Vector:
     x, y, z = values.tolist()
     return x, y, z
 
@@ -300,7 +309,7 @@ def _dot(a: Vector, b: Vector) -> float:
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-def _product(rows: Sequence[Vector], v: Vector) -> Vector:
+def _matrix_vector_product(rows: Sequence[Vector], v: Vector) -> Vector:
     return _dot(rows[0], v), _dot(rows[1], v), _dot(rows[2], v)
 
 
@@ -312,7 +321,7 @@ def _minus(a: Vector, b: Vector) -> Vector:
     return a[0] - b[0], a[1] - b[1], a[2] - b[2]
 
 
-def _rotate(v: Vector, axis: Vector, angle: float) -> Vector:
+def _rotate_about_axis(v: Vector, axis: Vector, angle: float) -> Vector:
     """Rotate a vector about a unit axis by Rodrigues' formula."""
     c, s = math.cos(angle), math.sin(angle)
     (i, j, k), (x, y, z) = axis, v

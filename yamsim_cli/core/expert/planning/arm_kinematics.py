@@ -36,7 +36,7 @@ class ArmKinematics:
 
 
 @dataclass(frozen=True)
-class ReachResult:
+class IkResult:
     """Joints (dof,), rad, and the errors of their pose, m and rad."""
 
     joints: Array
@@ -52,7 +52,7 @@ class ReachResult:
 class OutOfReachError(SimulationError):
     """The arm does not reach a pose; `nearest` has the smallest total error."""
 
-    def __init__(self, nearest: ReachResult, position_tolerance: float, rotation_tolerance: float) -> None:
+    def __init__(self, nearest: IkResult, position_tolerance: float, rotation_tolerance: float) -> None:
         super().__init__(
             f"out of the arm's reach: the nearest pose is {nearest.position_error * 1000:.1f} mm and "
             f"{math.degrees(nearest.rotation_error):.1f} deg away (at most {position_tolerance * 1000:g} mm and "
@@ -62,25 +62,25 @@ class OutOfReachError(SimulationError):
         self.nearest = nearest
 
 
-def solve_or_raise(
+def solve_ik_or_raise(
     solvers: Sequence[IkSolver],
     T_tool_in_world: Array,
     starts: Iterable[Array],
     position_tolerance: float,
     rotation_tolerance: float,
-) -> ReachResult:
+) -> IkResult:
     """Return joints that bring the solvers' frame to a pose, by a search from each start (dof,) in turn.
 
     Each solver starts from the previous solver's result. Tolerances are in m and rad. If no joints are within them,
     `OutOfReachError` holds the nearest ones.
     """
-    nearest: ReachResult | None = None
+    nearest: IkResult | None = None
     for start in starts:
         joints = start
         for solver in solvers:
             joints = solver.solve(T_tool_in_world, joints, _ITERATIONS).joints
-            T = solver.pose_of(joints)
-            found = ReachResult(
+            T = solver.forward_kinematics(joints)
+            found = IkResult(
                 joints,
                 float(np.linalg.norm(T[:3, 3] - T_tool_in_world[:3, 3])),
                 float(np.linalg.norm(rotation_vector(T[:3, :3].T @ T_tool_in_world[:3, :3]))),

@@ -13,20 +13,20 @@ from .ik import IkSolver
 
 
 @dataclass(frozen=True)
-class ArmSolvers:
+class ArmIkAndDynamics:
     """The solvers of one arm."""
 
     ik: IkSolver
     dynamics: ArmDynamics
 
 
-def make_arm_solvers(rig: RigConfig) -> tuple[ArmSolvers, ...]:
+def make_arm_ik_and_dynamics(rig: RigConfig) -> tuple[ArmIkAndDynamics, ...]:
     """Return the solvers of each arm in a rig's scene."""
 
-    def tools(number: int) -> ArmSolvers:
+    def tools(number: int) -> ArmIkAndDynamics:
         arm = rig.arms[number]
         ik = IkSolver(kinematic_model(arm), rig.T_base_in_world(number))
-        return ArmSolvers(ik, ArmDynamics(arm_spec(arm, None).compile(), arm.robot))
+        return ArmIkAndDynamics(ik, ArmDynamics(arm_spec(arm, None).compile(), arm.robot))
 
     return tuple(tools(number) for number in rig.recording_order)
 

@@ -95,12 +95,12 @@ class CollisionChecker:
             grasped: an object between the fingers, which the fingers may touch.
             finger_clearance: least distance of the fingers from everything else, m; by default that of the arm.
         """
-        data = self._pose(qpos, arm, joints, opening, attached)
+        data = self._set_configuration(qpos, arm, joints, opening, attached)
         self._update_contacts(arm, None if attached is None else attached.thing)
         if not data.ncon:
             return None
         geoms = data.contact.geom
-        near = self._forbidden(geoms, data.contact.dist, arm, attached, grasped, finger_clearance)
+        near = self._mask_forbidden_contacts(geoms, data.contact.dist, arm, attached, grasped, finger_clearance)
         if not near.any():
             return None
         one, other = (self._model.geom(int(geom)).name for geom in geoms[near][0])
@@ -108,7 +108,7 @@ class CollisionChecker:
 
     def has_self_collision(self, arm: int, joints: Array) -> bool:
         """Return whether an arm's links, except the fingers, collide at joints (dof,), rad."""
-        data = self._pose(self._data.qpos, arm, joints, 0.0, None)
+        data = self._set_configuration(self._data.qpos, arm, joints, 0.0, None)
         self._update_contacts(None, None)
         of_arm = (self._arm_of[data.contact.geom] == arm) & ~self._finger[data.contact.geom]
         return bool((of_arm.all(axis=1) & (data.contact.dist < 0)).any())
@@ -117,7 +117,7 @@ class CollisionChecker:
         self, qpos: Array, arm: int, joints: Array, opening: float, attached: AttachedObject | None = None
     ) -> Array:
         """Return `qpos` (nq,) with an arm, its fingers (`opening`, m) and its attached object moved."""
-        positions: Array = self._pose(qpos, arm, joints, opening, attached).qpos.copy()
+        positions: Array = self._set_configuration(qpos, arm, joints, opening, attached).qpos.copy()
         return positions
 
     def rest_height(self, qpos: Array, thing: str, T_in_world: Array, lowest: float) -> float:
@@ -202,7 +202,7 @@ class CollisionChecker:
             np.bitwise_or.at(of_body, self._model.geom_bodyid, of_geom)
         return geoms + bodies
 
-    def _pose(
+    def _set_configuration(
         self, qpos: Array, arm: int, joints: Array, opening: float, attached: AttachedObject | None
     ) -> mujoco.MjData:
         data, moving = self._data, self._arms[arm]
@@ -220,7 +220,7 @@ class CollisionChecker:
             mujoco.mj_kinematics(self._model, data)
         return data
 
-    def _forbidden(
+    def _mask_forbidden_contacts(
         self,
         geoms: Array,
         distances: Array,

@@ -20,7 +20,7 @@ class ArmDynamics:
         # Paths are planned without contacts; the controller handles their torques.
         model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
 
-    def torques(self, joints: Array, gripper: Array, tick: float) -> Array:
+    def inverse_dynamics_torques(self, joints: Array, gripper: Array, tick: float) -> Array:
         """Return torques (n, dof), N m, at the middle of each tick (s): inertia, friction and uncompensated gravity.
 
         Joints (n + 1, dof), rad, are at the tick boundaries; `gripper` (n,) is the opening of each finger, m.
@@ -42,7 +42,7 @@ class ArmDynamics:
             torques[k] = data.qfrc_inverse[self._dof]
         return torques
 
-    def weight_torques(self, joints: Array, point: Array, weight: float) -> Array:
+    def payload_torques(self, joints: Array, point: Array, weight: float) -> Array:
         """Return the torques (n, dof), N m, that support a `weight` (N) at a `point` (3,) in the pinch frame, m."""
         data, site = self._data, self._model.site("pinch_site").id
         jacobian = np.empty((3, self._model.nv))

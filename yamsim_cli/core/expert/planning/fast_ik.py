@@ -5,7 +5,7 @@ import math
 import mujoco
 import numpy as np
 
-from ...geometry.se3 import Array, inverse
+from ...geometry.se3 import Array, invert_pose
 
 _DAMPING = 1e-3 * np.eye(6)  # of a least-squares step
 _MAX_STEP = 0.4  # rad, of a joint in a step
@@ -27,7 +27,7 @@ class FastIkSolver:
 
     def __init__(self, model: mujoco.MjModel, T_base_in_world: Array) -> None:
         self._model, self._data = model, mujoco.MjData(model)
-        self._T_world_in_base = inverse(T_base_in_world)
+        self._T_world_in_base = invert_pose(T_base_in_world)
         self._site = model.site("tool").id
         self._low, self._high = model.jnt_range.T
         self._jacobian, self._quat, self._turn = np.empty((6, model.nv)), np.empty(4), np.empty(3)
@@ -37,7 +37,7 @@ class FastIkSolver:
         T, joints = self._T_world_in_base @ T_tool_in_world, np.clip(start, self._low, self._high)
         before = (math.inf, math.inf)
         for _ in range(_MAX_STEPS):
-            error = self._error(T, joints)
+            error = self._update_pose_error(T, joints)
             away, turn = float(error[:3] @ error[:3]), float(error[3:] @ error[3:])
             size = math.sqrt(away + turn)
             if away < _MAX_POSITION_ERROR**2 and turn < (_MAX_ROTATION_ERROR * _ROTATION_LEVER) ** 2:
@@ -51,7 +51,7 @@ class FastIkSolver:
             joints = np.minimum(np.maximum(joints + step * min(1.0, _MAX_STEP / longest), self._low), self._high)
         return None
 
-    def _error(self, T: Array, joints: Array) -> Array:
+    def _update_pose_error(self, T: Array, joints: Array) -> Array:
         """Update the Jacobian, and return the pose error (6,) in the base frame: m, and rad times `_ROTATION_LEVER`."""
         model, data = self._model, self._data
         data.qpos[:] = joints

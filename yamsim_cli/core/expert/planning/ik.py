@@ -9,7 +9,7 @@ import mink
 import mujoco
 import numpy as np
 
-from ...geometry.se3 import Array, inverse, pose, quat_from_rotation, rotation_from_vector
+from ...geometry.se3 import Array, invert_pose, pose, quat_from_rotation, rotation_from_vector
 from .analytic_ik import find_analytic_ik
 from .fast_ik import FastIkSolver
 
@@ -52,7 +52,7 @@ class IkSolution:
     position_error: float
     tilt_error: float
     heading_error: float
-    margin: float
+    joint_limit_margin: float
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,7 @@ class Tolerance:
 
     position: float
     rotation: float
-    margin: float = 0.05
+    joint_limit_margin: float = 0.05
     allow_tilt: bool = False
 
     def is_met_by(self, solution: IkSolution) -> bool:
@@ -72,7 +72,7 @@ class Tolerance:
         return (
             solution.position_error <= self.position
             and solution.tilt_error + solution.heading_error <= self.rotation
-            and solution.margin >= self.margin
+            and solution.joint_limit_margin >= self.joint_limit_margin
         )
 
 
@@ -93,7 +93,7 @@ class IkSolver:
     ) -> None:
         self._model = model
         self._T_base_in_world = T_base_in_world
-        self._T_world_in_base = inverse(T_base_in_world)
+        self._T_world_in_base = invert_pose(T_base_in_world)
         self._low, self._high = model.jnt_range.T.copy()
         self._analytic = find_analytic_ik(model)
         self._fast = FastIkSolver(model, T_base_in_world)
@@ -117,7 +117,7 @@ class IkSolver:
         tool = self._model.site("tool")
         tool.pos[:] = T[:3, 3]
         tool.quat[:] = quat_from_rotation(T[:3, :3])
-        self._T_flange_in_tool = inverse(T)
+        self._T_flange_in_tool = invert_pose(T)
 
     def solve(self, T_tool_in_world: Array, start: Array, iterations: int) -> IkSolution:
         """Return a solution that brings the held frame to a pose, or the nearest one that a search finds.
@@ -126,7 +126,7 @@ class IkSolver:
         there is no exact solution.
         """
         exact = self._solve_exact(T_tool_in_world, start)
-        return self._search(T_tool_in_world, start, iterations) if exact is None else exact
+        return self._solve_iteratively(T_tool_in_world, start, iterations) if exact is None else exact
 
     def solve_next(self, T_tool_in_world: Array, before: IkSolution, iterations: int) -> IkSolution:
         """Return a solution for the next pose of the held frame on a path, without a jump of a joint.
@@ -139,11 +139,11 @@ class IkSolver:
             exact = self._solve_exact(T_tool_in_world, start)
             if exact is not None and np.abs(exact.joints - start).max() <= _MAX_STEP:
                 return exact
-        return self._search(T_tool_in_world, start, iterations)
+        return self._solve_iteratively(T_tool_in_world, start, iterations)
 
     def solution_at(self, joints: Array) -> IkSolution:
         """Return joints (dof,) as the exact solution for the pose that the held frame has at them."""
-        return IkSolution(joints, 0.0, 0.0, 0.0, self._margin(joints))
+        return IkSolution(joints, 0.0, 0.0, 0.0, self._joint_limit_margin(joints))
 
     def solve_from(self, T_tool_in_world: Array, starts: Sequence[Array], tolerance: Tolerance) -> Array | None:
         """Return joints (dof,) that bring the held frame to a pose; None if none are found.
@@ -152,55 +152,55 @@ class IkSolver:
         runs from each start in turn until one succeeds.
         """
         if self._analytic is not None:
-            exact = self._solve_exact(T_tool_in_world, starts[0], tolerance.margin)
+            exact = self._solve_exact(T_tool_in_world, starts[0], tolerance.joint_limit_margin)
             if exact is None and tolerance.allow_tilt:
                 exact = self._solve_tilted(T_tool_in_world, starts[0], tolerance)
             return None if exact is None else exact.joints
         for start in starts:
             if (near := self._fast.solve(T_tool_in_world, start)) is not None:
-                solution = self._search(T_tool_in_world, near, _REFINEMENT_ITERATIONS)
+                solution = self._solve_iteratively(T_tool_in_world, near, _REFINEMENT_ITERATIONS)
                 if tolerance.is_met_by(solution):
                     return solution.joints
         return None
 
-    def maybe_reachable(self, T_tool_in_world: Array, tolerance: Tolerance) -> Array:
+    def may_be_reachable(self, T_tool_in_world: Array, tolerance: Tolerance) -> Array:
         """Return which poses (n, 4, 4) `solve_from` may reach without tilt, as (n,); it cannot reach the others."""
         if self._analytic is None:
             return np.ones(len(T_tool_in_world), bool)
         T_flange_in_base = self._T_world_in_base @ T_tool_in_world @ self._T_flange_in_tool
-        return self._analytic.passes_reach_test(T_flange_in_base, tolerance.margin)
+        return self._analytic.may_be_reachable(T_flange_in_base, tolerance.joint_limit_margin)
 
     def _solve_exact(self, T_tool_in_world: Array, start: Array, margin: float = 0.0) -> IkSolution | None:
         if self._analytic is None:
             return None
         T_flange_in_base = self._T_world_in_base @ T_tool_in_world @ self._T_flange_in_tool
-        found = self._analytic.solutions(T_flange_in_base)
+        found = self._analytic.all_solutions(T_flange_in_base)
         if margin > 0.0 and len(found):
             found = found[np.minimum(found - self._low, self._high - found).min(axis=1) >= margin]
         if not len(found):
             return None
-        return self.solution_at(found[0] if len(found) == 1 else self._analytic.nearest(found, start))
+        return self.solution_at(found[0] if len(found) == 1 else self._analytic.nearest_solution(found, start))
 
     def _solve_tilted(self, T_tool_in_world: Array, start: Array, tolerance: Tolerance) -> IkSolution | None:
         """Return an exact solution for a pose tilted by about the rotation tolerance."""
         T_tilted = T_tool_in_world @ _tilt_rotations(_TILT_SHARE * tolerance.rotation)
-        for k in np.flatnonzero(self.maybe_reachable(T_tilted, tolerance)):
-            if (found := self._solve_exact(T_tilted[k], start, tolerance.margin)) is not None:
+        for k in np.flatnonzero(self.may_be_reachable(T_tilted, tolerance)):
+            if (found := self._solve_exact(T_tilted[k], start, tolerance.joint_limit_margin)) is not None:
                 return found
         return None
 
     def _is_regular(self, joints: Array) -> bool:
-        return self._analytic is not None and self._analytic.from_singular(joints) >= _MIN_FROM_SINGULAR
+        return self._analytic is not None and self._analytic.distance_from_singularity(joints) >= _MIN_FROM_SINGULAR
 
-    def _margin(self, joints: Array) -> float:
+    def _joint_limit_margin(self, joints: Array) -> float:
         return float(np.minimum(joints - self._low, self._high - joints).min())
 
-    def _search(self, T_tool_in_world: Array, start: Array, iterations: int) -> IkSolution:
+    def _solve_iteratively(self, T_tool_in_world: Array, start: Array, iterations: int) -> IkSolution:
         configuration, task = self._configuration, self._task
         configuration.update(start)
         task.set_target(mink.SE3.from_matrix(self._T_world_in_base @ T_tool_in_world))
         error = task.compute_error(configuration)
-        cost, damping = self._cost(error), _DAMPING_START
+        cost, damping = self._weighted_cost(error), _DAMPING_START
         for _ in range(iterations):
             if cost < _CONVERGED_COST:
                 break
@@ -216,7 +216,7 @@ class IkSolver:
             before = configuration.q
             configuration.integrate_inplace(change, 1.0)
             new_error = task.compute_error(configuration)
-            new_cost = self._cost(new_error)
+            new_cost = self._weighted_cost(new_error)
             if new_cost > cost:
                 configuration.update(before)
                 damping *= _DAMPING_INCREASE
@@ -232,16 +232,16 @@ class IkSolver:
             position_error=float(np.linalg.norm(error[:3])),
             tilt_error=math.hypot(error[3], error[4]),
             heading_error=abs(float(error[5])),
-            margin=self._margin(joints),
+            joint_limit_margin=self._joint_limit_margin(joints),
         )
 
-    def pose_of(self, joints: Array) -> Array:
+    def forward_kinematics(self, joints: Array) -> Array:
         """Return the pose of the held frame in `world` at joints (dof,), rad."""
         self._configuration.update(joints)
         T: Array = self._configuration.get_transform_frame_to_world("tool", "site").as_matrix()
         return self._T_base_in_world @ T
 
-    def _cost(self, error: Array) -> float:
+    def _weighted_cost(self, error: Array) -> float:
         weighted = self._task.cost * error
         return float(weighted @ weighted)
 

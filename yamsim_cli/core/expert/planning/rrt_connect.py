@@ -20,10 +20,10 @@ class _Tree:
     nodes: list[Array]
     parents: list[int] = field(default_factory=lambda: [-1])
 
-    def nearest(self, joints: Array) -> int:
+    def nearest_node(self, joints: Array) -> int:
         return int(np.abs(np.asarray(self.nodes) - joints).sum(axis=1).argmin())
 
-    def add(self, joints: Array, parent: int) -> int:
+    def add_node(self, joints: Array, parent: int) -> int:
         self.nodes.append(joints)
         self.parents.append(parent)
         return len(self.nodes) - 1
@@ -58,15 +58,15 @@ def plan_rrt_connect(
             if rng.random() < _GOAL_BIAS
             else rng.uniform(bounds[:, 0], bounds[:, 1])
         )
-        near = growing.nearest(aim)
+        near = growing.nearest_node(aim)
         new = _step_towards(growing.nodes[near], aim)
         if not free(growing.nodes[near], new):
             continue
-        tip = growing.add(new, near)
-        met = _connect(other, new, free)
+        tip = growing.add_node(new, near)
+        met = _connect_tree(other, new, free)
         if met is not None:
             path = [*growing.path_to_root(tip)[::-1], *other.path_to_root(met)[1:]]
-            return _shortcut(path[::-1] if number % 2 else path, free, rng)
+            return _shortcut_path(path[::-1] if number % 2 else path, free, rng)
     return None
 
 
@@ -77,9 +77,9 @@ def _step_towards(start: Array, goal: Array) -> Array:
     return moved
 
 
-def _connect(tree: _Tree, joints: Array, free: Callable[[Array, Array], bool]) -> int | None:
+def _connect_tree(tree: _Tree, joints: Array, free: Callable[[Array, Array], bool]) -> int | None:
     """Grow a tree straight to joints, and return the index of the node there; None if an obstacle is met."""
-    node = tree.nearest(joints)
+    node = tree.nearest_node(joints)
     while True:
         here = tree.nodes[node]
         if float(np.abs(joints - here).max()) < 1e-9:
@@ -87,10 +87,10 @@ def _connect(tree: _Tree, joints: Array, free: Callable[[Array, Array], bool]) -
         new = _step_towards(here, joints)
         if not free(here, new):
             return None
-        node = tree.add(new, node)
+        node = tree.add_node(new, node)
 
 
-def _shortcut(path: list[Array], free: Callable[[Array, Array], bool], rng: np.random.Generator) -> list[Array]:
+def _shortcut_path(path: list[Array], free: Callable[[Array, Array], bool], rng: np.random.Generator) -> list[Array]:
     for _ in range(_SHORTCUTS):
         if len(path) < 3:
             break

@@ -11,8 +11,8 @@ from .ik import IkSolver
 _MAX_SPEED_SHARE = 0.55  # of the motor's no-load speed
 _MAX_SPEED = 2.2  # rad/s, of a joint
 
-_PEAK = 1.875  # peak speed over mean speed of a minimum-jerk motion
-_WAYPOINT_PEAK = 1.5  # peak speed over mean speed of a motion through waypoints without stops
+_PEAK_SPEED_RATIO = 1.875  # peak speed over mean speed of a minimum-jerk motion
+_WAYPOINT_PEAK_SPEED_RATIO = 1.5  # peak speed over mean speed of a motion through waypoints without stops
 
 LINE_SPEED = 0.25  # m/s, peak speed of a hand
 _LINE_TURN_SPEED = 1.2  # rad/s, peak rotation speed of a hand on a line
@@ -35,7 +35,7 @@ def time_waypoints(points: Sequence[Array], motor_speed: Array, tick: float) -> 
     """
     limit = np.minimum(motor_speed * _MAX_SPEED_SHARE, _MAX_SPEED)
     knots = np.asarray(points)
-    peak = _PEAK if len(knots) == 2 else _WAYPOINT_PEAK
+    peak = _PEAK_SPEED_RATIO if len(knots) == 2 else _WAYPOINT_PEAK_SPEED_RATIO
     steps = np.diff(knots, axis=0)
     ticks = [max(_MIN_TICKS, math.ceil(float((np.abs(step) / limit).max()) * peak / tick)) for step in steps]
     velocities = [np.zeros(knots.shape[1])]
@@ -57,14 +57,14 @@ def time_waypoints(points: Sequence[Array], motor_speed: Array, tick: float) -> 
     return np.array(rows)
 
 
-def cartesian_line(
+def plan_cartesian_line(
     ik: IkSolver, start: Array, T_tool_in_world: Array, tick: float, speed: float = LINE_SPEED
 ) -> Array | None:
     """Return joints (n + 1, dof) that move the held frame of `ik` straight to a pose, from rest to rest.
 
     The frame's peak speed is `speed`, m/s. The result is None if the line leaves the arm's reach.
     """
-    T_start = ik.pose_of(start)
+    T_start = ik.forward_kinematics(start)
     distance = float(np.linalg.norm(T_tool_in_world[:3, 3] - T_start[:3, 3]))
     turn = rotation_vector(T_start[:3, :3].T @ T_tool_in_world[:3, :3])
 
@@ -73,10 +73,10 @@ def cartesian_line(
         return pose(position, T_start[:3, :3] @ rotation_from_vector(share * turn))
 
     seconds = max(distance / speed, float(np.linalg.norm(turn)) / _LINE_TURN_SPEED)
-    return cartesian_curve(ik, start, on_line, seconds, tick)
+    return plan_cartesian_curve(ik, start, on_line, seconds, tick)
 
 
-def cartesian_curve(
+def plan_cartesian_curve(
     ik: IkSolver, start: Array, pose_at: Callable[[float], Array], seconds: float, tick: float
 ) -> Array | None:
     """Return joints (n + 1, dof) that move the held frame of `ik` on a curve, from rest to rest.
@@ -84,7 +84,7 @@ def cartesian_curve(
     `pose_at` gives the pose in `world` at a share of the curve, 0..1. The curve takes `seconds` at the peak speed; the
     motion lasts 1.875 times as long. The result is None if the curve leaves the arm's reach.
     """
-    number = max(_MIN_TICKS, math.ceil(seconds * _PEAK / tick))
+    number = max(_MIN_TICKS, math.ceil(seconds * _PEAK_SPEED_RATIO / tick))
     rows, solution = [start], ik.solution_at(start)
     for step in range(1, number + 1):
         solution = ik.solve_next(pose_at(minimum_jerk(step / number)), solution, _LINE_ITERATIONS)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import suppress
 
-from ...geometry.se3 import Array, inverse, pose
+from ...geometry.se3 import Array, invert_pose, pose
 from ..planning.trajectory import is_collision_free
 from .grasp_candidates import GraspCandidate
 from .hand import WAYPOINT_TOLERANCE, Hand
@@ -37,7 +37,7 @@ def release_and_retreat(context: PlanningContext, hand: Hand, clearance: float) 
     yield context.make_segment(
         {hand: context.still_motion(hand, _OPEN_TICKS)}, {hand: FingerTarget(opening)}, wait_for_arrival=False
     )
-    thing, hand.held = None if hand.held is None else hand.held.thing, None
+    thing, hand.held_object = None if hand.held_object is None else hand.held_object.thing, None
     # Open fingers are still near the object. If no path is free of contacts, the first path is used.
     retreat: Array | None = None
     for path in _retreat_paths(context, hand):
@@ -59,7 +59,7 @@ def _retreat_paths(context: PlanningContext, hand: Hand) -> Iterator[Array]:
         for T_clear in (back, up):
             with suppress(SkillFailedError):
                 path = context.plan_line(hand, T_clear)
-                if hand.ik.solution_at(path[-1]).margin >= WAYPOINT_TOLERANCE.margin:
+                if hand.ik.solution_at(path[-1]).joint_limit_margin >= WAYPOINT_TOLERANCE.joint_limit_margin:
                     yield path
                 else:
                     paths.append(path)
@@ -68,13 +68,13 @@ def _retreat_paths(context: PlanningContext, hand: Hand) -> Iterator[Array]:
 
 def plan_held_object_line(context: PlanningContext, hand: Hand, T_thing: Array, speed: float) -> Array:
     """Return a motion (n + 1, dof) that moves a held object straight to a pose in `world`, at a speed in m/s."""
-    held = context.update_held(hand)
+    held = context.measure_held_object(hand)
     # The arm sags under its load: this transform leads from the measured pose to the commanded pose.
-    T_commanded_in_pinch = inverse(context.T_pinch(hand)) @ hand.pinch_pose(hand.joints)
-    return context.plan_line(hand, T_thing @ inverse(held.T_thing_in_pinch) @ T_commanded_in_pinch, speed)
+    T_commanded_in_pinch = invert_pose(context.T_pinch(hand)) @ hand.pinch_pose(hand.joints)
+    return context.plan_line(hand, T_thing @ invert_pose(held.T_thing_in_pinch) @ T_commanded_in_pinch, speed)
 
 
-def park(context: PlanningContext, hand: Hand) -> Iterator[MotionSegment]:
+def park_hand(context: PlanningContext, hand: Hand) -> Iterator[MotionSegment]:
     """Move a hand to its ready posture, unless it is there already."""
     if not _is_parked(hand):
         yield context.make_segment({hand: context.plan_free_path(hand, hand.ready_joints)}, wait_for_arrival=False)
@@ -92,8 +92,8 @@ def _is_parked(hand: Hand) -> bool:
 def park_free_hands(context: PlanningContext, except_hand: Hand | None = None) -> Iterator[MotionSegment]:
     """Park all other hands that hold nothing."""
     for hand in context.hands:
-        if hand is not except_hand and hand.held is None:
-            yield from park(context, hand)
+        if hand is not except_hand and hand.held_object is None:
+            yield from park_hand(context, hand)
 
 
 def rest_segment(context: PlanningContext) -> MotionSegment:
@@ -110,7 +110,7 @@ def open_and_park_hands(context: PlanningContext) -> Iterator[MotionSegment]:
             try:
                 if hand.opening < hand.max_opening / 4:
                     yield from release_and_retreat(context, hand, hand.max_opening / 2)
-                yield from park(context, hand)
+                yield from park_hand(context, hand)
                 waiting.remove(hand)
             except SkillFailedError as fault:
                 errors.append(fault)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...geometry.se3 import Array, inverse
+from ...geometry.se3 import Array, invert_pose
 from ...scene.compiled import ArmAddresses
 from ..planning.dynamics import ArmDynamics
 from ..planning.ik import IkSolver, Tolerance
@@ -60,13 +60,13 @@ class Hand:
         self.ready_joints = ready
         self.joints, self.opening, self.grip_force = ready.copy(), opening, 0.0
         self.weld_commanded = False
-        self.held: HeldObject | None = None
+        self.held_object: HeldObject | None = None
         self.failed_grasps: list[HeldObject] = []
         self.joint_margin, self.allow_tilt = 0.0, False
 
     def has_failed_with(self, thing: str, T_pinch_in_thing: Array) -> bool:
         """Return whether `failed_grasps` has a grasp similar to this."""
-        earlier = [inverse(held.T_thing_in_pinch) for held in self.failed_grasps if held.thing == thing]
+        earlier = [invert_pose(held.T_thing_in_pinch) for held in self.failed_grasps if held.thing == thing]
         return any(
             float(np.linalg.norm(T[:3, 3] - T_pinch_in_thing[:3, 3])) < _SIMILAR_DISTANCE
             and float(T[:3, 2] @ T_pinch_in_thing[:3, 2]) > math.cos(_SIMILAR_ANGLE)
@@ -86,7 +86,7 @@ class Hand:
 
     def pinch_pose(self, joints: Array) -> Array:
         """Return the pinch frame's pose in `world` at joints (dof,), rad."""
-        return self.ik.pose_of(joints)
+        return self.ik.forward_kinematics(joints)
 
     def solve_ik(
         self, T_pinch_in_world: Array, seeds: Sequence[Array], tolerance: Tolerance = GRASP_TOLERANCE
@@ -94,10 +94,13 @@ class Hand:
         """Return joints (dof,) with the pinch frame at a pose, near `seeds`; None if none are found."""
         return self.ik.solve_from(T_pinch_in_world, seeds, self._with_planning_limits(tolerance))
 
-    def maybe_reachable(self, T_pinch_in_world: Array, tolerance: Tolerance = GRASP_TOLERANCE) -> Array:
+    def may_be_reachable(self, T_pinch_in_world: Array, tolerance: Tolerance = GRASP_TOLERANCE) -> Array:
         """Return which poses (n, 4, 4) `solve_ik` may reach, as (n,); others are out of reach."""
-        return self.ik.maybe_reachable(T_pinch_in_world, self._with_planning_limits(tolerance))
+        return self.ik.may_be_reachable(T_pinch_in_world, self._with_planning_limits(tolerance))
 
     def _with_planning_limits(self, tolerance: Tolerance) -> Tolerance:
-        margin, allow_tilt = max(tolerance.margin, self.joint_margin), tolerance.allow_tilt and self.allow_tilt
+        margin, allow_tilt = (
+            max(tolerance.joint_limit_margin, self.joint_margin),
+            tolerance.allow_tilt and self.allow_tilt,
+        )
         return Tolerance(tolerance.position, tolerance.rotation, margin, allow_tilt)

@@ -14,7 +14,7 @@ from ...attempt_data import FailureCause
 from ...config.goals.role_assignment import RoleAssignment
 from ...config.goals.world import TABLE
 from ...files.documents.units import Distance
-from ...geometry.se3 import Array, inverse, pose, rotation_from_vector, rotation_z
+from ...geometry.se3 import Array, invert_pose, pose, rotation_from_vector, rotation_z
 from ..planning.collision_checker import AttachedObject
 from .common_motions import close_fingers_on, release_and_retreat, rest_segment
 from .grasp_candidates import GraspCandidate, is_orientation_plausible
@@ -45,8 +45,8 @@ _TURNED_SEARCH_ORDER = (
     *((_MIN_APART, math.inf, lower, turn) for turn in _TURNS for lower in (0.0, 0.06)),
 )
 
-# Giver's grasps for which `Handover.infeasibility` searches a handover while nothing moves. A search without success
-# takes half a second, and an object in a pile has hundreds of grasps.
+# Giver's grasps for which `Handover.infeasibility_reason` searches a handover while nothing moves. A search without
+# success takes half a second, and an object in a pile has hundreds of grasps.
 _MAX_SEARCHES = 24
 
 _BATCH_SIZE = 256  # grasps whose poses are tested in one call; the fixed cost of a call is that of 200 poses
@@ -94,7 +94,7 @@ class Handover(Skill):
             return
         receiver = next(hand for hand in context.hands if hand is not giver)
         handover = self._find_handover(context, roles, giver, receiver, next_skills)
-        held = context.update_held(giver)
+        held = context.measure_held_object(giver)
         load = AttachedObject(thing, held.T_thing_in_pinch)
         yield context.make_segment({giver: context.plan_free_path(giver, handover.giver_joints, attached=load)})
         path = context.plan_free_path(receiver, handover.approach_joints, handover.opening)
@@ -107,12 +107,12 @@ class Handover(Skill):
             raise SkillFailedError(
                 FailureCause.SLIPPED, f"the {thing} is not between the {receiver.side} hand's fingers"
             )
-        receiver.held = HeldObject(thing, inverse(context.T_pinch(receiver)) @ context.world.pose(thing))
+        receiver.held_object = HeldObject(thing, invert_pose(context.T_pinch(receiver)) @ context.world.pose(thing))
         yield from release_and_retreat(context, giver, context.release_clearance(thing))
         yield rest_segment(context)
-        context.update_held(receiver)
+        context.measure_held_object(receiver)
 
-    def infeasibility(
+    def infeasibility_reason(
         self,
         context: PlanningContext,
         roles: RoleAssignment,
@@ -122,11 +122,11 @@ class Handover(Skill):
         joints: Array,
         next_skills: Sequence[Skill] = (),
     ) -> str | None:
-        """See `Skill.infeasibility`."""
+        """See `Skill.infeasibility_reason`."""
         if roles.object_of(self.thing) != thing or context.side_of(self.to) == hand.side:
             return None
         receiver = next(other for other in context.hands if other is not hand)
-        searches = context.cached(("searches", self, hand.side, tuple(next_skills)), lambda: itertools.count(1))
+        searches = context.compute_once(("searches", self, hand.side, tuple(next_skills)), lambda: itertools.count(1))
         if next(searches) > _MAX_SEARCHES:
             return f"no place found where the {receiver.side} hand can take it"
         if (
@@ -145,7 +145,7 @@ class Handover(Skill):
         self, context: PlanningContext, roles: RoleAssignment, giver: Hand, receiver: Hand, next_skills: Sequence[Skill]
     ) -> _HandoverPose:
         """Return the first handover that leaves the next skills possible; else the first reachable one."""
-        held = context.update_held(giver)
+        held = context.measure_held_object(giver)
         for following in (*preference_levels(next_skills, context, roles), ()):
             for skill in (self, self.without_preferences(context, roles)):
                 if (found := skill._find_handover_for(context, roles, giver, receiver, held, following)) is not None:
@@ -164,7 +164,7 @@ class Handover(Skill):
         grips = _receiver_grasps(context, roles, receiver, held.thing, next_skills)
         # The first search tests a grasp only if hands can reach a handover with it. Later searches test grasps first.
         check_first = bool(grips.faults)
-        T_giving = inverse(held.T_thing_in_pinch)
+        T_giving = invert_pose(held.T_thing_in_pinch)
         bases = [hand.arm.T_base_in_world[:3, 3] for hand in (giver, receiver)]
         middle, across = (bases[0] + bases[1]) / 2, bases[1] - bases[0]
         across = across / np.linalg.norm(across)
@@ -224,8 +224,15 @@ class _ReceiverGrasps:
         if number not in self.faults:
             fault = None
             if self._next_skills:
-                grasp = self._receiver, self._thing, inverse(candidate.T_pinch_in_thing), self._receiver.ready_joints
-                fault = self._next_skills[0].infeasibility(self._context, self._roles, *grasp, self._next_skills[1:])
+                grasp = (
+                    self._receiver,
+                    self._thing,
+                    invert_pose(candidate.T_pinch_in_thing),
+                    self._receiver.ready_joints,
+                )
+                fault = self._next_skills[0].infeasibility_reason(
+                    self._context, self._roles, *grasp, self._next_skills[1:]
+                )
             self.faults[number] = fault
         return self.faults[number] is None
 
@@ -235,7 +242,7 @@ def _receiver_grasps(
 ) -> _ReceiverGrasps:
     """Return the receiver's candidates, whose test results all searches share while nothing moves."""
     key = ("taking grips", receiver.side, thing, tuple(next_skills))
-    return context.cached(key, lambda: _ReceiverGrasps(context, roles, receiver, thing, next_skills))
+    return context.compute_once(key, lambda: _ReceiverGrasps(context, roles, receiver, thing, next_skills))
 
 
 def _reachable_poses(
@@ -249,8 +256,8 @@ def _reachable_poses(
     while batch := list(itertools.islice(grips, _BATCH_SIZE)):
         T, k = poses.poses_for([grip for _, grip in batch])
         T_grips = np.array([grip.T_pinch_in_thing for _, grip in batch])
-        reached = receiver.maybe_reachable(T @ T_grips[k])
-        reached[reached] = giver.maybe_reachable(T[reached] @ T_giving, WAYPOINT_TOLERANCE)
+        reached = receiver.may_be_reachable(T @ T_grips[k])
+        reached[reached] = giver.may_be_reachable(T[reached] @ T_giving, WAYPOINT_TOLERANCE)
         T, k = T[reached], k[reached]
         for number in np.unique(k):
             yield *batch[number], T[k == number]

@@ -9,9 +9,9 @@ import numpy as np
 from ...attempt_data import FailureCause
 from ...config.goals.predicates import Hung
 from ...config.goals.role_assignment import RoleAssignment
-from ...geometry.se3 import Array, inverse, pose, rotation_z
+from ...geometry.se3 import Array, invert_pose, pose, rotation_z
 from ..planning.collision_checker import AttachedObject
-from ..planning.trajectory import cartesian_line, is_collision_free
+from ..planning.trajectory import is_collision_free, plan_cartesian_line
 from .common_motions import park_free_hands, plan_held_object_line, release_and_retreat, rest_segment
 from .hand import WAYPOINT_TOLERANCE, Hand
 from .planning_context import MotionSegment, PlanningContext, SkillFailedError
@@ -45,7 +45,7 @@ class Hang(Skill):
         """Return the point (2,) of the peg's tip in `world`, m."""
         return [context.world.handle_pose(roles.object_of(self.onto), "peg")[:2, 3]]
 
-    def infeasibility(
+    def infeasibility_reason(
         self,
         context: PlanningContext,
         roles: RoleAssignment,
@@ -55,13 +55,13 @@ class Hang(Skill):
         joints: Array,
         next_skills: Sequence[Skill] = (),
     ) -> str | None:
-        """See `Skill.infeasibility`."""
+        """See `Skill.infeasibility_reason`."""
         fault = f"the {hand.side} arm does not reach the peg with it"
         load = AttachedObject(thing, T_thing_in_pinch)
-        for before, T_on in self._candidates(
+        for before, T_on in self._hang_candidates(
             context, roles, hand, thing, T_thing_in_pinch, (joints, hand.ready_joints)
         ):
-            at_peg = hand.solve_ik(T_on @ inverse(T_thing_in_pinch), (before,), WAYPOINT_TOLERANCE)
+            at_peg = hand.solve_ik(T_on @ invert_pose(T_thing_in_pinch), (before,), WAYPOINT_TOLERANCE)
             if at_peg is None:
                 continue
             blocked = context.find_contact(hand, at_peg, hand.opening, load) or context.find_contact(
@@ -78,15 +78,17 @@ class Hang(Skill):
         """See `Skill.run`."""
         thing = roles.object_of(self.thing)
         hand = require_holding_hand(context, thing, "hung up")
-        held = context.update_held(hand)
+        held = context.measure_held_object(hand)
         yield from park_free_hands(context, hand)
         load = AttachedObject(thing, held.T_thing_in_pinch)
         fault = f"the {hand.side} arm does not reach the peg with the {thing}"
-        candidates = self._candidates(
+        candidates = self._hang_candidates(
             context, roles, hand, thing, held.T_thing_in_pinch, (hand.joints, hand.ready_joints)
         )
         for before, T_on in candidates:
-            onto = cartesian_line(hand.ik, before, T_on @ inverse(held.T_thing_in_pinch), context.tick, _HANG_SPEED)
+            onto = plan_cartesian_line(
+                hand.ik, before, T_on @ invert_pose(held.T_thing_in_pinch), context.tick, _HANG_SPEED
+            )
             if onto is None or not is_collision_free(
                 onto, lambda joints: context.find_contact(hand, joints, hand.opening, load)
             ):
@@ -107,11 +109,11 @@ class Hang(Skill):
             yield from release_and_retreat(context, hand, context.release_clearance(thing))
             yield context.wait_segment(_SWING_TICKS)
             yield rest_segment(context)
-            self._check(context, roles)
+            self._require_hung(context, roles)
             return
         raise SkillFailedError(FailureCause.UNREACHABLE, fault)
 
-    def _candidates(
+    def _hang_candidates(
         self,
         context: PlanningContext,
         roles: RoleAssignment,
@@ -121,16 +123,16 @@ class Hang(Skill):
         seeds: Sequence[Array],
     ) -> Iterator[tuple[Array, Array]]:
         T_peg = context.world.handle_pose(roles.object_of(self.onto), "peg")
-        T_eye_in_thing = inverse(context.world.pose(thing)) @ context.world.handle_pose(thing, "eye")
+        T_eye_in_thing = invert_pose(context.world.pose(thing)) @ context.world.handle_pose(thing, "eye")
         for T_eye in _eye_poses(T_peg):
-            T_on = T_eye @ inverse(T_eye_in_thing)
+            T_on = T_eye @ invert_pose(T_eye_in_thing)
             T_before = T_on.copy()
             T_before[:3, 3] -= T_peg[:3, 2] * (_APPROACH + float((T_eye - T_peg)[:3, 3] @ T_peg[:3, 2]))
-            before = hand.solve_ik(T_before @ inverse(T_thing_in_pinch), seeds, WAYPOINT_TOLERANCE)
+            before = hand.solve_ik(T_before @ invert_pose(T_thing_in_pinch), seeds, WAYPOINT_TOLERANCE)
             if before is not None:
                 yield before, T_on
 
-    def _check(self, context: PlanningContext, roles: RoleAssignment) -> None:
+    def _require_hung(self, context: PlanningContext, roles: RoleAssignment) -> None:
         for measure in Hung(thing=self.thing, onto=self.onto).measures(context.world, roles):
             if not measure.holds:
                 raise SkillFailedError(FailureCause.OFF_TARGET, f"{measure.what}: {measure.detail}")

@@ -36,11 +36,11 @@ class Insert(PlaceSkill):
     ROLES: ClassVar[tuple[str, ...]] = ("thing", "into")
     into: str
 
-    def support(self, roles: RoleAssignment) -> str:
+    def support_name(self, roles: RoleAssignment) -> str:
         """Return the name of the container."""
         return roles.object_of(self.into)
 
-    def goals(self, context: PlanningContext, roles: RoleAssignment, thing: str) -> list[Array]:
+    def goal_poses(self, context: PlanningContext, roles: RoleAssignment, thing: str) -> list[Array]:
         """Return goal poses in the container, upright ones first; a tilted object may also keep its tilt."""
         container = roles.object_of(self.into)
         bottom, floor = context.world.local_box(thing)[0][2], context.world.aabb(container)[0][2] + _FLOOR_MARGIN
@@ -62,7 +62,7 @@ class Insert(PlaceSkill):
             if any(first > last for first, last in ranges):
                 continue
             middles = [(first + last) / 2 for first, last in ranges]
-            for x, y in itertools.product(*(_grid(first, last, step) for first, last in ranges)):
+            for x, y in itertools.product(*(_grid_coordinates(first, last, step) for first, last in ranges)):
                 if not context.world.points_inside(
                     container, np.array([(T @ (x, y, z, 1.0))[:3] for z in heights])
                 ).any():
@@ -73,12 +73,12 @@ class Insert(PlaceSkill):
                 found.append((round(height / _HEIGHT_STEP), offset, pose((*place, height), rotation_z(heading))))
         return [T_goal for *_, T_goal in sorted(found, key=lambda each: each[:2])]
 
-    def _check(self, context: PlanningContext, thing: str, onto: str, T_goal: Array) -> None:
+    def _require_placed(self, context: PlanningContext, thing: str, onto: str, T_goal: Array) -> None:
         if context.world.volume_fraction_inside(thing, onto) < _MIN_SHARE_INSIDE:
-            super()._check(context, thing, onto, T_goal)
+            super()._require_placed(context, thing, onto, T_goal)
 
 
-def _grid(first: float, last: float, step: float) -> Array:
+def _grid_coordinates(first: float, last: float, step: float) -> Array:
     return np.linspace(first, last, max(1, math.ceil((last - first) / step)) + 1)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from ...attempt_data import FailureCause
 from ...config.goals.role_assignment import RoleAssignment
 from ...files.documents.units import Distance
-from ...geometry.se3 import Array, inverse, pose
+from ...geometry.se3 import Array, invert_pose, pose
 from .common_motions import GRIP_TICKS, release_and_retreat, rest_segment
 from .grasp_candidates import GraspCandidate, is_orientation_plausible
 from .hand import WAYPOINT_TOLERANCE, Hand, HeldObject
@@ -23,7 +23,7 @@ _MAX_CANDIDATES = 24  # reachable grasps of each hand that are compared
 _LIFT_SPEED = 0.10  # m/s
 
 
-class Lift(Skill):
+class BimanualLift(Skill):
     """Grasp an object at two places, one with each hand, and lift it level, `by` m."""
 
     ROLES: ClassVar[tuple[str, ...]] = ("thing",)
@@ -56,7 +56,7 @@ class Lift(Skill):
                 yield from release_and_retreat(context, hand, grip.clearance)
             raise SkillFailedError(FailureCause.SLIPPED, f"the {thing} is not in both hands")
         for hand in closing:
-            hand.held = HeldObject(thing, inverse(context.T_pinch(hand)) @ context.world.pose(thing))
+            hand.held_object = HeldObject(thing, invert_pose(context.T_pinch(hand)) @ context.world.pose(thing))
         up = {}
         for hand in closing:
             T_up = hand.pinch_pose(hand.joints)
@@ -64,7 +64,7 @@ class Lift(Skill):
             up[hand] = context.plan_line(hand, T_up, _LIFT_SPEED)
         yield context.make_segment(up)
         for hand in closing:
-            context.update_held(hand)
+            context.measure_held_object(hand)
 
     def _find_grasp_pair(
         self, context: PlanningContext, hand_a: Hand, hand_b: Hand, thing: str
@@ -78,7 +78,7 @@ class Lift(Skill):
             ),
         )
         for first, second in pairs:
-            apart = _position(first[1]) - _position(second[1])
+            apart = _pinch_position(first[1]) - _pinch_position(second[1])
             if float(np.linalg.norm(apart)) < _MIN_APART:
                 break
             qpos = context.qpos_with_hand(first[0], first[3], first[1].opening, None)
@@ -118,6 +118,6 @@ class Lift(Skill):
                 return
 
 
-def _position(candidate: GraspCandidate) -> Array:
+def _pinch_position(candidate: GraspCandidate) -> Array:
     position: Array = candidate.T_pinch_in_thing[:3, 3]
     return position

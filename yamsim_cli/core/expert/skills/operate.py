@@ -10,7 +10,7 @@ from pydantic import Field, FiniteFloat
 from ...attempt_data import FailureCause
 from ...config.goals.role_assignment import RoleAssignment
 from ...config.objects.articulation import Link
-from ...geometry.se3 import Array, inverse, pose, rotation_from_vector
+from ...geometry.se3 import Array, invert_pose, pose, rotation_from_vector
 from .common_motions import GRIP_TICKS, park_free_hands, release_and_retreat, rest_segment
 from .grasp_candidates import CLEARANCE
 from .hand import WAYPOINT_TOLERANCE, Hand
@@ -103,7 +103,11 @@ class Operate(Skill):
             change = share * (goal - start)
             if joint.is_revolute:
                 return (
-                    T_part @ T_axis @ pose(rotation=rotation_from_vector(axis * change)) @ inverse(T_axis) @ T_in_part
+                    T_part
+                    @ T_axis
+                    @ pose(rotation=rotation_from_vector(axis * change))
+                    @ invert_pose(T_axis)
+                    @ T_in_part
                 )
             return T_part @ pose(axis * change) @ T_in_part
 

@@ -11,13 +11,13 @@ from ...attempt_data import FailureCause
 from ...config.goals.role_assignment import RoleAssignment
 from ...config.goals.world import TABLE
 from ...files.documents.units import Distance
-from ...geometry.se3 import Array, inverse, pose
+from ...geometry.se3 import Array, invert_pose, pose
 from ..planning.collision_checker import AttachedObject
 from .common_motions import close_fingers_on, park_free_hands, release_and_retreat
 from .grasp_candidates import GraspCandidate, is_orientation_plausible
 from .hand import PREFERRED_JOINT_MARGIN, WAYPOINT_TOLERANCE, Hand, HeldObject
 from .planning_context import FingerTarget, MotionSegment, PlanningContext, SkillFailedError
-from .skill import ArmSelector, Skill, holding_hand, preference_levels
+from .skill import ArmSelector, Skill, find_holding_hand, preference_levels
 
 _APPROACH_DISTANCES = (0.09, 0.05)  # m, lengths of the straight approach; the shorter one is for tight places
 
@@ -57,13 +57,13 @@ class Pick(Skill):
     ) -> Iterator[MotionSegment]:
         """Do nothing if a hand holds the object already; see `Skill.run`."""
         thing = roles.object_of(self.thing)
-        if holding_hand(context, thing) is not None:
+        if find_holding_hand(context, thing) is not None:
             return
         places = next_skills[0].approximate_targets(context, roles, thing) if next_skills else ()
         reasons: dict[str, int] = {}
         for following, (margin, tilts) in itertools.product(preference_levels(next_skills, context, roles), _LIMITS):
             reasons.clear()
-            for hand in self._hands(context, thing, places):
+            for hand in self._hands_by_reach(context, thing, places):
                 with context.planning_limits(margin, tilts):
                     found = self._find_grasp(context, roles, hand, thing, following, reasons)
                 if found is not None:
@@ -82,7 +82,7 @@ class Pick(Skill):
         )
         raise SkillFailedError(FailureCause.UNREACHABLE, f"no way to take the {thing}: {summary}")
 
-    def _hands(self, context: PlanningContext, thing: str, goals: Sequence[Array]) -> list[Hand]:
+    def _hands_by_reach(self, context: PlanningContext, thing: str, goals: Sequence[Array]) -> list[Hand]:
         """Return the hands that may pick, that with the shortest reach to the object and its goals first."""
         places = [context.world.pose(thing)[:2, 3], *goals]
         hands = context.free_hands(self.arm)
@@ -112,12 +112,12 @@ class Pick(Skill):
         if hand.side not in context.world.holding_sides(thing):
             yield from release_and_retreat(context, hand, grip.clearance)
             raise SkillFailedError(FailureCause.SLIPPED, f"the {thing} is not between the {hand.side} hand's fingers")
-        hand.held = HeldObject(thing, inverse(context.T_pinch(hand)) @ context.world.pose(thing))
+        hand.held_object = HeldObject(thing, invert_pose(context.T_pinch(hand)) @ context.world.pose(thing))
         T_up = hand.pinch_pose(hand.joints)
         T_up[2, 3] += self.lift
         yield context.make_segment({hand: context.plan_line(hand, T_up)}, wait_for_arrival=self.WAIT_FOR_REST)
         try:
-            context.update_held(hand)
+            context.measure_held_object(hand)
         except SkillFailedError:
             yield from release_and_retreat(context, hand, grip.clearance)
             raise
@@ -134,9 +134,11 @@ class Pick(Skill):
         for grip in context.grasp_candidates(thing, hand.max_opening):
             found = self.find_reachable_grasp(context, hand, thing, grip)
             if isinstance(found, ReachableGrasp):
-                T = inverse(grip.T_pinch_in_thing)
+                T = invert_pose(grip.T_pinch_in_thing)
                 reason = (
-                    next_skills[0].infeasibility(context, roles, hand, thing, T, found.grasp_joints, next_skills[1:])
+                    next_skills[0].infeasibility_reason(
+                        context, roles, hand, thing, T, found.grasp_joints, next_skills[1:]
+                    )
                     if next_skills
                     else None
                 )
@@ -183,7 +185,7 @@ class Pick(Skill):
         up = hand.solve_ik(T_up, (at,))
         if up is None:
             return f"the {hand.side} arm cannot lift it with this grasp"
-        load = AttachedObject(thing, inverse(candidate.T_pinch_in_thing), (TABLE, *context.world.object_names))
+        load = AttachedObject(thing, invert_pose(candidate.T_pinch_in_thing), (TABLE, *context.world.object_names))
         return context.find_contact(hand, up, candidate.opening, load)
 
 

@@ -13,7 +13,7 @@ from ...attempt_data import FailureCause
 from ...config.goals.role_assignment import RoleAssignment
 from ...config.goals.world import TABLE
 from ...files.documents.units import QuantityBounds, Reach
-from ...geometry.se3 import Array, inverse, pose, rotation_z, yaw
+from ...geometry.se3 import Array, invert_pose, pose, rotation_z, yaw
 from ..planning.collision_checker import AttachedObject
 from .common_motions import plan_held_object_line, release_and_retreat, rest_segment
 from .grasp_candidates import is_orientation_plausible
@@ -34,7 +34,7 @@ _TURNS = tuple(math.radians(angle) for angle in (0, 30, -30, 60, -60, 90, -90, 1
 
 
 class PlaceSkill(Skill):
-    """Base class of the skills that put down a held object; `goals` says where and how it may lie.
+    """Base class of the skills that put down a held object; `goal_poses` says where and how it may lie.
 
     The object is released `drop` (m) over the goal, so that fingers do not touch the support.
     """
@@ -46,17 +46,17 @@ class PlaceSkill(Skill):
     thing: str
     drop: Annotated[FiniteFloat, QuantityBounds("m", 0, 0.05)] = 0.0
 
-    def support(self, roles: RoleAssignment) -> str:
+    def support_name(self, roles: RoleAssignment) -> str:
         """Return the name of the support: an object or `table`."""
         return TABLE
 
     @abstractmethod
-    def goals(self, context: PlanningContext, roles: RoleAssignment, thing: str) -> Iterable[Array]:
+    def goal_poses(self, context: PlanningContext, roles: RoleAssignment, thing: str) -> Iterable[Array]:
         """Return candidate poses of the object in `world`, the best first."""
 
     def _cached_goals(self, context: PlanningContext, roles: RoleAssignment, thing: str) -> Iterable[Array]:
-        """Return `goals`, computed once while nothing moves: `infeasibility` needs them for every grasp."""
-        return context.cached((self, thing), lambda: CachedIterable(self.goals(context, roles, thing)))
+        """Return `goal_poses`, computed once while nothing moves: `infeasibility_reason` needs them for every grasp."""
+        return context.compute_once((self, thing), lambda: CachedIterable(self.goal_poses(context, roles, thing)))
 
     def without_preferences(self, context: PlanningContext, roles: RoleAssignment) -> PlaceSkill:
         """Return the skill itself: it has no preferences."""
@@ -71,7 +71,7 @@ class PlaceSkill(Skill):
         """See `Skill.approximate_targets`."""
         return [T[:2, 3] for T in itertools.islice(self._cached_goals(context, roles, thing), 1)]
 
-    def infeasibility(
+    def infeasibility_reason(
         self,
         context: PlanningContext,
         roles: RoleAssignment,
@@ -81,19 +81,19 @@ class PlaceSkill(Skill):
         joints: Array,
         next_skills: Sequence[Skill] = (),
     ) -> str | None:
-        """See `Skill.infeasibility`."""
-        fault = f"there is no room for it on or in the {self.support(roles)}"
+        """See `Skill.infeasibility_reason`."""
+        fault = f"there is no room for it on or in the {self.support_name(roles)}"
         load = AttachedObject(thing, T_thing_in_pinch, (TABLE, *context.world.object_names))
         for T_lying in self._ordered_goals(context, roles, thing, T_thing_in_pinch):
             T_goal = pose_raised_by(T_lying, self.drop)
-            T_pinch = T_goal @ inverse(T_thing_in_pinch)
+            T_pinch = T_goal @ invert_pose(T_thing_in_pinch)
             can_point_there = is_orientation_plausible(T_pinch, hand.arm.T_base_in_world)
             goal_joints = hand.solve_ik(T_pinch, (joints, hand.ready_joints)) if can_point_there else None
             if goal_joints is None:
                 fault = f"the {hand.side} arm does not reach its goal with it"
                 continue
             hover_joints = hand.solve_ik(
-                pose_raised_by(T_goal, HOVER_HEIGHT) @ inverse(T_thing_in_pinch), (goal_joints,), WAYPOINT_TOLERANCE
+                pose_raised_by(T_goal, HOVER_HEIGHT) @ invert_pose(T_thing_in_pinch), (goal_joints,), WAYPOINT_TOLERANCE
             )
             if hover_joints is None:
                 fault = f"the {hand.side} arm does not reach over its goal with it"
@@ -113,8 +113,8 @@ class PlaceSkill(Skill):
         """Bring the object over the first reachable goal, lower and release it; see `Skill.run`."""
         thing = roles.object_of(self.thing)
         hand = require_holding_hand(context, thing, "put down")
-        held = context.update_held(hand)
-        fault = f"there is no room for the {thing} on or in the {self.support(roles)}"
+        held = context.measure_held_object(hand)
+        fault = f"there is no room for the {thing} on or in the {self.support_name(roles)}"
         relaxed = self.without_preferences(context, roles)
         candidates = (
             (allow_tilt, T_lying)
@@ -124,7 +124,7 @@ class PlaceSkill(Skill):
         for allow_tilt, T_lying in candidates:
             fault = f"the {hand.side} arm does not reach over its goal with the {thing}"
             T_goal = pose_raised_by(T_lying, self.drop)
-            T_pinch = T_goal @ inverse(held.T_thing_in_pinch)
+            T_pinch = T_goal @ invert_pose(held.T_thing_in_pinch)
             with context.planning_limits(0.0, allow_tilt):
                 joints = self._hover_joints(hand, T_pinch)
                 if joints is None or hand.solve_ik(T_pinch, (joints,), WAYPOINT_TOLERANCE) is None:
@@ -135,8 +135,8 @@ class PlaceSkill(Skill):
                 fault = str(error)
                 continue
             yield context.make_segment({hand: path})
-            yield from self._lower(context, hand, thing, T_goal)
-            self._check(context, thing, self.support(roles), T_lying)
+            yield from self._lower_and_release(context, hand, thing, T_goal)
+            self._require_placed(context, thing, self.support_name(roles), T_lying)
             return
         raise SkillFailedError(FailureCause.UNREACHABLE, fault)
 
@@ -145,7 +145,9 @@ class PlaceSkill(Skill):
             pose_raised_by(T_pinch, HOVER_HEIGHT), (hand.joints, hand.ready_joints), WAYPOINT_TOLERANCE
         )
 
-    def _lower(self, context: PlanningContext, hand: Hand, thing: str, T_goal: Array) -> Iterator[MotionSegment]:
+    def _lower_and_release(
+        self, context: PlanningContext, hand: Hand, thing: str, T_goal: Array
+    ) -> Iterator[MotionSegment]:
         yield context.make_segment(
             {hand: plan_held_object_line(context, hand, pose_raised_by(T_goal, _RELEASE_GAP), self.LOWERING)}
         )
@@ -153,7 +155,7 @@ class PlaceSkill(Skill):
         yield from release_and_retreat(context, hand, context.release_clearance(thing))
         yield rest_segment(context)
 
-    def _check(self, context: PlanningContext, thing: str, onto: str, T_goal: Array) -> None:
+    def _require_placed(self, context: PlanningContext, thing: str, onto: str, T_goal: Array) -> None:
         T = context.world.pose(thing)
         offset = float(np.linalg.norm(T[:2, 3] - T_goal[:2, 3]))
         if offset > _MAX_GOAL_ERROR or T[2, 3] < T_goal[2, 3] - _MAX_GOAL_ERROR:
@@ -191,13 +193,13 @@ class Place(PlaceSkill):
             raise ValueError("`on: table` needs a place: give `at` or `start_of`")
         return self
 
-    def support(self, roles: RoleAssignment) -> str:
-        """See `PlaceSkill.support`."""
+    def support_name(self, roles: RoleAssignment) -> str:
+        """See `PlaceSkill.support_name`."""
         return TABLE if self.on == TABLE else roles.object_of(self.on)
 
-    def goals(self, context: PlanningContext, roles: RoleAssignment, thing: str) -> Iterator[Array]:
+    def goal_poses(self, context: PlanningContext, roles: RoleAssignment, thing: str) -> Iterator[Array]:
         """Yield upright poses over the goal's point: with `heading_deg`, else first with the present heading."""
-        onto = self.support(roles)
+        onto = self.support_name(roles)
         place, T_onto = self._goal_point_and_support(context, roles)
         if self.heading_deg is not None:
             headings = [yaw(T_onto) + math.radians(self.heading_deg)]
@@ -214,7 +216,7 @@ class Place(PlaceSkill):
         return _PlaceInAnyStablePose.model_construct(**dict(self))
 
     def _goal_point_and_support(self, context: PlanningContext, roles: RoleAssignment) -> tuple[Array, Array]:
-        onto = self.support(roles)
+        onto = self.support_name(roles)
         T_onto = pose() if onto == TABLE else context.world.pose(onto)
         x, y = np.array(self.at or (0.0, 0.0)) + self.number * np.array(self.step)
         if self.start_of is not None:
@@ -231,8 +233,8 @@ class _PlaceInAnyStablePose(Place):
     ) -> Iterator[Array]:
         """Yield upright goals first, then the others by how steeply the hand would point down."""
         yield from self._cached_goals(context, roles, thing)
-        lying = context.cached((self, "others", thing), lambda: self._lying_goals(context, roles, thing))
-        T_pinch_in_thing = inverse(T_thing_in_pinch)
+        lying = context.compute_once((self, "others", thing), lambda: self._lying_goals(context, roles, thing))
+        T_pinch_in_thing = invert_pose(T_thing_in_pinch)
 
         def forward(T: Array) -> Array:
             direction: Array = (T @ T_pinch_in_thing)[:3, 2]
@@ -251,7 +253,7 @@ class _PlaceInAnyStablePose(Place):
             for turn in _TURNS:
                 turned = rotation_z(heading + turn) @ R
                 T = pose((*(place - (turned @ centre)[:2]), 0.0), turned)
-                T[2, 3] = context.rest_height_of(thing, T, self.support(roles))
+                T[2, 3] = context.rest_height_of(thing, T, self.support_name(roles))
                 found.append(T)
         return found
 

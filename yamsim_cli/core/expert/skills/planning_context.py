@@ -12,7 +12,7 @@ import numpy as np
 from ...attempt_data import FailureCause, JointPath
 from ...config.goals.world import TABLE
 from ...config.objects.object_config import ObjectConfig
-from ...geometry.se3 import Array, inverse, pose, rotation_z
+from ...geometry.se3 import Array, invert_pose, pose, rotation_z
 from ...geometry.stable_poses import placeable_poses
 from ...sim.antipodal import AntipodalPair, find_antipodal_pairs
 from ...sim.geom_shapes import geom_corners
@@ -21,10 +21,10 @@ from ..planning.collision_checker import AttachedObject, CollisionChecker
 from ..planning.rrt_connect import plan_rrt_connect
 from ..planning.trajectory import (
     LINE_SPEED,
-    cartesian_curve,
-    cartesian_line,
     is_collision_free,
     minimum_jerk,
+    plan_cartesian_curve,
+    plan_cartesian_line,
     time_waypoints,
 )
 from .grasp_candidates import (
@@ -61,7 +61,7 @@ class MotionSegment:
     wait_for_arrival: bool = True
 
     @property
-    def ticks(self) -> int:
+    def tick_count(self) -> int:
         """Control ticks."""
         return len(self.paths[0].gripper)
 
@@ -114,7 +114,7 @@ class PlanningContext:
         site = self.world.data.site(f"{hand.arm.prefix}pinch_site")
         return pose(site.xpos, site.xmat.reshape(3, 3))
 
-    def opening(self, hand: Hand) -> float:
+    def finger_opening(self, hand: Hand) -> float:
         """Return the measured opening of each finger, m."""
         fingers = hand.arm.fingers
         assert fingers is not None, "skills need hands with fingers"
@@ -126,20 +126,22 @@ class PlanningContext:
 
     def free_hands(self, arm: str) -> list[Hand]:
         """Return the acting hands that hold nothing and match an `arm` argument."""
-        return [hand for hand in self.acting_hands if self.side_of(arm) in ("any", hand.side) and hand.held is None]
+        return [
+            hand for hand in self.acting_hands if self.side_of(arm) in ("any", hand.side) and hand.held_object is None
+        ]
 
-    def update_held(self, hand: Hand) -> HeldObject:
+    def measure_held_object(self, hand: Hand) -> HeldObject:
         """Measure the pose of the object in a hand, store it in `hand.held`, and return it.
 
         If the hand no longer holds the object, SkillFailedError is raised.
         """
-        held = hand.held
+        held = hand.held_object
         assert held is not None, "the hand holds nothing"
         if hand.side not in self.world.holding_sides(held.thing):
-            hand.held = None
+            hand.held_object = None
             raise SkillFailedError(FailureCause.DROPPED, f"the {held.thing} fell out of the {hand.side} hand")
-        hand.held = HeldObject(held.thing, inverse(self.T_pinch(hand)) @ self.world.pose(held.thing))
-        return hand.held
+        hand.held_object = HeldObject(held.thing, invert_pose(self.T_pinch(hand)) @ self.world.pose(held.thing))
+        return hand.held_object
 
     @contextmanager
     def planning_limits(self, margin: float, allow_tilt: bool = False) -> Iterator[None]:
@@ -158,7 +160,7 @@ class PlanningContext:
             for hand in self.hands:
                 hand.joint_margin, hand.allow_tilt = 0.0, False
 
-    def cached(self, key: Hashable, make: Callable[[], V]) -> V:
+    def compute_once(self, key: Hashable, make: Callable[[], V]) -> V:
         """Return `make()`, computed once for each key while `qpos` and the planning limits stay the same."""
         key, state = (self.hands[0].joint_margin, self.hands[0].allow_tilt, key), self.qpos.tobytes()
         if self._cache[0] != state:
@@ -200,7 +202,7 @@ class PlanningContext:
 
     def rest_height_of(self, thing: str, T: Array, onto: str) -> float:
         """Return the height in `world`, m, at which an object with a pose's rotation comes to rest."""
-        top = float(self.cached(("bounds", onto), lambda: self.world.aabb(onto))[1][2])
+        top = float(self.compute_once(("bounds", onto), lambda: self.world.aabb(onto))[1][2])
         low, high = self._local_box(thing)
         T_over = T.copy()
         T_over[2, 3] = top + float(np.abs(T[2, :3]) @ (high - low))
@@ -223,7 +225,7 @@ class PlanningContext:
         return self._stable_rotations[thing]
 
     def _local_box(self, thing: str) -> Array:
-        return self.cached(("block", thing), lambda: self.world.local_box(thing))
+        return self.compute_once(("block", thing), lambda: self.world.local_box(thing))
 
     def is_place_free(self, thing: str, place: Array) -> bool:
         """Return whether an upright object has room at a point (2,) on the table, m."""
@@ -296,14 +298,14 @@ class PlanningContext:
 
     def plan_line(self, hand: Hand, T_pinch_in_world: Array, speed: float = LINE_SPEED) -> Array:
         """Return a motion (n + 1, dof) of a hand's pinch frame straight to a pose."""
-        path = cartesian_line(hand.ik, hand.joints, T_pinch_in_world, self.tick, speed)
+        path = plan_cartesian_line(hand.ik, hand.joints, T_pinch_in_world, self.tick, speed)
         if path is None:
             raise SkillFailedError(FailureCause.UNREACHABLE, f"a straight line leaves the {hand.side} arm's reach")
         return path
 
     def plan_curve(self, hand: Hand, pose_at: Callable[[float], Array], seconds: float) -> Array:
         """Return a motion (n + 1, dof) of a hand's pinch frame on a curve; arguments as in `cartesian_curve`."""
-        path = cartesian_curve(hand.ik, hand.joints, pose_at, seconds, self.tick)
+        path = plan_cartesian_curve(hand.ik, hand.joints, pose_at, seconds, self.tick)
         if path is None:
             raise SkillFailedError(
                 FailureCause.UNREACHABLE, f"the path of the held object leaves the {hand.side} arm's reach"
@@ -333,7 +335,7 @@ class PlanningContext:
         paths = []
         for hand in self.hands:
             joints = motions.get(hand)
-            joints = self.still_motion(hand, ticks) if joints is None else _padded(joints, ticks)
+            joints = self.still_motion(hand, ticks) if joints is None else _pad_motion(joints, ticks)
             target = (fingers or {}).get(hand, FingerTarget(hand.opening, hand.grip_force))
             progress = np.array([minimum_jerk((k + 1) / ticks) for k in range(ticks)])
             opening = hand.opening + progress * (target.opening - hand.opening)
@@ -341,7 +343,7 @@ class PlanningContext:
             paths.append(
                 JointPath(
                     joints=joints,
-                    torques=self._torques(hand, joints, opening),
+                    torques=self._path_torques(hand, joints, opening),
                     gripper=opening,
                     grip_force=grip,
                     weld_on=(hand.weld_commanded,) * ticks,
@@ -357,20 +359,20 @@ class PlanningContext:
 
     def holding_torques(self, hand: Hand, joints: Array, opening: float) -> Array:
         """Return the torques (dof,), N m, that hold an arm and its held object still."""
-        still: Array = self._torques(hand, np.tile(joints, (3, 1)), np.full(2, opening))[-1]
+        still: Array = self._path_torques(hand, np.tile(joints, (3, 1)), np.full(2, opening))[-1]
         return still
 
-    def _torques(self, hand: Hand, joints: Array, opening: Array) -> Array:
-        torques = hand.dynamics.torques(joints, opening, self.tick)
-        if hand.held is None:
+    def _path_torques(self, hand: Hand, joints: Array, opening: Array) -> Array:
+        torques = hand.dynamics.inverse_dynamics_torques(joints, opening, self.tick)
+        if hand.held_object is None:
             return torques
-        item = self.object_configs[hand.held.thing]
-        centre = hand.held.T_thing_in_pinch @ np.array([*item.inertia.centre, 1.0])
+        item = self.object_configs[hand.held_object.thing]
+        centre = hand.held_object.T_thing_in_pinch @ np.array([*item.inertia.centre, 1.0])
         weight = item.inertia.mass * _GRAVITY
-        return torques + hand.dynamics.weight_torques((joints[1:] + joints[:-1]) / 2, centre[:3], weight)
+        return torques + hand.dynamics.payload_torques((joints[1:] + joints[:-1]) / 2, centre[:3], weight)
 
 
-def _padded(joints: Array, ticks: int) -> Array:
+def _pad_motion(joints: Array, ticks: int) -> Array:
     return np.concatenate([joints, np.tile(joints[-1], (ticks + 1 - len(joints), 1))])
 
 
@@ -447,7 +449,7 @@ def _retreat_up(hand: Hand, find_contact: ContactQuery, tick: float) -> Array | 
     T = hand.pinch_pose(hand.joints)
     for _ in range(_MAX_RETREAT_STEPS):
         T[2, 3] += _RETREAT_STEP
-        path = cartesian_line(hand.ik, hand.joints, T, tick, LINE_SPEED)
+        path = plan_cartesian_line(hand.ik, hand.joints, T, tick, LINE_SPEED)
         if path is not None and find_contact(path[-1]) is None:
             return path
     return None

@@ -10,7 +10,7 @@ from pydantic import ValidationError
 
 from ...config.goals.role_assignment import RoleAssignment
 from ...config.program_task import ProgramTask
-from ...errors import ConfigError, suggest
+from ...errors import ConfigError, suggest_similar
 from ...files.documents.config_base import ConflictError
 from ...files.documents.validation_messages import format_key_path
 from .cloth.flatten import Flatten
@@ -19,15 +19,15 @@ from .common_motions import open_and_park_hands
 from .handover import Handover
 from .hang import Hang
 from .insert import Insert
-from .lift import Lift
+from .lift import BimanualLift
 from .operate import Operate
 from .pick import Pick
 from .place import Place, PlaceSkill
 from .planning_context import MotionSegment, PlanningContext, SkillFailedError
 from .push import Push
 from .put_aside import PutAside, Regrasp, put_down_failed_object
-from .set_upright import SetUpright, Turn
-from .skill import Skill, holding_hand
+from .set_upright import SetUpright, TurnTowardsArms
+from .skill import Skill, find_holding_hand
 
 # The skills of programs. A new skill is a module in this package, and an entry here and in `SKILL_SECONDS`.
 SKILLS: Mapping[str, type[Skill]] = {
@@ -38,10 +38,10 @@ SKILLS: Mapping[str, type[Skill]] = {
     "put_aside": PutAside,
     "push": Push,
     "set_upright": SetUpright,
-    "turn": Turn,
+    "turn": TurnTowardsArms,
     "regrasp": Regrasp,
     "operate": Operate,
-    "lift": Lift,
+    "lift": BimanualLift,
     "hang": Hang,
     "fold": Fold,
     "flatten": Flatten,
@@ -116,7 +116,7 @@ def _read_step(
     if key == _EACH:
         yield from _unroll_loop(given, roles, (*path, key), names)
     elif key not in SKILLS:
-        raise ConflictError(f"unknown skill {key!r}; {suggest(key, [*SKILLS, _EACH])}", (*path, key))
+        raise ConflictError(f"unknown skill {key!r}; {suggest_similar(key, [*SKILLS, _EACH])}", (*path, key))
     else:
         yield (*path, key), _read_skill(key, given, roles, (*path, key), names)
 
@@ -136,7 +136,7 @@ def _unroll_loop(
         )
     if given["of"] not in roles.objects_by_role:
         raise ConflictError(
-            f"unknown role {given['of']!r}; {suggest(str(given['of']), roles.objects_by_role)}", (*path, "of")
+            f"unknown role {given['of']!r}; {suggest_similar(str(given['of']), roles.objects_by_role)}", (*path, "of")
         )
     if not isinstance(given["do"], list | tuple) or not given["do"]:
         raise ConflictError("`do` must be a list of steps", (*path, "do"))
@@ -170,14 +170,14 @@ def _read_skill(
         first = found[0]
         message = first["msg"].removeprefix("Value error, ").replace("Input should be", "must be")
         if first["type"] == "extra_forbidden":
-            message = f"unknown key; {suggest(str(first['loc'][-1]), SKILLS[key].model_fields)}"
+            message = f"unknown key; {suggest_similar(str(first['loc'][-1]), SKILLS[key].model_fields)}"
         elif first["type"] == "missing":
             message = "missing; add it"
         raise ConflictError(message, (*path, *first["loc"])) from error
     known = {*roles.objects_by_role, *(name for things in roles.objects_by_role.values() for name in things), "table"}
     for argument, role in skill.roles():
         if role not in known:
-            raise ConflictError(f"unknown role {role!r}; {suggest(role, sorted(known))}", (*path, argument))
+            raise ConflictError(f"unknown role {role!r}; {suggest_similar(role, sorted(known))}", (*path, argument))
     return skill
 
 
@@ -227,7 +227,7 @@ def _step_to_retry(program: Sequence[Skill], number: int, context: PlanningConte
     if not program[number].NEEDS_HELD:
         return number
     thing = _skill_object(program[number], roles)
-    if holding_hand(context, thing) is not None:
+    if find_holding_hand(context, thing) is not None:
         return number
     takes = (k for k in reversed(range(number)) if program[k].LEAVES_HELD and not program[k].NEEDS_HELD)
     return next((k for k in takes if _skill_object(program[k], roles) == thing), number)
@@ -259,13 +259,13 @@ SKILL_SECONDS: Mapping[str, float] = {
 _THIRDS_FACTOR = 1.6  # of "fold", measured: folding in thirds takes two folds in one reach
 
 
-def typical_ticks(task: ProgramTask) -> int:
+def typical_tick_count(task: ProgramTask) -> int:
     """Return the typical number of control ticks of a successful attempt at a task.
 
     No hold time is added: most goals have held long enough when the last skill ends.
     """
     seconds = sum(_typical_seconds(skill) for skill in build_program(task, task.typical_roles))
-    return min(task.max_ticks, math.ceil(seconds / task.timing.tick))
+    return min(task.max_ticks, math.ceil(seconds / task.timing.tick_seconds))
 
 
 def _typical_seconds(skill: Skill) -> float:

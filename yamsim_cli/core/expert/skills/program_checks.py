@@ -21,7 +21,7 @@ from ...scene.arm_model import kinematic_model
 from .cloth.fold import Fold
 from .handover import Handover
 from .hang import Hang
-from .lift import Lift
+from .lift import BimanualLift
 from .operate import Operate
 from .pick import Pick
 from .place import Place
@@ -96,7 +96,7 @@ def check_program(task: ProgramTask, sides: Sequence[str] | None = None) -> None
 
 
 def _check_arms(skill: Skill, sides: Sequence[str] | None, arms: int, path: tuple[str | int, ...]) -> None:
-    if isinstance(skill, Handover | Lift) and arms < 2:
+    if isinstance(skill, Handover | BimanualLift) and arms < 2:
         raise ConflictError(f"the step `{path[-1]}` needs two arms; use a rig with two arms, without `arms: one`", path)
     for argument in ("arm", "to"):
         named = getattr(skill, argument, None)
@@ -171,8 +171,8 @@ def _check_openings(config: RecordConfig, task: ProgramTask) -> None:
 
 def _check_reach(config: RecordConfig) -> None:
     """Check that each start region on the table has a point nearer to an arm's base than the arm's length."""
-    arms = _arms(config)
-    for role, start in config.starts.items():
+    arms = _arm_positions_and_reaches(config)
+    for role, start in config.start_regions_in_world.items():
         if start.on != TABLE:
             continue
         short = []
@@ -189,7 +189,7 @@ def _check_reach(config: RecordConfig) -> None:
 
 def _check_places(config: RecordConfig, task: ProgramTask) -> None:
     """Check that each point on the table that a step names lies within the length of some arm."""
-    arms = _arms(config)
+    arms = _arm_positions_and_reaches(config)
     longest = max(length for _, length in arms)
     for path, skill in parse_steps(task.expert, task.typical_roles, ("expert",)):
         key, place = _named_place(skill)
@@ -209,7 +209,7 @@ def _named_place(skill: Skill) -> tuple[str, Array | None]:
     return "to", np.array(skill.to) if isinstance(skill, Push) else None
 
 
-def _arms(config: RecordConfig) -> list[tuple[Array, float]]:
+def _arm_positions_and_reaches(config: RecordConfig) -> list[tuple[Array, float]]:
     return [
         (config.rig.T_base_in_world(k)[:2, 3], _arm_length(kinematic_model(config.rig.arms[k])))
         for k in config.acting_indices

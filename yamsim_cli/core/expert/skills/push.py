@@ -52,19 +52,19 @@ class Push(Skill):
         """Push until the object is within `radius` of the point; see `Skill.run`."""
         thing = roles.object_of(self.thing)
         for _ in range(_MAX_PUSHES):
-            if self._distance(context, thing) <= self.radius:
+            if self._distance_to_goal(context, thing) <= self.radius:
                 return
-            yield from self._push(context, thing)
+            yield from self._push_once(context, thing)
             yield rest_segment(context)
-        if (distance := self._distance(context, thing)) > self.radius:
+        if (distance := self._distance_to_goal(context, thing)) > self.radius:
             raise SkillFailedError(
                 FailureCause.OFF_TARGET, f"the {thing} was pushed to {distance * 1000:.0f} mm from its place"
             )
 
-    def _distance(self, context: PlanningContext, thing: str) -> float:
+    def _distance_to_goal(self, context: PlanningContext, thing: str) -> float:
         return float(np.linalg.norm(context.world.pose(thing)[:2, 3] - self.to))
 
-    def _push(self, context: PlanningContext, thing: str) -> Iterator[MotionSegment]:
+    def _push_once(self, context: PlanningContext, thing: str) -> Iterator[MotionSegment]:
         start = context.world.pose(thing)[:2, 3]
         displacement = np.array(self.to) - start
         heading = math.atan2(displacement[1], displacement[0])

@@ -29,7 +29,7 @@ class PutAside(PlaceSkill):
     The place is about as near to all acting arms; if all such places are occupied, it is near to the object.
     """
 
-    def goals(self, context: PlanningContext, roles: RoleAssignment, thing: str) -> list[Array]:
+    def goal_poses(self, context: PlanningContext, roles: RoleAssignment, thing: str) -> list[Array]:
         """Return upright poses on free places of the table, in four headings each."""
         places = self._free_places(context, thing, context.central_places())
         if not places:
@@ -74,13 +74,13 @@ def put_down_failed_object(context: PlanningContext, roles: RoleAssignment, role
         SkillFailedError: no hand holds the object any more, or it cannot be lowered.
     """
     hand = require_holding_hand(context, roles.object_of(role), "grasped in another way")
-    hand.failed_grasps.append(context.update_held(hand))
+    hand.failed_grasps.append(context.measure_held_object(hand))
     try:
         yield from PutAside(thing=role).run(context, roles, ())
     except SkillFailedError:
-        if hand.held is None:
+        if hand.held_object is None:
             raise
-        yield from _lower_straight(context, hand, hand.held.thing)
+        yield from _lower_straight(context, hand, hand.held_object.thing)
 
 
 def _lower_straight(context: PlanningContext, hand: Hand, thing: str) -> Iterator[MotionSegment]:

@@ -9,11 +9,11 @@ import numpy as np
 from ...attempt_data import FailureCause
 from ...config.goals.role_assignment import RoleAssignment
 from ...config.goals.world import TABLE
-from ...geometry.se3 import Array, pose, rotation_z, tilt
+from ...geometry.se3 import Array, pose, rotation_z, tilt_angle
 from .pick import Pick
 from .place import PlaceSkill
 from .planning_context import MotionSegment, PlanningContext, SkillFailedError
-from .skill import Skill, holding_hand
+from .skill import Skill, find_holding_hand
 
 _RING_RADII = (0.0, 0.05, 0.10, 0.15, 0.20)  # m, of rings of places around the object
 _PLACES_PER_RING = 8
@@ -26,7 +26,8 @@ _MAX_TILT = math.radians(10)  # rad, an object that tilts more has fallen over a
 class SetUpright(PlaceSkill):
     """Put a lying or inverted object down upright, near its present place.
 
-    An object that is in no hand is picked up first. If no grasp allows an upright pose, `Turn` first turns the object.
+    An object that is in no hand is picked up first. If no grasp allows an upright pose, `TurnTowardsArms` first turns
+    the object.
     """
 
     NEEDS_HELD: ClassVar[bool | None] = None
@@ -36,19 +37,19 @@ class SetUpright(PlaceSkill):
     ) -> Iterator[MotionSegment]:
         """See `Skill.run`."""
         thing, pick = roles.object_of(self.thing), Pick(thing=self.thing)
-        if holding_hand(context, thing) is None:
+        if find_holding_hand(context, thing) is None:
             try:
                 yield from pick.run(context, roles, (self,))
             except SkillFailedError as error:
-                if error.cause is not FailureCause.UNREACHABLE or holding_hand(context, thing) is not None:
+                if error.cause is not FailureCause.UNREACHABLE or find_holding_hand(context, thing) is not None:
                     raise
-                turn_skill = Turn(thing=self.thing)
+                turn_skill = TurnTowardsArms(thing=self.thing)
                 yield from pick.run(context, roles, (turn_skill,))
                 yield from turn_skill.run(context, roles, (pick,))
                 yield from pick.run(context, roles, (self,))
         yield from super().run(context, roles, next_skills)
 
-    def goals(self, context: PlanningContext, roles: RoleAssignment, thing: str) -> list[Array]:
+    def goal_poses(self, context: PlanningContext, roles: RoleAssignment, thing: str) -> list[Array]:
         """Return upright poses on free places in rings around the object, in eight headings each."""
         low, high = context.world.aabb(thing)
         middle = (low[:2] + high[:2]) / 2
@@ -62,9 +63,9 @@ class SetUpright(PlaceSkill):
                     found += [pose((*place, height), rotation_z(heading)) for heading in _HEADINGS]
         return found
 
-    def _check(self, context: PlanningContext, thing: str, onto: str, T_goal: Array) -> None:
-        super()._check(context, thing, onto, T_goal)
-        if (leans := tilt(context.world.pose(thing)[:3, :3])) > _MAX_TILT:
+    def _require_placed(self, context: PlanningContext, thing: str, onto: str, T_goal: Array) -> None:
+        super()._require_placed(context, thing, onto, T_goal)
+        if (leans := tilt_angle(context.world.pose(thing)[:3, :3])) > _MAX_TILT:
             raise SkillFailedError(FailureCause.OFF_TARGET, f"the {thing} leans by {math.degrees(leans):.0f} degrees")
 
 
@@ -75,10 +76,10 @@ _SHIFTS = (0.0, 0.06, 0.12)  # m, towards the arms, which reach nearer places be
 _DROP_FROM = 0.2  # m over the table, where the search for the resting height starts
 
 
-class Turn(PlaceSkill):
+class TurnTowardsArms(PlaceSkill):
     """Put a held, lying object down in the same stable pose, with its z axis towards the arms."""
 
-    def goals(self, context: PlanningContext, roles: RoleAssignment, thing: str) -> list[Array]:
+    def goal_poses(self, context: PlanningContext, roles: RoleAssignment, thing: str) -> list[Array]:
         """Return poses in which the object's z axis points towards the arms."""
         T, table = context.world.pose(thing), float(context.world.aabb(TABLE)[1][2])
         low, high = context.world.aabb(thing)

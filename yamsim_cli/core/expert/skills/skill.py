@@ -40,7 +40,7 @@ class Skill(Config):
         Choices such as a grasp have to suit the next skills.
         """
 
-    def infeasibility(
+    def infeasibility_reason(
         self,
         context: PlanningContext,
         roles: RoleAssignment,
@@ -83,12 +83,14 @@ def preference_levels(
 
 def require_holding_hand(context: PlanningContext, thing: str, action: str) -> Hand:
     """Return the hand that holds an object; `action` is a participle for the error message, such as "put down"."""
-    hand = holding_hand(context, thing)
+    hand = find_holding_hand(context, thing)
     if hand is None:
         raise SkillFailedError(FailureCause.DROPPED, f"no hand holds the {thing} that is to be {action}")
     return hand
 
 
-def holding_hand(context: PlanningContext, thing: str) -> Hand | None:
-    """Return the hand that holds an object, as of the last `PlanningContext.update_held`."""
-    return next((hand for hand in context.hands if hand.held is not None and hand.held.thing == thing), None)
+def find_holding_hand(context: PlanningContext, thing: str) -> Hand | None:
+    """Return the hand that holds an object, as of the last `PlanningContext.measure_held_object`."""
+    return next(
+        (hand for hand in context.hands if hand.held_object is not None and hand.held_object.thing == thing), None
+    )

@@ -16,13 +16,13 @@ class Config(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, validate_default=True, allow_inf_nan=False)
 
     @classmethod
-    def read(cls, path: Path) -> Document:
+    def read_document(cls, path: Path) -> Document:
         """Return a file's content under the keys of this config. Raises as `load_yaml`."""
         return load_yaml(path)
 
     @classmethod
     def paths_in_file(cls, path: Path) -> tuple[Path, ...]:
-        """Return the paths to pass to `read`, one for each config in a file."""
+        """Return the paths to pass to `read_document`, one for each config in a file."""
         return (path,)
 
 
@@ -57,14 +57,14 @@ def _unit_fractions(value: tuple[float, ...]) -> tuple[float, ...]:
     return value
 
 
-def _rotation(value: tuple[float, float, float, float]) -> tuple[float, float, float, float]:
+def _require_rotation(value: tuple[float, float, float, float]) -> tuple[float, float, float, float]:
     if math.hypot(*value) < 1e-9:
         raise ValueError("a zero quaternion is not a rotation")
     return value
 
 
 Vector = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
-Quaternion = Annotated[tuple[FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat], AfterValidator(_rotation)]
+Quaternion = Annotated[tuple[FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat], AfterValidator(_require_rotation)]
 Range = Annotated[tuple[FiniteFloat, FiniteFloat], AfterValidator(require_ordered)]
 Rgba = Annotated[tuple[float, float, float, float], AfterValidator(_unit_fractions)]
 Rgb = Annotated[tuple[float, float, float], AfterValidator(_unit_fractions)]

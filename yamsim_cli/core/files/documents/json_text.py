@@ -14,18 +14,18 @@ def json_text(data: Mapping[str, Any]) -> str:
 
     NumPy's values become plain ones; paths become text; infinities and NaN become null.
     """
-    return json.dumps(_plain(data), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+    return json.dumps(_to_plain_data(data), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
 
 
-def _plain(value: Any) -> Any:
+def _to_plain_data(value: Any) -> Any:
     if isinstance(value, np.generic | np.ndarray):
-        return _plain(value.tolist())
+        return _to_plain_data(value.tolist())
     if isinstance(value, PurePath):
         return str(value)
     if isinstance(value, float) and not math.isfinite(value):
         return None
     if isinstance(value, Mapping):
-        return {key: _plain(each) for key, each in value.items()}
+        return {key: _to_plain_data(each) for key, each in value.items()}
     if isinstance(value, list | tuple):
-        return [_plain(each) for each in value]
+        return [_to_plain_data(each) for each in value]
     return value

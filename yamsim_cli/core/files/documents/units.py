@@ -43,16 +43,18 @@ class QuantityBounds:
 
     def check(self, value: float, info: ValidationInfo | None = None) -> float:
         """Return the value; raise ValueError if it is out of bounds, with a guess of its unit."""
-        if self._holds(value) or is_recorded_config(info):
+        if self._is_within_bounds(value) or is_recorded_config(info):
             return value
-        raise ValueError(f"must lie in {self.low:.6g}..{self.high:.6g} {self.unit}{self._meant(value)}")
+        raise ValueError(f"must lie in {self.low:.6g}..{self.high:.6g} {self.unit}{self._guess_meant_unit(value)}")
 
-    def _holds(self, value: float) -> bool:
+    def _is_within_bounds(self, value: float) -> bool:
         return self.low <= value <= self.high or (self.or_zero and value == 0)
 
-    def _meant(self, value: float) -> str:
+    def _guess_meant_unit(self, value: float) -> str:
         others = {name: value * factor for name, factor in _MISTAKEN_UNITS.get(self.unit, {}).items()}
-        fitting = [f"is it in {name}? Then give {meant:.4g}" for name, meant in others.items() if self._holds(meant)]
+        fitting = [
+            f"is it in {name}? Then give {meant:.4g}" for name, meant in others.items() if self._is_within_bounds(meant)
+        ]
         return "".join(f"; {text}" for text in fitting)
 
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:

@@ -8,11 +8,11 @@ from typing import Annotated, Any, Union, get_args, get_origin
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
-from ...errors import count_noun, suggest
+from ...errors import count_noun, suggest_similar
 from .config_base import Config, ConflictError, require_ordered
-from .yaml_document import Document, KeyPath, is_setting
+from .yaml_document import Document, KeyPath, is_flag_or_keyword
 
-BRANCH = "<"  # first character of names that pydantic reports for branches of unions, which are no keys
+UNION_BRANCH_MARK = "<"  # first character of names that pydantic reports for branches of unions, which are no keys
 
 _DECIMAL_COMMA = re.compile(r"[-+]?[0-9]+,[0-9]+")
 
@@ -40,15 +40,15 @@ def explain_validation_error(
     if isinstance(fault, ConflictError):
         path, place = _offending_value(document, [(*path, *part) for part in fault.paths], flags)
     else:
-        place = document.place(path)
-    key = "" if is_setting(place) else f"{format_key_path(path) or 'config'}: "
-    return place, f"{key}{_reason(model, path, first)}{more}"
+        place = document.place_of(path)
+    key = "" if is_flag_or_keyword(place) else f"{format_key_path(path) or 'config'}: "
+    return place, f"{key}{_explain_detail(model, path, first)}{more}"
 
 
 def explain_conflict(document: Document, error: ConflictError, flags: Mapping[KeyPath, str]) -> tuple[str, str]:
     """Return the place and a message of a conflict raised outside of pydantic's validation."""
     path, place = _offending_value(document, list(error.paths), flags)
-    return place, str(error) if is_setting(place) else f"{format_key_path(path) or 'config'}: {error}"
+    return place, str(error) if is_flag_or_keyword(place) else f"{format_key_path(path) or 'config'}: {error}"
 
 
 def detect_other_kind(kinds: Mapping[str, type[Config]], wanted: str, data: Mapping[str, Any]) -> str | None:
@@ -92,23 +92,23 @@ def _offending_value(document: Document, paths: list[KeyPath], flags: Mapping[Ke
         for whole in (path, path[:-1]) if path and isinstance(path[-1], int) else (path,):
             if whole in flags:
                 return whole, flags[whole]
-    return paths[0], document.place(paths[0])
+    return paths[0], document.place_of(paths[0])
 
 
-def _reason(model: type[Config], path: KeyPath, detail: ErrorDetails) -> str:
+def _explain_detail(model: type[Config], path: KeyPath, detail: ErrorDetails) -> str:
     value = detail["input"]
     if isinstance(detail.get("ctx", {}).get("error"), ConflictError):
         return detail["msg"].removeprefix("Value error, ")
     match detail["type"]:
         case "extra_forbidden":
-            return f"unknown key; {suggest(str(path[-1]), _keys_at(model, path[:-1]))}"
+            return f"unknown key; {suggest_similar(str(path[-1]), _keys_at(model, path[:-1]))}"
         case "missing" if isinstance(detail["loc"][-1], int):
-            return f"has {count_noun(detail['loc'][-1], 'value')}; give {_shape(model, path)}"
+            return f"has {count_noun(detail['loc'][-1], 'value')}; give {_describe_list_shape(model, path)}"
         case "missing":
             return "missing; add it"
         case "tuple_type":
-            return f"{value!r} is not valid: give {_shape(model, path)}"
-        case "too_long" | "too_short" if isinstance(value, list) and (shape := _shape(model, path)):
+            return f"{value!r} is not valid: give {_describe_list_shape(model, path)}"
+        case "too_long" | "too_short" if isinstance(value, list) and (shape := _describe_list_shape(model, path)):
             return f"has {len(value)} values; give {shape}{_decimal_comma_hint(value, detail)}"
         case "float_parsing" | "int_parsing" if isinstance(value, str) and _DECIMAL_COMMA.fullmatch(value):
             return f"{value!r} is not valid: a number has a decimal point; write {value.replace(',', '.')}"
@@ -122,14 +122,14 @@ def _decimal_comma_hint(values: list[Any], detail: ErrorDetails) -> str:
     return "; a number has a decimal point, not a comma" if wanted and len(values) == 2 * wanted and whole else ""
 
 
-def _shape(model: type[Config], path: KeyPath) -> str:
+def _describe_list_shape(model: type[Config], path: KeyPath) -> str:
     for annotation, metadata in _annotations_at(model, path):
         parts = get_args(annotation) if get_origin(annotation) is tuple else ()
         if not parts or Ellipsis in parts:
             continue
         if any(getattr(mark, "func", None) is require_ordered for mark in metadata):
             return "[low, high]"
-        return "[x, y, z]" if len(parts) == 3 and float in map(_plain, parts) else f"a list of {len(parts)}"
+        return "[x, y, z]" if len(parts) == 3 and float in map(_strip_annotated, parts) else f"a list of {len(parts)}"
     return "a list"
 
 
@@ -152,7 +152,7 @@ def _is_union(annotation: Any) -> bool:
     return get_origin(annotation) in (Union, types.UnionType)
 
 
-def _plain(annotation: Any) -> Any:
+def _strip_annotated(annotation: Any) -> Any:
     while get_origin(annotation) is Annotated:
         annotation = get_args(annotation)[0]
     return annotation
@@ -160,11 +160,11 @@ def _plain(annotation: Any) -> Any:
 
 def _is_tag(data: Any, loc: tuple[int | str, ...], key: int | str) -> bool:
     """Return whether a part of pydantic's location names a union's branch, and is no key of the document."""
-    if isinstance(key, str) and key.startswith(BRANCH):
+    if isinstance(key, str) and key.startswith(UNION_BRANCH_MARK):
         return True
     here = data
     for part in loc:
-        if isinstance(part, str) and part.startswith(BRANCH):
+        if isinstance(part, str) and part.startswith(UNION_BRANCH_MARK):
             continue
         if isinstance(here, dict) and part not in here and part == here.get("type"):
             if part == key:

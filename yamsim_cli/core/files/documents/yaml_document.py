@@ -25,7 +25,7 @@ _FLOAT = re.compile(
 )
 
 
-def is_setting(place: str) -> bool:
+def is_flag_or_keyword(place: str) -> bool:
     """Return whether the place of a value is a flag (`--arm`) or a keyword (`arm=`), not a file."""
     return place.startswith("--") or place.endswith("=")
 
@@ -53,16 +53,16 @@ _Loader.add_implicit_resolver("tag:yaml.org,2002:int", _INT, list("-+0123456789"
 _Loader.add_implicit_resolver("tag:yaml.org,2002:float", _FLOAT, list("-+0123456789."))
 
 
-def _decimal_int(loader: _Loader, node: yaml.ScalarNode) -> int:
+def _construct_int(loader: _Loader, node: yaml.ScalarNode) -> int:
     # PyYAML's own constructor reads 010 as an octal number.
     return int(node.value)
 
 
-def _plain_float(loader: _Loader, node: yaml.ScalarNode) -> float:
-    return _float(node.value)
+def _construct_float(loader: _Loader, node: yaml.ScalarNode) -> float:
+    return _parse_float(node.value)
 
 
-def _float(text: str) -> float:
+def _parse_float(text: str) -> float:
     return float(text.lower().replace(".inf", "inf").replace(".nan", "nan"))
 
 
@@ -70,18 +70,18 @@ def number_or_text(text: str) -> int | float | str:
     """Return an unquoted word of YAML as a number if possible."""
     if _INT.fullmatch(text):
         return int(text)
-    return _float(text) if _FLOAT.fullmatch(text) else text
+    return _parse_float(text) if _FLOAT.fullmatch(text) else text
 
 
-def _opencv_matrix(loader: _Loader, node: yaml.MappingNode) -> dict[Any, Any]:
+def _construct_opencv_matrix(loader: _Loader, node: yaml.MappingNode) -> dict[Any, Any]:
     # OpenCV's FileStorage tags its matrices: mappings of rows, cols, dt and data, or of sizes, dt and data.
     return loader.construct_mapping(node, deep=True)
 
 
-_Loader.add_constructor("tag:yaml.org,2002:opencv-matrix", _opencv_matrix)
-_Loader.add_constructor("tag:yaml.org,2002:opencv-nd-matrix", _opencv_matrix)
-_Loader.add_constructor("tag:yaml.org,2002:int", _decimal_int)
-_Loader.add_constructor("tag:yaml.org,2002:float", _plain_float)
+_Loader.add_constructor("tag:yaml.org,2002:opencv-matrix", _construct_opencv_matrix)
+_Loader.add_constructor("tag:yaml.org,2002:opencv-nd-matrix", _construct_opencv_matrix)
+_Loader.add_constructor("tag:yaml.org,2002:int", _construct_int)
+_Loader.add_constructor("tag:yaml.org,2002:float", _construct_float)
 
 
 class _Dumper(yaml.SafeDumper):
@@ -109,13 +109,13 @@ class Document:
     source: str
     places: dict[KeyPath, str] = field(default_factory=dict)
 
-    def place(self, path: KeyPath) -> str:
+    def place_of(self, path: KeyPath) -> str:
         """Return the place of the value at `path`, or of the nearest mapping or list around it."""
         while path and path not in self.places:
             path = path[:-1]
         return self.places.get(path, self.source)
 
-    def override(self, path: KeyPath, value: Any, place: str) -> None:
+    def override_value(self, path: KeyPath, value: Any, place: str) -> None:
         """Override one value, and create missing mappings above it."""
         target: Any = self.data
         try:
@@ -129,7 +129,7 @@ class Document:
 
     def insert_document(self, path: KeyPath, other: Document) -> None:
         """Insert another document with the places of its values."""
-        self.override(path, other.data, other.source)
+        self.override_value(path, other.data, other.source)
         self.places.update({path + inner: where for inner, where in other.places.items()})
 
 
@@ -138,10 +138,10 @@ def load_yaml(path: Path) -> Document:
 
     Files over 1 MB, duplicate keys and several documents are errors.
     """
-    return parse_yaml(read_config(path), str(path))
+    return parse_yaml(read_config_bytes(path), str(path))
 
 
-def read_config(path: Path) -> bytes:
+def read_config_bytes(path: Path) -> bytes:
     """Return a config file's bytes. Raises ConfigError if it is unreadable, or larger than 1 MB."""
     try:
         raw = path.read_bytes()
@@ -162,7 +162,7 @@ def parse_yaml(text: str | bytes, source: str, language: str = "YAML") -> Docume
             if not isinstance(root, yaml.MappingNode) or root.tag != "tag:yaml.org,2002:map":
                 raise ConfigError(f"{source}: the top level must be a mapping of keys to values")
             _refuse_further_documents(loader, source, language)
-            _index(root, (), document)
+            _record_places(root, (), document)
             document.data = loader.construct_document(root)
         finally:
             loader.dispose()
@@ -191,7 +191,7 @@ def _without_opencv_header(text: str | bytes) -> str | bytes:
     return "#" + text if text.startswith("%YAML:") else text
 
 
-def _index(node: yaml.Node, path: KeyPath, document: Document) -> None:
+def _record_places(node: yaml.Node, path: KeyPath, document: Document) -> None:
     document.places[path] = f"{document.source}:{node.start_mark.line + 1}"
     if isinstance(node, yaml.MappingNode):
         seen: dict[str, int] = {}
@@ -205,24 +205,24 @@ def _index(node: yaml.Node, path: KeyPath, document: Document) -> None:
                     f"{document.source}:{line}: duplicate key {key.value!r}, first at line {first}; remove one"
                 )
             seen[key.value] = line
-            _index(value, (*path, key.value), document)
+            _record_places(value, (*path, key.value), document)
     elif isinstance(node, yaml.SequenceNode):
         for position, item in enumerate(node.value):
-            _index(item, (*path, position), document)
+            _record_places(item, (*path, position), document)
 
 
 def dump_yaml(data: Mapping[str, Any]) -> str:
     """Return YAML text with keys in their order; `parse_yaml` restores the data."""
     text: str = yaml.dump(
-        _plain(data), Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=120, default_flow_style=None
+        _tuples_to_lists(data), Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=120, default_flow_style=None
     )
     return text
 
 
-def _plain(value: Any) -> Any:
+def _tuples_to_lists(value: Any) -> Any:
     """YAML's safe dumper refuses tuples: make them lists."""
     if isinstance(value, Mapping):
-        return {key: _plain(item) for key, item in value.items()}
+        return {key: _tuples_to_lists(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
+        return [_tuples_to_lists(item) for item in value]
     return value

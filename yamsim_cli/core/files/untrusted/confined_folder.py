@@ -47,7 +47,7 @@ class ConfinedFolder:
 
     def find(self, name: str, base: Path | None = None) -> Path:
         """Return the path of a regular file by its name; arguments and errors as in `read`."""
-        tried = self._candidates(name, base or self._root)
+        tried = self._candidate_paths(name, base or self._root)
         inside = [path for path in tried if path.is_relative_to(self._root)]
         if not inside:
             raise RefusedError("outside", f"it names {name!r}, which is outside of its folder")
@@ -61,7 +61,7 @@ class ConfinedFolder:
             return path
         raise RefusedError("missing", f"{name!r} is not in its folder")
 
-    def _candidates(self, name: str, base: Path) -> list[Path]:
+    def _candidate_paths(self, name: str, base: Path) -> list[Path]:
         if "\0" in name or len(name) > 1000:
             raise RefusedError("outside", "it names a file with an invalid path")
         name = name.strip().replace("\\", "/")

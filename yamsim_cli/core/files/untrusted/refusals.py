@@ -3,7 +3,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 # Code of a refusal -> its meaning.
-CODES: Mapping[str, str] = {
+REFUSAL_CODES: Mapping[str, str] = {
     "too-large": "the file, or a file that it names, has more bytes than an object needs",
     "too-many-files": "it names more files than an object needs",
     "too-many-faces": "it has, or declares, more faces than an object needs",
@@ -31,9 +31,9 @@ CODES: Mapping[str, str] = {
 
 
 class RefusedError(Exception):
-    """Refusal of an untrusted file, with one of `CODES`."""
+    """Refusal of an untrusted file, with one of `REFUSAL_CODES`."""
 
     def __init__(self, code: str, text: str) -> None:
-        assert code in CODES, code
+        assert code in REFUSAL_CODES, code
         super().__init__(text)
         self.code = code

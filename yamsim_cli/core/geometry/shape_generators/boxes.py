@@ -15,7 +15,7 @@ _WIDEST = 0.091  # m, object width between the pads
 
 
 @dataclass(frozen=True)
-class Container:
+class ContainerSizes:
     """Sizes of an open box, m.
 
     Attributes:
@@ -35,7 +35,7 @@ class Container:
     lip: float = 0.0
 
 
-def make_container(size: Container) -> GeneratedShape:
+def make_container(size: ContainerSizes) -> GeneratedShape:
     """Return an open box or a tray with compartments."""
     x, y, height = size.size[0] / 2 - size.lip, size.size[1] / 2 - size.lip, size.size[2]
     wall, corner = size.wall, size.corner
@@ -51,7 +51,7 @@ def make_container(size: Container) -> GeneratedShape:
         pieces.append(ShapePiece("body", transform_surface(between, (at, 0, wall * 0.5))))
         collision.append(box_data((at, 0, height / 2 - wall * 0.25), (wall, 2 * y - wall, height - wall * 0.5)))
     if size.lip:
-        collision += _lip(size, x, y)
+        collision += _lip_boxes(size, x, y)
     z = round(height - _RIM_DEPTH, 4)
     thick, flat = round(wall + size.lip, 4), not size.lip
     # Half-sizes to the middle of the collision walls.
@@ -67,7 +67,7 @@ def make_container(size: Container) -> GeneratedShape:
     return GeneratedShape(tuple(pieces), tuple(collision), tuple(grasps), "in", wall)
 
 
-def _open_box(size: Container, x: float, y: float) -> Surface:
+def _open_box(size: ContainerSizes, x: float, y: float) -> Surface:
     height, wall, corner, lip = size.size[2], size.wall, size.corner, size.lip
     edge = min(corner * 0.35, 0.006)
     loops = []
@@ -117,7 +117,7 @@ def wall_boxes(
     return parts
 
 
-def _lip(size: Container, x: float, y: float) -> list[PrimitiveData]:
+def _lip_boxes(size: ContainerSizes, x: float, y: float) -> list[PrimitiveData]:
     z, lip, wall = size.size[2] - size.wall / 2, size.lip, size.wall
     return [
         part
@@ -181,12 +181,14 @@ def block_surface(size: tuple[float, float, float], corner: float, edge: float) 
     edge = min(edge, height / 2.001, x, y)
     corner = max(corner, edge)
     angles = np.linspace(0, np.pi / 2, 4)
-    loops = [_inset(x, y, corner, edge * (1 - math.sin(a)), edge * (1 - math.cos(a))) for a in angles]
-    loops += [_inset(x, y, corner, edge * (1 - math.cos(a)), height - edge * (1 - math.sin(a))) for a in angles]
+    loops = [_inset_rectangle(x, y, corner, edge * (1 - math.sin(a)), edge * (1 - math.cos(a))) for a in angles]
+    loops += [
+        _inset_rectangle(x, y, corner, edge * (1 - math.cos(a)), height - edge * (1 - math.sin(a))) for a in angles
+    ]
     return loft(loops)
 
 
-def _inset(x: float, y: float, corner: float, by: float, z: float) -> Array:
+def _inset_rectangle(x: float, y: float, corner: float, by: float, z: float) -> Array:
     return rounded_rectangle(x - by, y - by, corner - by, z)
 
 
@@ -231,7 +233,7 @@ def make_textile(size: tuple[float, float, float], folds: int) -> GeneratedShape
 
 
 @dataclass(frozen=True)
-class Rack:
+class RackSizes:
     """Sizes of a dish rack, m.
 
     Attributes:
@@ -255,7 +257,7 @@ _ROWS, _BETWEEN = 0.37, 0.12  # shares of the half depth, y of the tines and of 
 _BOW = 0.03  # m, radius of the bows' corners
 
 
-def make_rack(size: Rack) -> GeneratedShape:
+def make_rack(size: RackSizes) -> GeneratedShape:
     """Return a low wire rack: a floor with a rail, two rows of tines, and a bow at each end as a handle."""
     r = size.wire / 2
     x, y, height = size.size[0] / 2 - r, size.size[1] / 2 - r, size.size[2]

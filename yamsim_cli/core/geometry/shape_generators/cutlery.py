@@ -25,7 +25,7 @@ _MAX_RAISE = 0.004  # m, of the pads' middle over that of the handle
 
 
 @dataclass(frozen=True)
-class Cutlery:
+class CutlerySizes:
     """Sizes of a piece of cutlery, m.
 
     Attributes:
@@ -42,7 +42,7 @@ class Cutlery:
     handle: float
 
 
-def make_cutlery(size: Cutlery) -> GeneratedShape:
+def make_cutlery(size: CutlerySizes) -> GeneratedShape:
     """Return a piece of cutlery on its back with its head towards +y."""
     head, collision = _HEADS[size.kind](size)
     start = size.size[1] / 2 - _head_length(size)
@@ -63,11 +63,11 @@ def make_cutlery(size: Cutlery) -> GeneratedShape:
     return GeneratedShape(pieces, tuple(collision), tuple(grasps))
 
 
-def _head_length(size: Cutlery) -> float:
+def _head_length(size: CutlerySizes) -> float:
     return {"spoon": 0.32, "fork": 0.33, "knife": 0.54, "turner": 0.32}[size.kind] * size.size[1]
 
 
-def _handle_line(size: Cutlery, start: float) -> tuple[Array, Array]:
+def _handle_line(size: CutlerySizes, start: float) -> tuple[Array, Array]:
     """Return the handle's centre line (n, 3) from its end to the head, and half its width (n,), m."""
     t = np.linspace(0, 1, 25)
     end = -size.size[1] / 2 + size.handle / 2
@@ -85,11 +85,11 @@ def _handle_line(size: Cutlery, start: float) -> tuple[Array, Array]:
     return np.column_stack([np.zeros_like(t), y, z]), half
 
 
-def _neck_height(size: Cutlery) -> float:
+def _neck_height(size: CutlerySizes) -> float:
     return {"spoon": 0.55, "fork": 0.75, "turner": 0.45, "knife": 0.6}[size.kind] * size.size[2]
 
 
-def _sheet(
+def _curved_sheet(
     outline_: Callable[[float], tuple[float, float]],
     height: Callable[[Array, float], Array],
     length: tuple[float, float],
@@ -112,7 +112,7 @@ def _sheet(
     return loft(loops[::-1])
 
 
-def _spoon(size: Cutlery) -> tuple[Surface, list[PrimitiveData]]:
+def _spoon_head(size: CutlerySizes) -> tuple[Surface, list[PrimitiveData]]:
     long, wide, thick = _head_length(size), size.size[0], size.thickness
     y0, y1 = size.size[1] / 2 - long, size.size[1] / 2
     deep, neck = 0.40 * size.size[2], _neck_height(size)
@@ -132,7 +132,7 @@ def _spoon(size: Cutlery) -> tuple[Surface, list[PrimitiveData]]:
         bottom: Array = np.maximum(rim(t) - deep * hollow**0.6, 0.0)
         return bottom
 
-    surface = _sheet(lambda t: (-half(t), half(t)), height, (y0, y1), thick)
+    surface = _curved_sheet(lambda t: (-half(t), half(t)), height, (y0, y1), thick)
     radius = thick * 0.6
     turn = np.linspace(0.03, 0.97, 8)
     edge = [
@@ -151,7 +151,7 @@ def _spoon(size: Cutlery) -> tuple[Surface, list[PrimitiveData]]:
     return surface, parts
 
 
-def _fork(size: Cutlery) -> tuple[Surface, list[PrimitiveData]]:
+def _fork_head(size: CutlerySizes) -> tuple[Surface, list[PrimitiveData]]:
     long, wide, thick = _head_length(size), size.size[0], size.thickness
     y0 = size.size[1] / 2 - long
     neck = _neck_height(size)
@@ -165,7 +165,7 @@ def _fork(size: Cutlery) -> tuple[Surface, list[PrimitiveData]]:
     def half(t: float) -> float:
         return float(wide / 2 * np.interp(t / root, [0, 0.3, 0.7, 1], [0.18, 0.45, 0.9, 1.0]))
 
-    palm = _sheet(
+    palm = _curved_sheet(
         lambda t: (-half(root * t), half(root * t)),
         lambda x, t: np.full_like(x, height(root * t)),
         (y0, y0 + root * long),
@@ -188,7 +188,7 @@ def _fork(size: Cutlery) -> tuple[Surface, list[PrimitiveData]]:
     return transform_surface(concatenate_surfaces(surfaces), (0, 0, lift)), parts
 
 
-def _knife(size: Cutlery) -> tuple[Surface, list[PrimitiveData]]:
+def _knife_blade(size: CutlerySizes) -> tuple[Surface, list[PrimitiveData]]:
     long, wide, thick = _head_length(size), size.size[0], size.thickness
     y0, y1 = size.size[1] / 2 - long, size.size[1] / 2
     neck = _neck_height(size)
@@ -202,7 +202,7 @@ def _knife(size: Cutlery) -> tuple[Surface, list[PrimitiveData]]:
         # The knife lies on its blade and on the handle's end.
         return float((neck - thick / 2) * max(0.0, 1 - t / 0.3) ** 1.6)
 
-    surface = _sheet(edges, lambda x, t: np.full_like(x, level(t)), (y0, y1), thick)
+    surface = _curved_sheet(edges, lambda x, t: np.full_like(x, level(t)), (y0, y1), thick)
     radius = thick / 2
     t = np.concatenate([np.linspace(0.0, 0.3, 4), np.linspace(0.3, 0.99, 5)[1:]])
     parts: list[PrimitiveData] = []
@@ -216,7 +216,7 @@ def _knife(size: Cutlery) -> tuple[Surface, list[PrimitiveData]]:
     return surface, parts
 
 
-def _turner(size: Cutlery) -> tuple[Surface, list[PrimitiveData]]:
+def _turner_blade(size: CutlerySizes) -> tuple[Surface, list[PrimitiveData]]:
     long, wide, thick = _head_length(size), size.size[0], size.thickness
     y0, y1 = size.size[1] / 2 - long, size.size[1] / 2
     neck = _neck_height(size)
@@ -227,7 +227,7 @@ def _turner(size: Cutlery) -> tuple[Surface, list[PrimitiveData]]:
     def level(t: float) -> float:
         return float((neck - thick / 2) * max(0.0, 1 - t / 0.5) ** 1.6)
 
-    surface = _sheet(lambda t: (-half(t), half(t)), lambda x, t: np.full_like(x, level(t)), (y0, y1), thick)
+    surface = _curved_sheet(lambda t: (-half(t), half(t)), lambda x, t: np.full_like(x, level(t)), (y0, y1), thick)
     radius = thick / 2
     t = np.linspace(0, 1, 9)
     parts: list[PrimitiveData] = []
@@ -240,9 +240,9 @@ def _turner(size: Cutlery) -> tuple[Surface, list[PrimitiveData]]:
     return surface, parts
 
 
-_HEADS: Mapping[Kind, Callable[[Cutlery], tuple[Surface, list[PrimitiveData]]]] = {
-    "spoon": _spoon,
-    "fork": _fork,
-    "knife": _knife,
-    "turner": _turner,
+_HEADS: Mapping[Kind, Callable[[CutlerySizes], tuple[Surface, list[PrimitiveData]]]] = {
+    "spoon": _spoon_head,
+    "fork": _fork_head,
+    "knife": _knife_blade,
+    "turner": _turner_blade,
 }

@@ -72,7 +72,7 @@ class GeneratedShape:
 
 def box_data(centre: Sequence[float], size: Sequence[float], yaw_deg: float = 0.0) -> PrimitiveData:
     """Return a box with a centre (3,) and full size (3,), m, turned about z."""
-    plain = {"type": "box", "centre": _plain(centre), "half_size": _plain(np.divide(size, 2))}
+    plain = {"type": "box", "centre": _rounded_list(centre), "half_size": _rounded_list(np.divide(size, 2))}
     return plain | ({"yaw_deg": yaw_deg} if yaw_deg else {})
 
 
@@ -80,20 +80,20 @@ def cylinder_data(low: float, high: float, radius: float) -> PrimitiveData:
     """Return an upright cylinder about the z axis between two heights, m."""
     return {
         "type": "cylinder",
-        "centre": [0.0, 0.0, _short((low + high) / 2)],
-        "radius": _short(radius),
-        "half_height": _short((high - low) / 2),
+        "centre": [0.0, 0.0, _round_value((low + high) / 2)],
+        "radius": _round_value(radius),
+        "half_height": _round_value((high - low) / 2),
     }
 
 
 def sphere_data(centre: Sequence[float], radius: float) -> PrimitiveData:
     """Return a sphere with a centre (3,) and radius, m."""
-    return {"type": "sphere", "centre": _plain(centre), "radius": _short(radius)}
+    return {"type": "sphere", "centre": _rounded_list(centre), "radius": _round_value(radius)}
 
 
 def capsule_data(start: ArrayLike, end: ArrayLike, radius: float) -> PrimitiveData:
     """Return a capsule with the ends (3,) of its axis and its radius, m."""
-    return {"type": "capsule", "start": _plain(start), "end": _plain(end), "radius": _short(radius)}
+    return {"type": "capsule", "start": _rounded_list(start), "end": _rounded_list(end), "radius": _round_value(radius)}
 
 
 def capsules_along(path: ArrayLike, radius: float, *, closed: bool = False) -> list[PrimitiveData]:
@@ -107,9 +107,9 @@ def ring_boxes(corners: Array, wall: float, segments: int) -> list[PrimitiveData
     return [
         {
             "type": "ring",
-            "inner": _plain(a),
-            "outer": _plain(b),
-            "thickness": _short(max(wall, _MIN_WALL)),
+            "inner": _rounded_list(a),
+            "outer": _rounded_list(b),
+            "thickness": _round_value(max(wall, _MIN_WALL)),
             "segments": segments,
         }
         for a, b in itertools.pairwise(corners)
@@ -133,9 +133,9 @@ def simplify_polyline(profile: Array, tolerance: float) -> Array:
     )
 
 
-def _plain(values: ArrayLike) -> list[float]:
-    return [_short(float(value)) for value in np.asarray(values, float)]
+def _rounded_list(values: ArrayLike) -> list[float]:
+    return [_round_value(float(value)) for value in np.asarray(values, float)]
 
 
-def _short(value: float) -> float:
+def _round_value(value: float) -> float:
     return round(float(value), 5) + 0.0  # -0.0 becomes 0.0

@@ -19,14 +19,14 @@ def make_pasta(diameter: float, length: float, wall: float, slant_deg: float, ri
         ridges: number of lengthwise ridges.
     """
     radius = diameter / 2
-    surface = _pipe(radius, length, wall, np.tan(np.radians(slant_deg)), ridges)
+    surface = _pipe_surface(radius, length, wall, np.tan(np.radians(slant_deg)), ridges)
     half = max(length / 2 - radius * (1 if wall == 0 else 0.9), 0.0005)
     hull = capsule_data((0, -half, radius), (0, half, radius), radius)
     grasp = ShapeGrasp("body", (0.0, 0.0, round(radius, 4)), 0.0, diameter)
     return GeneratedShape((ShapePiece("body", surface),), (hull,), (grasp,), rolling_radius=radius)
 
 
-def _pipe(radius: float, length: float, wall: float, slant: float, ridges: int) -> Surface:
+def _pipe_surface(radius: float, length: float, wall: float, slant: float, ridges: int) -> Surface:
     angle = 2 * np.pi * np.arange(_SEGMENTS) / _SEGMENTS
     outer = radius * (1 - (0.03 + 0.03 * np.cos(ridges * angle) if ridges else 0.0 * angle))
     straight = length / 2 - slant * radius

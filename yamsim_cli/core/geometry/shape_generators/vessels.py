@@ -86,11 +86,11 @@ def make_vessel(size: VesselSizes) -> GeneratedShape:
     """Return an open vessel that stands on its foot."""
     inside = size.inner_profile()
     pieces = [ShapePiece("body", revolve(shell_profile(inside, size.wall), _VISUAL_FACES))]
-    segments = _segments(size)
+    segments = _segment_count(size)
     wall = inside[int(np.flatnonzero(np.diff(inside[:, 1]) > 1e-9)[0]) :]
     collision: list[PrimitiveData] = [cylinder_data(0.0, size.wall, float(wall[0, 0]) + size.wall / 2)]
     collision += ring_boxes(simplify_polyline(wall, _TOLERANCE), size.wall, segments)
-    for surface, path, radius in _handles(size):
+    for surface, path, radius in _handle_surfaces(size):
         pieces.append(ShapePiece("handle", surface))
         collision += capsules_along(simplify_polyline(path, _TOLERANCE), radius)
     deep = size.height > 0.03
@@ -100,7 +100,7 @@ def make_vessel(size: VesselSizes) -> GeneratedShape:
     )
 
 
-def _segments(size: VesselSizes) -> int:
+def _segment_count(size: VesselSizes) -> int:
     return _BOXES if size.diameter / 2 > _NARROW else _FEW_BOXES
 
 
@@ -109,7 +109,7 @@ def _outer_radius(size: VesselSizes, inside: Array, height: float) -> float:
     return float(np.interp(height, wall[:, 1], wall[:, 0])) + size.wall
 
 
-def _handles(size: VesselSizes) -> list[tuple[Surface, Array, float]]:
+def _handle_surfaces(size: VesselSizes) -> list[tuple[Surface, Array, float]]:
     """Return each handle's surface, centre line (n, 3) and radius, m."""
     inside, top = size.inner_profile(), size.height
     if size.handles == "loop":
@@ -146,7 +146,7 @@ def _vessel_grasps(size: VesselSizes, inside: Array) -> list[ShapeGrasp]:
     if size.neck and size.neck < 0.06:
         height = size.height - _NECK_DEPTH
     # The pads are parallel to the face of every second collision box.
-    around = np.arange(0.0, 360.0, 720.0 / _segments(size))
+    around = np.arange(0.0, 360.0, 720.0 / _segment_count(size))
     width = 2 * _outer_radius(size, inside, height)
     if width <= _MAX_WIDTH:
         axes = (90.0 + around[around < 180]) % 180 if size.handles == "none" else (90.0,)

@@ -86,43 +86,43 @@ class FinRay(Config):
         return self.width_mm / 1000
 
     @property
-    def wall(self) -> float:
+    def wall_thickness(self) -> float:
         """Thickness of a wall, m."""
         return self.wall_mm / 1000
 
     @property
-    def rib(self) -> float:
+    def rib_thickness(self) -> float:
         """Thickness of a rib, m."""
         return self.rib_mm / 1000
 
     @property
-    def modulus(self) -> float:
+    def youngs_modulus(self) -> float:
         """Young's modulus, Pa."""
         return self.modulus_mpa * 1e6
 
     @property
-    def relaxation(self) -> float:
+    def relaxation_time(self) -> float:
         """Damping of each spring divided by its stiffness, s."""
         return self.relaxation_ms / 1000
 
     @property
-    def segments(self) -> int:
+    def segment_count(self) -> int:
         """Rigid segments: one begins at the base, and one at each rib."""
         return self.ribs + 1
 
     @property
-    def bay(self) -> float:
+    def rib_spacing(self) -> float:
         """Distance along the front wall between two ribs, m; also from the base to the first rib, and to the tip."""
-        return self.length / self.segments
+        return self.length / self.segment_count
 
     @property
-    def stations(self) -> Array:
+    def hinge_heights(self) -> Array:
         """Heights (segments,) of the base and of the ribs, m."""
-        return np.asarray(np.arange(self.segments, dtype=np.float64) * self.bay)
+        return np.asarray(np.arange(self.segment_count, dtype=np.float64) * self.rib_spacing)
 
-    def spacing(self, height: Array | float) -> Array:
+    def wall_spacing(self, height: Array | float) -> Array:
         """Return the distance between the walls' middle surfaces at heights (m) above the base, m."""
-        base, tip = (across / 1000 - self.wall for across in (self.base_mm, self.tip_mm))
+        base, tip = (across / 1000 - self.wall_thickness for across in (self.base_mm, self.tip_mm))
         heights: Array = np.asarray(height, np.float64)
         return base + (tip - base) * heights / self.length
 
@@ -132,28 +132,28 @@ def hinge_stiffness(finger: FinRay) -> Array:
 
     A hinge represents the bending of both walls over one distance between ribs; at the base, over half of it.
     """
-    inertia = finger.width * finger.wall**3 / 12
-    stiffness = np.full(finger.segments, finger.modulus * 2 * inertia / finger.bay)
+    inertia = finger.width * finger.wall_thickness**3 / 12
+    stiffness = np.full(finger.segment_count, finger.youngs_modulus * 2 * inertia / finger.rib_spacing)
     stiffness[0] *= 2
     return stiffness
 
 
 def slip_jacobian(finger: FinRay) -> Array:
     """Return the back wall's slip (n, n), m/rad, at ribs and tip (rows) per angle at base and ribs (columns)."""
-    spacing = finger.spacing(finger.stations)
+    spacing = finger.wall_spacing(finger.hinge_heights)
     # Of the bend that the hinge at a rib represents, half lies below the rib.
-    through = np.tril(np.broadcast_to(spacing, (finger.segments, finger.segments)))
+    through = np.tril(np.broadcast_to(spacing, (finger.segment_count, finger.segment_count)))
     ribs = through[1:] - np.diag(spacing)[1:] / 2
     return np.vstack([ribs, spacing])
 
 
 def slip_stiffness(finger: FinRay) -> Array:
     """Return the stiffness matrix (n, n), N/m, of the back wall's slips at the ribs and, last, at the tip."""
-    n = finger.segments
-    inertia = finger.width * finger.rib**3 / 12
-    ribs = 12 * finger.modulus * inertia / finger.spacing(finger.stations[1:]) ** 3
-    leaning = np.hypot(finger.bay, (finger.spacing(0.0) - finger.spacing(finger.length)) / n)
-    stretch = finger.modulus * finger.width * finger.wall / (finger.bay + leaning)
+    n = finger.segment_count
+    inertia = finger.width * finger.rib_thickness**3 / 12
+    ribs = 12 * finger.youngs_modulus * inertia / finger.wall_spacing(finger.hinge_heights[1:]) ** 3
+    leaning = np.hypot(finger.rib_spacing, (finger.wall_spacing(0.0) - finger.wall_spacing(finger.length)) / n)
+    stretch = finger.youngs_modulus * finger.width * finger.wall_thickness / (finger.rib_spacing + leaning)
     held = np.diag(np.append(ribs, _TIP_STIFFNESS * stretch))
     # Stretch of both walls below a rib reduces the slip at the rib. The walls stretch so that the energy is least.
     before = np.tril(np.ones((n, n)))
@@ -162,7 +162,7 @@ def slip_stiffness(finger: FinRay) -> Array:
     return (stiffness + stiffness.T) / 2
 
 
-def couplings(finger: FinRay) -> Array:
+def hinge_coupling_springs(finger: FinRay) -> Array:
     """Return coefficients (n, n), m. Each row is a spring of 1 N/m; its elongation is the row times the hinge angles.
 
     The energy of all springs together is that of `slip_stiffness`.

@@ -10,7 +10,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from ...geometry.stl import stl_bytes
+from ...geometry.stl import encode_stl
 from .finger import FinRay
 
 Point = tuple[float, float]
@@ -31,11 +31,11 @@ def finger_mesh_files(finger: FinRay) -> dict[str, bytes]:
 
     That frame has its origin in the middle of the front wall, x to the tip, and y towards the held object.
     """
-    return {segment_file(k): _segment(finger, k).stl(finger.width) for k in range(finger.segments)}
+    return {segment_file(k): _segment_section(finger, k).stl(finger.width) for k in range(finger.segment_count)}
 
 
 @dataclass
-class _Section:
+class _CrossSection:
     """A plane figure of convex cells that share their corners, so that its extrusion is a closed surface."""
 
     points: list[Point] = field(default_factory=list)
@@ -53,7 +53,7 @@ class _Section:
     def stl(self, width: float) -> bytes:
         n = len(self.points)
         vertices = [(*point, side * width / 2) for side in (-1, 1) for point in self.points]
-        edges = [(a, b) for cell in self.cells for a, b in _around(cell)]
+        edges = [(a, b) for cell in self.cells for a, b in _cell_edges(cell)]
         faces: list[tuple[int, int, int]] = []
         for first, *others in self.cells:
             for a, b in pairwise(others):
@@ -61,20 +61,20 @@ class _Section:
         for a, b in edges:
             if (b, a) not in edges:
                 faces += [(a, b, b + n), (a, b + n, a + n)]
-        return stl_bytes(vertices, faces)
+        return encode_stl(vertices, faces)
 
 
-def _around(cell: Sequence[T]) -> list[tuple[T, T]]:
+def _cell_edges(cell: Sequence[T]) -> list[tuple[T, T]]:
     return list(zip(cell, [*cell[1:], cell[0]], strict=True))
 
 
-def _segment(finger: FinRay, k: int) -> _Section:
+def _segment_section(finger: FinRay, k: int) -> _CrossSection:
     """Return a piece of each wall, and the rib at hinge `k` or the end of the tip."""
-    half, bay, low = finger.wall / 2, finger.bay, k * finger.bay
-    section = _Section()
+    half, bay, low = finger.wall_thickness / 2, finger.rib_spacing, k * finger.rib_spacing
+    section = _CrossSection()
 
     def depth(x: float) -> float:
-        return float(finger.spacing(low + x))
+        return float(finger.wall_spacing(low + x))
 
     def front(x0: float, x1: float) -> None:
         section.add((x0, -half), (x1, -half), (x1, half), (x0, half))
@@ -83,9 +83,9 @@ def _segment(finger: FinRay, k: int) -> _Section:
         a, b = -depth(x0), -depth(x1)
         section.add((x0, a - half), (x1, b - half), (x1, b + half), (x0, a + half))
 
-    last = k == finger.segments - 1
-    foot = finger.rib if k else 0.0
-    end = bay - (depth(bay) + finger.wall) / 2 if last else bay
+    last = k == finger.segment_count - 1
+    foot = finger.rib_thickness if k else 0.0
+    end = bay - (depth(bay) + finger.wall_thickness) / 2 if last else bay
     if k:
         front(0.0, foot)
         section.add((0.0, half - depth(0.0)), (foot, half - depth(foot)), (foot, -half), (0.0, -half))
@@ -94,18 +94,18 @@ def _segment(finger: FinRay, k: int) -> _Section:
     front(foot, end)
     back(foot, end)
     if last:
-        _tip(section, end, bay, half, depth(end))
+        _add_tip_cells(section, end, bay, half, depth(end))
     else:
         back(bay, bay + _OVERLAP)
     return section
 
 
-def _tip(section: _Section, start: float, end: float, half: float, depth: float) -> None:
+def _add_tip_cells(section: _CrossSection, start: float, end: float, half: float, depth: float) -> None:
     outline: list[Point] = [(start, -depth - half)]
     middle, across = -depth / 2, depth / 2 + half
     for turn in np.linspace(-math.pi / 2, math.pi / 2, _TIP_FACES + 1)[1:-1]:
         outline.append((start + (end - start) * math.cos(turn), middle + across * math.sin(turn)))
     outline += [(start, half), (start, -half), (start, half - depth)]
     hub = (start + (end - start) / 3, middle)
-    for a, b in _around(outline):
+    for a, b in _cell_edges(outline):
         section.add(hub, a, b)

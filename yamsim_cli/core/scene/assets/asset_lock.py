@@ -19,7 +19,7 @@ from pydantic import (
 )
 
 from ...config.loader import load_config
-from ...errors import ConfigError, UsageError, suggest
+from ...errors import ConfigError, UsageError, suggest_similar
 from ...files.resources import Locations
 from ...files.writing import sha256_bytes
 from ...robots.finray.finger_meshes import finger_mesh_files
@@ -58,7 +58,7 @@ class Reduction(_Frozen):
 
 
 class LockedFile(_Frozen):
-    """A locked mesh file of `size` bytes; `member` is its path inside the set's archive.
+    """A locked mesh file of `total_bytes` bytes; `member` is its path inside the set's archive.
 
     `tools/bench/reduction.py` finds the best `reduction`.
     """
@@ -112,7 +112,7 @@ class AssetSet(_Frozen):
         return f"{self.name}-{digest[:12]}"
 
     @property
-    def size(self) -> int:
+    def total_bytes(self) -> int:
         """Total size, bytes."""
         return sum(file.size for file in self.files.values())
 
@@ -138,25 +138,28 @@ class AssetLock(_Frozen):
         for name, assets in self.sets.items():
             if assets.archive not in self.archives:
                 raise ValueError(
-                    f"{name}: unknown archive {assets.archive!r}; {suggest(assets.archive or '', self.archives)}"
+                    f"{name}: unknown archive {assets.archive!r}; "
+                    f"{suggest_similar(assets.archive or '', self.archives)}"
                 )
             if assets.notice not in self.notices:
-                raise ValueError(f"{name}: unknown notice {assets.notice!r}; {suggest(assets.notice, self.notices)}")
+                raise ValueError(
+                    f"{name}: unknown notice {assets.notice!r}; {suggest_similar(assets.notice, self.notices)}"
+                )
             if assets.notice in assets.files:
                 raise ValueError(f"{name}: its notice would overwrite the mesh {assets.notice!r}")
         return self
 
-    def select(self, names: Iterable[str]) -> tuple[AssetSet, ...]:
+    def select_sets(self, names: Iterable[str]) -> tuple[AssetSet, ...]:
         """Return the named sets in the lock's order; without names, all sets that are not `on_demand`."""
         wanted = set(names)
         for name in sorted(wanted):
             if name not in self.sets:
-                raise UsageError(f"unknown asset set {name!r}; {suggest(name, self.sets)}")
+                raise UsageError(f"unknown asset set {name!r}; {suggest_similar(name, self.sets)}")
         return tuple(a for name, a in self.sets.items() if name in wanted or not (wanted or a.on_demand))
 
 
 def _read_lock(locations: Locations) -> AssetLock:
-    path = locations.file(LOCK_FILE)
+    path = locations.find_data_file(LOCK_FILE)
     try:
         raw = json.loads(path.read_text(encoding="utf-8"))
     except ValueError as error:
@@ -168,7 +171,7 @@ def _read_lock(locations: Locations) -> AssetLock:
         raise ConfigError(f"{path}: 'sets' must map names to asset sets that each name a notice") from error
     # `AssetLock` rejects a notice whose name points outside the folder.
     texts = {
-        name: locations.file(f"{NOTICES}/{name}").read_text(encoding="utf-8")
+        name: locations.find_data_file(f"{NOTICES}/{name}").read_text(encoding="utf-8")
         for name in sorted(names, key=str)
         if isinstance(name, str) and is_contained(name)
     }
@@ -198,7 +201,7 @@ def load_lock(locations: Locations) -> AssetLock:
     if not made:
         return lock
     sets = {name: _generated_set(name, files) for name, files in made.items()}
-    notice = locations.file(f"{NOTICES}/{_MADE_NOTICE}").read_text(encoding="utf-8")
+    notice = locations.find_data_file(f"{NOTICES}/{_MADE_NOTICE}").read_text(encoding="utf-8")
     return lock.model_copy(
         update={"sets": {**lock.sets, **sets}, "notices": {**lock.notices, _MADE_NOTICE: notice}, "made": made}
     )

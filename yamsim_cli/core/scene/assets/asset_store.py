@@ -70,7 +70,7 @@ class AssetStore:
 
     root: Path
 
-    def directory(self, assets: AssetSet) -> Path:
+    def set_directory(self, assets: AssetSet) -> Path:
         """Return the folder in which the set is published."""
         return self.root / assets.directory_name
 
@@ -79,22 +79,28 @@ class AssetStore:
         """Its modification time is that of the last failed `fetch_missing`."""
         return self.root / ".fetch-failed"
 
-    def resolve(self, assets: AssetSet) -> Path | None:
+    def find_verified_folder(self, assets: AssetSet) -> Path | None:
         """Return the folder with all files of the set, each verified by SHA-256; None if there is no such folder."""
-        for folder in self._folders(assets):
+        for folder in self._candidate_folders(assets):
             if all(check_file(folder / name, locked) is FileStatus.OK for name, locked in assets.files.items()):
                 return folder
         return None
 
-    def status(self, assets: AssetSet) -> tuple[FileState, ...]:
+    def file_states(self, assets: AssetSet) -> tuple[FileState, ...]:
         """Return the state of each file, in the lock's order, in the folder with the most valid files of the set."""
         files = assets.files.items()
         states = [
             tuple(FileState(name, folder / name, check_file(folder / name, locked)) for name, locked in files)
-            for folder in self._folders(assets)
+            for folder in self._candidate_folders(assets)
         ]
         # Changed files indicate that the folder is meant for the set. For equal counts, `max` returns the first folder.
-        return max(states, key=lambda files: (_count(files, FileStatus.OK), _count(files, FileStatus.CHANGED)))
+        return max(
+            states,
+            key=lambda files: (
+                _count_files_with_status(files, FileStatus.OK),
+                _count_files_with_status(files, FileStatus.CHANGED),
+            ),
+        )
 
     @contextlib.contextmanager
     def write_lock(self) -> Iterator[Path]:
@@ -106,12 +112,12 @@ class AssetStore:
             self.root.mkdir(parents=True, exist_ok=True)
             with exclusive_lock(self.root / ".lock"):
                 # A killed process can leave files in the scratch folder. No other process uses it during the lock.
-                shutil.rmtree(self._staging, ignore_errors=True)
-                self._staging.mkdir()
+                shutil.rmtree(self._staging_directory, ignore_errors=True)
+                self._staging_directory.mkdir()
                 try:
-                    yield self._staging
+                    yield self._staging_directory
                 finally:
-                    shutil.rmtree(self._staging, ignore_errors=True)
+                    shutil.rmtree(self._staging_directory, ignore_errors=True)
         except OSError as error:
             raise ResourceError(
                 f"cannot write to the asset store {self.root}: {error.strerror or error}; free some space, or set "
@@ -136,19 +142,19 @@ class AssetStore:
         """
         final = self.root / name
         if final.exists():
-            final.rename(self._staging / f"damaged.{uuid.uuid4().hex}")
-        publish_directory(final, files, self._staging)
+            final.rename(self._staging_directory / f"damaged.{uuid.uuid4().hex}")
+        publish_directory(final, files, self._staging_directory)
         return final
 
     @property
-    def _staging(self) -> Path:
+    def _staging_directory(self) -> Path:
         return self.root / ".staging"
 
-    def _folders(self, assets: AssetSet) -> tuple[Path, Path, Path]:
-        return self.directory(assets), self.root / assets.name, self.root
+    def _candidate_folders(self, assets: AssetSet) -> tuple[Path, Path, Path]:
+        return self.set_directory(assets), self.root / assets.name, self.root
 
 
-def _count(files: tuple[FileState, ...], status: FileStatus) -> int:
+def _count_files_with_status(files: tuple[FileState, ...], status: FileStatus) -> int:
     return sum(file.status is status for file in files)
 
 

@@ -64,7 +64,7 @@ def run_child(
         except OSError as error:
             raise SourceError(f"cannot run {command[0]}: {error.strerror}") from error
         try:
-            _wait(child, limit_s, idle_s, watch)
+            _wait_for_child(child, limit_s, idle_s, watch)
         finally:
             if child.poll() is None:
                 os.killpg(child.pid, signal.SIGKILL)
@@ -80,7 +80,9 @@ def _end_with_parent(parent: int) -> None:
             os._exit(1)
 
 
-def _wait(child: subprocess.Popen[bytes], limit_s: float, idle_s: float, watch: Callable[[], int] | None) -> None:
+def _wait_for_child(
+    child: subprocess.Popen[bytes], limit_s: float, idle_s: float, watch: Callable[[], int] | None
+) -> None:
     start = moved = time.monotonic()
     seen = None
     while True:

@@ -18,7 +18,7 @@ import numpy as np
 from ...errors import ResourceError
 from ...files.writing import sha256_bytes, sha256_file
 from ...geometry.se3 import Array
-from ...geometry.stl import Faces, read_stl, stl_bytes
+from ...geometry.stl import Faces, decode_stl, encode_stl
 from ...geometry.surface_distance import hausdorff_distance
 from .asset_lock import AssetSet, Reduction
 from .asset_store import AssetStore
@@ -42,7 +42,7 @@ def reduction_fingerprint() -> str:
 
 def reduce_stl(data: bytes, reduction: Reduction | None) -> bytes:
     """Return a binary STL (m) with fewer faces that deviates from `data` by at most `MAX_DEVIATION_MM`, else `data`."""
-    vertices, triangles = read_stl(data)
+    vertices, triangles = decode_stl(data)
     source = vertices * _MM, triangles
     attempts = [collapse_edges(source, reduction)] if reduction else []
     for attempt in (*attempts, remove_slivers(source, _SLIVERS_MM)):
@@ -50,7 +50,7 @@ def reduce_stl(data: bytes, reduction: Reduction | None) -> bytes:
             len(attempt[1]) < len(triangles)
             and hausdorff_distance(source, attempt, MAX_DEVIATION_MM, _SAMPLES) <= MAX_DEVIATION_MM
         ):
-            return stl_bytes(attempt[0] / _MM, attempt[1])
+            return encode_stl(attempt[0] / _MM, attempt[1])
     return data
 
 
@@ -119,7 +119,7 @@ def make_reduced(
     """Return a set's reduced meshes. If they are missing, create and publish them with a license `notice`.
 
     If two processes call this function at once, one creates the meshes and the other waits. `source` is the folder of
-    the unreduced files, from `AssetStore.resolve`.
+    the unreduced files, from `AssetStore.find_verified_folder`.
     """
     if (there := find_reduced(store, assets)) is not None:
         return there

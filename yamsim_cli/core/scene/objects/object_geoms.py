@@ -23,8 +23,8 @@ from ...config.objects.primitives import (
 )
 from ...errors import ResourceError
 from ...geometry.se3 import Array, pose, quat_from_rotation, rotation_z
-from ...geometry.stl import stl_bytes
-from ..arm_model import mesh_bytes
+from ...geometry.stl import encode_stl
+from ..arm_model import read_mesh_file
 from ..assets.asset_store import is_user_set
 
 # Asset set -> folder of its files, or the files themselves (name -> content); None if the set is not available.
@@ -36,9 +36,9 @@ _SDF_LEVELS = 6  # octree depth of a signed distance field
 _SOLMIX = 20.0  # weight of a geom with its own solref in contacts; other geoms have 1
 
 
-def set_file(folder: Path | Mapping[str, bytes], name: str) -> bytes:
+def read_asset_file(folder: Path | Mapping[str, bytes], name: str) -> bytes:
     """Return the content of a file of an asset set, or raise `ResourceError`."""
-    return mesh_bytes(folder / name) if isinstance(folder, Path) else folder[name]
+    return read_mesh_file(folder / name) if isinstance(folder, Path) else folder[name]
 
 
 def add_material(spec: mujoco.MjSpec, name: str, mesh: ObjectMesh, meshes: MeshFiles) -> str:
@@ -48,7 +48,7 @@ def add_material(spec: mujoco.MjSpec, name: str, mesh: ObjectMesh, meshes: MeshF
     if mesh.texture is not None and folder is not None:
         file = f"meshes/{mesh.set}/{mesh.texture}"
         if file not in spec.assets:
-            spec.assets = {**spec.assets, file: set_file(folder, mesh.texture)}
+            spec.assets = {**spec.assets, file: read_asset_file(folder, mesh.texture)}
             spec.add_texture(name=file, type=mujoco.mjtTexture.mjTEXTURE_2D, file=file)
         material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = file
     return name
@@ -62,7 +62,7 @@ def add_visual_mesh(
     if folder is None:
         return
     file = f"meshes/{mesh.set}/{mesh.file}"
-    spec.assets = {**spec.assets, file: set_file(folder, mesh.file)}
+    spec.assets = {**spec.assets, file: read_asset_file(folder, mesh.file)}
     added = spec.add_mesh(name=name, file=file, refpos=mesh.origin)
     if is_user_set(mesh.set):
         # Imported surfaces may be open. Their mass is not used.
@@ -110,7 +110,7 @@ def add_collision(
             "the comment in its config says, or copy the folder of that name from where it was made"
         )
     file = f"meshes/{set_name}/{part.file}"
-    spec.assets = {**spec.assets, file: set_file(folder, part.file)}
+    spec.assets = {**spec.assets, file: read_asset_file(folder, part.file)}
     mesh = spec.add_mesh(name=name, file=file, inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL)
     kind = mujoco.mjtGeom.mjGEOM_MESH
     if isinstance(part, SdfPart):
@@ -122,11 +122,11 @@ def add_collision(
         mass=0,
         group=HIDDEN_GROUP if hidden else SEEN_GROUP,
         material=material,
-        **contact_numbers(contact),
+        **contact_attributes(contact),
     )
 
 
-def contact_numbers(contact: Contact) -> dict[str, Any]:
+def contact_attributes(contact: Contact) -> dict[str, Any]:
     """Return the contact attributes of a geom for MuJoCo's `add_geom`."""
     numbers: dict[str, Any] = {"friction": contact.friction, "condim": contact.condim}
     if contact.push_out_s != Contact().push_out_s:
@@ -144,7 +144,7 @@ def add_primitive(
     if contact is None:
         common |= {"contype": 0, "conaffinity": 0}
     else:
-        common |= contact_numbers(contact)
+        common |= contact_attributes(contact)
     match part:
         case Capsule():
             kind, size = mujoco.mjtGeom.mjGEOM_CAPSULE, [part.radius, 0, 0]
@@ -166,7 +166,7 @@ def add_primitive(
 def add_visual_ring(spec: mujoco.MjSpec, body: Any, name: str, ring: Ring, material: str) -> None:
     """Add a ring, a sloping rim around z, as one visual mesh, which renders faster than dozens of boxes."""
     file = f"meshes/objects/{name}.stl"
-    spec.assets = {**spec.assets, file: stl_bytes(*_ring_surface(ring))}
+    spec.assets = {**spec.assets, file: encode_stl(*_ring_surface(ring))}
     spec.add_mesh(name=name, file=file)
     colour: dict[str, Any] = {"rgba": ring.rgba} if ring.rgba else {"material": material}
     body.add_geom(

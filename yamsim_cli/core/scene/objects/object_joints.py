@@ -29,7 +29,7 @@ def joint_transform(joint: LinkJoint, value: float) -> Array:
     return moved
 
 
-def start_pose(link: Link) -> Array:
+def link_start_pose(link: Link) -> Array:
     """Return a part's pose in its parent at the joint's start position."""
     T: Array = link.T_in_parent @ joint_transform(link.joint, link.joint.to_si(link.joint.start))
     return T
@@ -64,9 +64,9 @@ def add_link_joint(spec: mujoco.MjSpec, parent: Any, body: Any, name: str, link:
         axis=joint.axis,
         pos=joint.position,
         # With the compiler's angles in degrees, ranges are in degrees.
-        range=[_angle(spec, joint, end) for end in joint.range],
+        range=[_joint_position(spec, joint, end) for end in joint.range],
         limited=True,
-        ref=_angle(spec, joint, joint.start),
+        ref=_joint_position(spec, joint, joint.start),
         solimp_friction=_FRICTION_SOLIMP,
         **rubs,
     )
@@ -74,7 +74,7 @@ def add_link_joint(spec: mujoco.MjSpec, parent: Any, body: Any, name: str, link:
         _add_detent(spec, parent, body, f"{name}_detent_{k}", link, detent)
 
 
-def _angle(spec: mujoco.MjSpec, joint: LinkJoint, value: float) -> float:
+def _joint_position(spec: mujoco.MjSpec, joint: LinkJoint, value: float) -> float:
     return value if joint.is_revolute and spec.compiler.degree else joint.to_si(value)
 
 

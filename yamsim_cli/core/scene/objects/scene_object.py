@@ -13,7 +13,7 @@ from ...config.objects.primitives import CollisionPart, Primitive, Ring
 from ...geometry.se3 import quat_from_rotation
 from ..cloth import add_cloth
 from .object_geoms import MeshFiles, add_collision, add_material, add_primitive, add_visual_mesh, add_visual_ring
-from .object_joints import add_handles, add_link_joint, start_pose
+from .object_joints import add_handles, add_link_joint, link_start_pose
 
 # An object with `base: fixed` has a free joint, so that each attempt can place it. With this armature (kg, kg m2) and
 # damping (N s/m, N m s), no hand moves it by 0.1 mm in a minute.
@@ -48,7 +48,7 @@ def add_object(spec: mujoco.MjSpec, item: ObjectConfig, meshes: MeshFiles, *, fi
     bodies: dict[str | None, Any] = {None: base}
     for link in item.links:
         parent, name = bodies[link.parent], f"{item.name}_{link.name}"
-        T = start_pose(link)
+        T = link_start_pose(link)
         body = parent.add_body(name=name, pos=T[:3, 3], quat=quat_from_rotation(T[:3, :3]))
         add_link_joint(spec, parent, body, name, link)
         _fill_body(

@@ -15,8 +15,8 @@ _POINTS_PER_PX, _MIN_POINTS = 4, 9  # sample points per px of a motion, and thei
 _BLUR_STEP = 0.03  # step of the numeric derivative, as a share of the blur
 # Two pixels on each side: with one, derivatives of a sharp picture would be a third too small.
 _DERIVATIVE_KERNEL = np.array([1, -8, 0, 8, -1], np.float32) / 12
-_IDENTITY = np.ones(1, np.float32)
-_BORDER = cv2.BORDER_REPLICATE
+_IDENTITY_KERNEL = np.ones(1, np.float32)
+_BORDER_MODE = cv2.BORDER_REPLICATE
 
 
 @dataclass(frozen=True)
@@ -30,32 +30,32 @@ class BlurKernel:
     motion: tuple[float, float] = (0.0, 0.0)
 
     @property
-    def length(self) -> float:
+    def motion_length(self) -> float:
         """Length of the motion, px."""
         return math.hypot(*self.motion)
 
     @property
-    def radius(self) -> float:
+    def blur_radius(self) -> float:
         """Radius (px) that contains most of a blurred point."""
-        return 1.2 * math.sqrt(self.blur**2 + self.length**2 / 12)
+        return 1.2 * math.sqrt(self.blur**2 + self.motion_length**2 / 12)
 
     def in_larger_pixels(self, coarser: int) -> BlurKernel:
         """Convert to pixels of a picture reduced by the factor `coarser`."""
         return BlurKernel(self.blur / coarser, (self.motion[0] / coarser, self.motion[1] / coarser))
 
-    def apply(self, picture: Grey) -> Grey:
+    def blur_picture(self, picture: Grey) -> Grey:
         """Blur a picture (rows, columns[, channels])."""
-        blurred = cv2.GaussianBlur(picture, (0, 0), self.blur, borderType=_BORDER)
-        if self.length:
-            blurred = cv2.filter2D(blurred, -1, self._line(slope=False), borderType=_BORDER)
+        blurred = cv2.GaussianBlur(picture, (0, 0), self.blur, borderType=_BORDER_MODE)
+        if self.motion_length:
+            blurred = cv2.filter2D(blurred, -1, self._motion_kernel(slope=False), borderType=_BORDER_MODE)
         return np.asarray(blurred, dtype=np.float32)
 
     def motion_derivatives(self, picture: Grey) -> tuple[Grey, Grey]:
         """Return the blurred picture's derivatives (rows, columns) by motion right and down."""
-        blurred = cv2.GaussianBlur(picture, (0, 0), self.blur, borderType=_BORDER)
-        line = self._line(slope=True)
+        blurred = cv2.GaussianBlur(picture, (0, 0), self.blur, borderType=_BORDER_MODE)
+        line = self._motion_kernel(slope=True)
         across, down = (
-            np.asarray(cv2.filter2D(slope, -1, line, borderType=_BORDER), dtype=np.float32)
+            np.asarray(cv2.filter2D(slope, -1, line, borderType=_BORDER_MODE), dtype=np.float32)
             for slope in picture_gradients(np.asarray(blurred, dtype=np.float32))
         )
         return across, down
@@ -63,15 +63,15 @@ class BlurKernel:
     def blur_derivative(self, picture: Grey, blurred: Grey) -> Grey:
         """Return the derivative (rows, columns[, channels]) of `blurred` by the blur sigma."""
         more = _BLUR_STEP * self.blur
-        by_blur: Grey = (BlurKernel(self.blur + more, self.motion).apply(picture) - blurred) / np.float32(more)
+        by_blur: Grey = (BlurKernel(self.blur + more, self.motion).blur_picture(picture) - blurred) / np.float32(more)
         return by_blur
 
-    def _line(self, slope: bool) -> Grey:
+    def _motion_kernel(self, slope: bool) -> Grey:
         """Return the motion's kernel (k, k); `slope` weights points by their position along it."""
         x, y = self.motion
-        side = math.ceil(self.length / 2 + 1)
+        side = math.ceil(self.motion_length / 2 + 1)
         kernel = np.zeros((2 * side + 1, 2 * side + 1), np.float32)
-        along = np.linspace(-0.5, 0.5, max(_MIN_POINTS, math.ceil(self.length * _POINTS_PER_PX)) + 1)
+        along = np.linspace(-0.5, 0.5, max(_MIN_POINTS, math.ceil(self.motion_length * _POINTS_PER_PX)) + 1)
         # The first and last points cover half a step.
         weight = np.full(len(along), 1.0)
         weight[[0, -1]] = 0.5
@@ -89,6 +89,6 @@ class BlurKernel:
 
 def picture_gradients(picture: Grey) -> tuple[Grey, Grey]:
     """Return derivatives (rows, columns) to the right and down, per px."""
-    across = cv2.sepFilter2D(picture, cv2.CV_32F, _DERIVATIVE_KERNEL, _IDENTITY, borderType=_BORDER)
-    down = cv2.sepFilter2D(picture, cv2.CV_32F, _IDENTITY, _DERIVATIVE_KERNEL, borderType=_BORDER)
+    across = cv2.sepFilter2D(picture, cv2.CV_32F, _DERIVATIVE_KERNEL, _IDENTITY_KERNEL, borderType=_BORDER_MODE)
+    down = cv2.sepFilter2D(picture, cv2.CV_32F, _IDENTITY_KERNEL, _DERIVATIVE_KERNEL, borderType=_BORDER_MODE)
     return np.asarray(across, dtype=np.float32), np.asarray(down, dtype=np.float32)

@@ -25,8 +25,8 @@ _HUBER_THRESHOLD = 1.345  # standard deviations, beyond which residuals have les
 _MIN_NOISE = 0.3  # grey levels, from rounding alone
 _MAX_STEPS = 30
 # A step below either ends a fit: print shift, px, and standard deviations of the noise.
-_CONVERGED = (4e-3, 0.1)
-_COARSELY_CONVERGED = (2e-2, 0.4)  # the same for a coarse fit, which needs only the cost
+_CONVERGENCE_LIMITS = (4e-3, 0.1)
+_COARSE_CONVERGENCE_LIMITS = (2e-2, 0.4)  # the same for a coarse fit, which needs only the cost
 _MIN_RETRIED_STEP = 1.0  # standard deviations of the noise; a coarse fit ends if a smaller step fails
 
 
@@ -73,9 +73,9 @@ def linearize_print(
         blur: in the photo's pixels.
         columns: returns the print's derivatives (n, k) by the parameters that move it.
     """
-    blur = blur.in_larger_pixels(view.coarser)
+    blur = blur.in_larger_pixels(view.reduction_factor)
     drawing = draw_print(view, plane, blur)
-    tile = _tiles(view, drawing)
+    tile = _pixel_tiles(view, drawing)
     use = tile >= 0
     if use.sum() < 3 * _MIN_TILE_PIXELS:
         return None
@@ -93,8 +93,10 @@ def linearize_print(
                 for of_print, of_side in zip((slopes, by_blur, by_motion), more, strict=True)
             )
     by_ray = (-slopes[:, None, :] @ view.px_per_ray[use])[:, 0]
-    pixels = PixelDerivatives(drawing.at[use], view.centre_rays[use], by_ray, -slopes / view.coarser)
-    by_all = np.column_stack([by_blur / view.coarser, by_motion / view.coarser, columns(pixels), pixels.by_shift])
+    pixels = PixelDerivatives(drawing.at[use], view.centre_rays[use], by_ray, -slopes / view.reduction_factor)
+    by_all = np.column_stack(
+        [by_blur / view.reduction_factor, by_motion / view.reduction_factor, columns(pixels), pixels.by_shift]
+    )
     return _project_out_light(seen, drawn, beside, by_all, tile[use])
 
 
@@ -104,7 +106,7 @@ def _picture_derivatives(
     slopes = np.stack([slope.ravel()[use] for slope in picture_gradients(blurred)], axis=-1).astype(np.float64)
     by_blur = blur.blur_derivative(sharp, blurred).ravel()[use].astype(np.float64)
     by_motion = np.zeros((len(by_blur), 2))
-    if blur.length:
+    if blur.motion_length:
         by_motion[:] = np.stack([by.ravel()[use] for by in blur.motion_derivatives(sharp)], axis=-1)
     return slopes, by_blur, by_motion
 
@@ -134,7 +136,7 @@ def _surroundings_brightness(
     return strengths
 
 
-def _tiles(view: PhotoRegion, drawing: RenderedPrint) -> NDArray[np.int_]:
+def _pixel_tiles(view: PhotoRegion, drawing: RenderedPrint) -> NDArray[np.int_]:
     board, marker = view.piece.board, drawing.marker.copy()
     counts = np.bincount(marker[marker >= 0], minlength=board.rows * board.columns)
     marker[~np.append(counts >= _MIN_TILE_PIXELS, False)[marker]] = -1
@@ -190,7 +192,7 @@ def _project_out_light(
     return residual, slopes[:, :-2], tiles
 
 
-Part = tuple[Array, Array, dict[int, MarkerTile]]  # of one board: residuals, Jacobian, marker -> tile
+LinearizedPrint = tuple[Array, Array, dict[int, MarkerTile]]  # of one board: residuals, Jacobian, marker -> tile
 S = TypeVar("S")
 
 
@@ -217,7 +219,7 @@ class NormalEquations:
     free: tuple[int, ...]
 
     @property
-    def normal(self) -> Array:
+    def normal_matrix(self) -> Array:
         """The matrix (f, f) over the fitted parameters."""
         return self.full_normal[np.ix_(self.free, self.free)]
 
@@ -239,7 +241,7 @@ class PrintProblem(LeastSquares[S, NormalEquations]):
         self._roughly = roughly
 
     @abstractmethod
-    def system(self, state: S, noise: float | None) -> NormalEquations | None:
+    def equations_at(self, state: S, noise: float | None) -> NormalEquations | None:
         """Return the equations at a state; if `noise` is None, the residuals give the noise for the weights."""
 
     @abstractmethod
@@ -249,8 +251,8 @@ class PrintProblem(LeastSquares[S, NormalEquations]):
     def linearize(self, state: S, before: NormalEquations | None) -> NormalEquations | None:
         """Return the equations, with weights for the noise of the state before."""
         if before is None:
-            return self.system(state, None)
-        found = self.system(state, before.noise)
+            return self.equations_at(state, None)
+        found = self.equations_at(state, before.noise)
         if found is None:
             return None
         # New noise changes weights only at the next state: both costs of a step need the same weights.
@@ -258,8 +260,8 @@ class PrintProblem(LeastSquares[S, NormalEquations]):
 
     def is_converged(self, state: S, known: NormalEquations, step: Array, gain: Array) -> bool:
         """Return whether the last step hardly moved the print."""
-        px, sigmas = _COARSELY_CONVERGED if self._roughly else _CONVERGED
-        of_noise = math.sqrt(max(float(step @ known.normal @ step), 0.0)) / max(known.noise, _MIN_NOISE)
+        px, sigmas = _COARSE_CONVERGENCE_LIMITS if self._roughly else _CONVERGENCE_LIMITS
+        of_noise = math.sqrt(max(float(step @ known.normal_matrix @ step), 0.0)) / max(known.noise, _MIN_NOISE)
         if self._roughly and gain < 0 and of_noise < _MIN_RETRIED_STEP:
             return True
         return of_noise < sigmas or self.print_shift_px(state, step) < px
@@ -270,7 +272,7 @@ class PrintProblem(LeastSquares[S, NormalEquations]):
 
 
 def combine_equations(
-    parts: Sequence[Part | None], noise: float | None, free: tuple[int, ...]
+    parts: Sequence[LinearizedPrint | None], noise: float | None, free: tuple[int, ...]
 ) -> NormalEquations | None:
     """Return the normal equations of all boards; None if a board is not visible."""
     whole = [part for part in parts if part is not None]

@@ -37,7 +37,7 @@ USUAL_BLUR = BlurKernel(0.9)  # px, at the start of a fit
 # Factor on the noise's sigma where the print's shape is marginalized. At 1.3, the 95 % intervals hold at least 95 % of
 # the poses in six sets of 40 to 120; 1.4 is safer. Source: `python -m tools.bench.print_shape` with seeds below 200,
 # and `tools.bench.filament`.
-INFLATION = 1.4
+SIGMA_INFLATION = 1.4
 
 _PX_PER_LOG_SCALE = 4.0  # px, print shift per unit of log scale, beyond what the distance compensates
 
@@ -101,22 +101,22 @@ def align_pose(
         log_scale_prior: to fit the print's size too; None for the nominal size.
         coarse: stop early, when the cost is known but the pose is less exact.
     """
-    fit = _problem(photo, camera, pieces, T_ref_in_cam, blur.length > 0, log_scale_prior, coarse)
+    fit = _make_pose_problem(photo, camera, pieces, T_ref_in_cam, blur.motion_length > 0, log_scale_prior, coarse)
     if fit is None:
         return None
     found = fit.solve(_PoseState(T_ref_in_cam, blur, log_scale_prior.start if log_scale_prior else 0.0))
-    return None if found is None else fit.alignment(*found)
+    return None if found is None else fit.alignment_at(*found)
 
 
 def measure_agreement(
     photo: Grey, camera: CameraModel, pieces: Sequence[PrintPiece], T_ref_in_cam: Array, blur: BlurKernel, noise: float
 ) -> Alignment | None:
     """Compare print and photo at a fixed pose (4, 4). `noise` (sigma, grey levels) weights residuals."""
-    fit, state = _problem(photo, camera, pieces, T_ref_in_cam, moving=False), _PoseState(T_ref_in_cam, blur)
+    fit, state = _make_pose_problem(photo, camera, pieces, T_ref_in_cam, moving=False), _PoseState(T_ref_in_cam, blur)
     if fit is None:
         return None
-    system = fit.system(state, noise)
-    return None if system is None else fit.alignment(state, system)
+    system = fit.equations_at(state, noise)
+    return None if system is None else fit.alignment_at(state, system)
 
 
 def marginalize_shape(
@@ -133,13 +133,13 @@ def marginalize_shape(
         pieces, log_scale_prior: the arguments that gave `found`.
         creased: prior probability of a creased print.
     """
-    fit = _problem(photo, camera, pieces, found.T_ref_in_cam, found.blur.length > 0, log_scale_prior)
+    fit = _make_pose_problem(photo, camera, pieces, found.T_ref_in_cam, found.blur.motion_length > 0, log_scale_prior)
     if fit is None:
         return found
     return fit.with_marginalized_shape(_PoseState(found.T_ref_in_cam, found.blur, found.log_scale), found, creased)
 
 
-def _problem(
+def _make_pose_problem(
     photo: Grey,
     camera: CameraModel,
     pieces: Sequence[PrintPiece],
@@ -186,14 +186,16 @@ class _PoseProblem(PrintProblem[_PoseState]):
         self._log_scale = log_scale_prior
         motion = range(_MOTION.start, _MOTION.stop) if moving else ()
         self._free = (_BLUR, *motion, *range(_POSE.start, _POSE.stop), *((_LOG_SCALE,) if log_scale_prior else ()))
-        coarser = [view.coarser for view in views]
+        coarser = [view.reduction_factor for view in views]
         self._coarsest = max(coarser)
         self._blur_range = (BLUR_RANGE[0] * min(coarser), BLUR_RANGE[1] * max(coarser))
 
-    def system(self, state: _PoseState, noise: float | None) -> NormalEquations | None:
-        return self._system(state, noise, self._columns)
+    def equations_at(self, state: _PoseState, noise: float | None) -> NormalEquations | None:
+        return self._equations_by_columns(state, noise, self._pose_columns)
 
-    def _system(self, state: _PoseState, noise: float | None, columns: _Columns) -> NormalEquations | None:
+    def _equations_by_columns(
+        self, state: _PoseState, noise: float | None, columns: _Columns
+    ) -> NormalEquations | None:
         larger = math.exp(state.log_scale)
         system = combine_equations(
             [
@@ -217,7 +219,7 @@ class _PoseProblem(PrintProblem[_PoseState]):
         misfit = system.misfit + strength * missing**2
         return replace(system, full_normal=normal, full_gradient=gradient, misfit=misfit)
 
-    def _columns(self, pixels: PixelDerivatives, piece: PrintPiece, T: Array, larger: float) -> Array:
+    def _pose_columns(self, pixels: PixelDerivatives, piece: PrintPiece, T: Array, larger: float) -> Array:
         """Return print derivatives (n, 7 + k) by rotation, shift, log scale, and k lens parameters."""
         R, T_board, at = T[:3, :3], piece.T_board_in_ref, larger * pixels.at
         on_board = at @ (R @ T_board[:3, :2]).T
@@ -227,11 +229,11 @@ class _PoseProblem(PrintProblem[_PoseState]):
         by_ray = pixels.by_ray
         by_shift = np.column_stack([by_ray, -(by_ray * point[:, :2]).sum(axis=1) / depth]) / depth[:, None]
         along = (by_ray * pixels.rays).sum(axis=1)
-        # A longer focal length mostly changes the distance; `alignment` adds that part.
-        by_focal = along + by_shift[:, 2] * self._depth(T)
+        # A longer focal length mostly changes the distance; `alignment_at` adds that part.
+        by_focal = along + by_shift[:, 2] * self._centre_depth(T)
         by_lens = [by_focal]
         if self._camera.intrinsics_covariance:
-            by_lens += [*(pixels.by_shift * self._camera.focal).T, along * (pixels.rays**2).sum(axis=1)]
+            by_lens += [*(pixels.by_shift * self._camera.mean_focal_length).T, along * (pixels.rays**2).sum(axis=1)]
         by_size = (by_shift * on_board).sum(axis=1)
         (x, y, z), (a, b, c) = from_centre.T, by_shift.T
         # Several times faster than numpy's cross product.
@@ -239,7 +241,7 @@ class _PoseProblem(PrintProblem[_PoseState]):
         return np.column_stack([*turns, by_shift, by_size, *by_lens])
 
     def _shape_columns(self, pixels: PixelDerivatives, piece: PrintPiece, T: Array, larger: float) -> Array:
-        columns = self._columns(pixels, piece, T, larger)
+        columns = self._pose_columns(pixels, piece, T, larger)
         along_x, along_y, by_height = (columns[:, 3:6] @ T[:3, :3] @ piece.T_board_in_ref[:3, :3]).T[:, :, None]
         by_x, by_y = placement_modes(piece.board, pixels.at)
         own = [by_height * shape_modes(piece.board, pixels.at), along_x * by_x + along_y * by_y]
@@ -248,20 +250,20 @@ class _PoseProblem(PrintProblem[_PoseState]):
         return np.column_stack([columns, *of_pieces])
 
     def with_marginalized_shape(self, state: _PoseState, found: Alignment, creased: float) -> Alignment:
-        system = self._system(state, found.noise, self._shape_columns)
+        system = self._equations_by_columns(state, found.noise, self._shape_columns)
         if system is None:
             return found
         free, boards = list(system.free), [view.piece.board for view in self._views]
         known = len(system.full_gradient) - sum(mode_count(board) for board in boards)
         held = [k for k in range(known) if k not in free]
-        variance = (INFLATION * found.noise) ** 2
+        variance = (SIGMA_INFLATION * found.noise) ** 2
         try:
             pose_of = marginalize_modes(system.full_normal, system.full_gradient, variance, free, held, boards, creased)
         except np.linalg.LinAlgError:
             return found
         turns = [free.index(k) for k in range(_POSE.start, _POSE.stop)]
         by_lens = pose_of.moves[turns][:, [n for n, k in enumerate(held) if k >= _LENS.start]]
-        by_lens[5, 0] += self._depth(state.T)
+        by_lens[5, 0] += self._centre_depth(state.T)
         # A fold moves the print by the distance from the crease.
         lever = max(max(view.piece.board.width, view.piece.board.height) for view in self._views) / 2
         neglected = pose_of.neglected * np.diag([1.0] * 3 + [lever**2] * 3)
@@ -272,14 +274,14 @@ class _PoseProblem(PrintProblem[_PoseState]):
             covariance=pose_of.covariance[np.ix_(turns, turns)] + neglected,
             by_lens=by_lens,
             by_print=found.by_print if scale_index is None else pose_of.moves[turns, scale_index],
-            flat_probability=pose_of.flat,
+            flat_probability=pose_of.flat_probability,
         )
 
-    def _depth(self, T: Array) -> float:
+    def _centre_depth(self, T: Array) -> float:
         return float((T[:3, :3] @ self._centre + T[:3, 3])[2])
 
     def apply_step(self, state: _PoseState, step: Array) -> _PoseState:
-        every = self._every(step)
+        every = self._full_step(step)
         turn, shift = every[_POSE][:3], every[_POSE][3:]
         R = rotation_from_vector(turn) @ state.T[:3, :3]
         at = state.T[:3, :3] @ self._centre + state.T[:3, 3] + shift
@@ -289,22 +291,22 @@ class _PoseProblem(PrintProblem[_PoseState]):
         kernel = BlurKernel(blur, (float(motion[0]), float(motion[1])))
         return _PoseState(pose(at - R @ self._centre, R), kernel, state.log_scale + float(every[_LOG_SCALE]))
 
-    def _every(self, step: Array) -> Array:
+    def _full_step(self, step: Array) -> Array:
         every = np.zeros(_LENS.start)
         every[list(self._free)] = step
         return every
 
     def print_shift_px(self, state: _PoseState, step: Array) -> float:
         # A rotation counts as a shift at 0.1 m.
-        every = self._every(step)
+        every = self._full_step(step)
         turn, shift = every[_POSE][:3], every[_POSE][3:]
         metres = float(np.linalg.norm(shift) + 0.1 * np.linalg.norm(turn))
-        return metres * self._camera.focal / max(self._depth(state.T), 1e-3) + _PX_PER_LOG_SCALE * abs(
-            float(every[_LOG_SCALE])
-        )
+        return metres * self._camera.mean_focal_length / max(
+            self._centre_depth(state.T), 1e-3
+        ) + _PX_PER_LOG_SCALE * abs(float(every[_LOG_SCALE]))
 
-    def alignment(self, state: _PoseState, system: NormalEquations) -> Alignment | None:
-        normal, free = system.normal, list(system.free)
+    def alignment_at(self, state: _PoseState, system: NormalEquations) -> Alignment | None:
+        normal, free = system.normal_matrix, list(system.free)
         held = [k for k in range(len(system.full_gradient)) if k not in free]
         moves = np.zeros((len(free), len(system.full_gradient)))
         try:
@@ -316,7 +318,7 @@ class _PoseProblem(PrintProblem[_PoseState]):
             return None
         turns = [free.index(k) for k in range(_POSE.start, _POSE.stop)]
         by_lens = moves[turns, _LENS]
-        by_lens[5, 0] += self._depth(state.T)
+        by_lens[5, 0] += self._centre_depth(state.T)
         return Alignment(
             state.T,
             covariance[np.ix_(turns, turns)],

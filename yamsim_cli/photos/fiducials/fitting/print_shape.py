@@ -49,7 +49,7 @@ class ShapedPose:
     covariance: Array
     moves: Array
     neglected: float
-    flat: float
+    flat_probability: float
 
 
 def shape_modes(board: Board, at: Array) -> Array:
@@ -86,7 +86,9 @@ def mode_count(board: Board) -> int:
     return _HEIGHT_MODES + board.columns + board.rows + 1
 
 
-def _hypotheses(boards: Sequence[Board], parameters: int, creased: float) -> list[tuple[list[int], list[float], float]]:
+def _shape_hypotheses(
+    boards: Sequence[Board], parameters: int, creased: float
+) -> list[tuple[list[int], list[float], float]]:
     counts = [mode_count(board) for board in boards]
     firsts = [parameters - sum(counts[piece:]) for piece in range(len(boards))]
     bows = [first + k for first in firsts for k in range(_BOW_MODES)]
@@ -120,7 +122,7 @@ def marginalize_modes(
     """
     count = len(free)
     steps, covariances, moves, evidence, folds = [], [], [], [], []
-    for modes, sigmas, share in _hypotheses(boards, len(gradient), creased):
+    for modes, sigmas, share in _shape_hypotheses(boards, len(gradient), creased):
         every, prior = [*free, *modes], np.array([0.0] * count + sigmas)
         precision: NDArray[np.float64] = np.divide(1.0, prior**2, out=np.zeros_like(prior), where=prior > 0)
         A = normal[np.ix_(every, every)] / variance + np.diag(precision)

@@ -41,7 +41,7 @@ class PrintPiece:
 
 def whole_board_piece(board: Board, markers: Sequence[int] | None = None) -> PrintPiece:
     """Return a board as its own frame `ref`, with the given markers or all."""
-    return PrintPiece(board, np.eye(4), tuple(range(len(board.ids)) if markers is None else markers))
+    return PrintPiece(board, np.eye(4), tuple(range(len(board.marker_ids)) if markers is None else markers))
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ class PhotoRegion:
     """The part of a photo that shows a board, with all that rendering needs besides the pose.
 
     Attributes:
-        photo: grey levels (rows, columns), reduced by the factor `coarser`.
+        photo: grey levels (rows, columns), reduced by the factor `reduction_factor`.
         centre_rays: viewing rays (n, 2) of the pixels, row by row.
         px_per_ray: derivative (n, 2, 2) of pixels by rays.
         pattern: the print, 0 black to 1 white, of scale `px_per_metre`.
@@ -58,12 +58,12 @@ class PhotoRegion:
 
     piece: PrintPiece
     photo: Grey
-    coarser: int
+    reduction_factor: int
     centre_rays: Array
     px_per_ray: Array
     pattern: Grey
     px_per_metre: float
-    field: NDArray[np.float32]
+    sample_rays: NDArray[np.float32]
 
 
 @dataclass(frozen=True)
@@ -123,7 +123,7 @@ def view_print(photo: Grey, camera: CameraModel, piece: PrintPiece, plane: Array
     x = low[0] + (np.arange(columns * _SUBSAMPLES) - (_SUBSAMPLES - 1) / 2) / _SUBSAMPLES * coarser + (coarser - 1) / 2
     y = low[1] + (np.arange(rows * _SUBSAMPLES) - (_SUBSAMPLES - 1) / 2) / _SUBSAMPLES * coarser + (coarser - 1) / 2
     field = viewing_ray_grid(camera, x, y)
-    pattern, pattern_px_per_metre = _pattern(board, px_per_metre / coarser * cell * _SUBSAMPLES)
+    pattern, pattern_px_per_metre = _board_pattern(board, px_per_metre / coarser * cell * _SUBSAMPLES)
     middle = slice(_SUBSAMPLES // 2, None, _SUBSAMPLES)
     span = (_SUBSAMPLES - 1) / _SUBSAMPLES
     by_x = (field[middle, _SUBSAMPLES - 1 :: _SUBSAMPLES] - field[middle, ::_SUBSAMPLES]) / span
@@ -149,10 +149,10 @@ def _inverse_2x2(matrices: Array) -> Array:
     return inverses
 
 
-def _pattern(board: Board, points_per_cell: float) -> tuple[Grey, float]:
+def _board_pattern(board: Board, points_per_cell: float) -> tuple[Grey, float]:
     fine, px_per_metre = _fine_pattern(board)
     coarser = 4 if points_per_cell <= 5 else 2 if points_per_cell <= 10 else 1
-    return _reduced(board, coarser) if coarser > 1 else fine, px_per_metre / coarser
+    return _reduced_pattern(board, coarser) if coarser > 1 else fine, px_per_metre / coarser
 
 
 @functools.lru_cache(maxsize=32)
@@ -160,18 +160,18 @@ def _fine_pattern(board: Board) -> tuple[Grey, float]:
     """Return the print and its scale, px/m. Cells are whole pixels, and gaps as nearly as possible."""
     step = (board.marker_length + board.gap) / board.marker_length
 
-    def rounding(cell_px: int) -> float:
+    def rounding_error(cell_px: int) -> float:
         at = np.arange(max(board.columns, board.rows)) * step * cells * cell_px
         return float(np.abs(at - np.round(at)).max()) / cell_px
 
     cells = marker_cells(board).shape[1]
-    cell_px = min(range(16, 33, 4), key=rounding)
+    cell_px = min(range(16, 33, 4), key=rounding_error)
     image = board_image(board, cell_px, quiet_cells=0).astype(np.float32) / np.float32(255)
     return image, cells * cell_px / board.marker_length
 
 
 @functools.lru_cache(maxsize=64)
-def _reduced(board: Board, coarser: int) -> Grey:
+def _reduced_pattern(board: Board, coarser: int) -> Grey:
     fine, _ = _fine_pattern(board)
     rows, columns = (-(-side // coarser) for side in fine.shape)
     # Every reduced pixel must cover a whole block.
@@ -192,16 +192,16 @@ def draw_print(view: PhotoRegion, plane: Array, blur: BlurKernel) -> RenderedPri
     fine = cv2.remap(view.pattern, map_x, map_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     shape = (view.photo.shape[1], view.photo.shape[0])
     outside = beside = None
-    if blur.radius < _MIN_SURROUNDINGS_RADIUS:
+    if blur.blur_radius < _MIN_SURROUNDINGS_RADIUS:
         sharp = np.asarray(cv2.resize(fine, shape, interpolation=cv2.INTER_AREA), dtype=np.float32)
-        grey = blur.apply(sharp)
+        grey = blur.blur_picture(sharp)
     else:
         past_x, past_y = np.abs(x) > board.width / 2, np.abs(y) > board.height / 2
         # Beyond a corner, each side gets half of the pixel.
         half = np.float32(1) / (np.float32(1) + (past_x & past_y))
         past = past_x * half, past_y * half
         every = cv2.resize(cv2.merge([fine, *past]), shape, interpolation=cv2.INTER_AREA).astype(np.float32)
-        blurred = blur.apply(every)
+        blurred = blur.blur_picture(every)
         sharp, grey = np.ascontiguousarray(every[..., 0]), np.ascontiguousarray(blurred[..., 0])
         outside, beside = every[..., 1:], blurred[..., 1:]
     homogeneous = np.column_stack([view.centre_rays, np.ones(len(view.centre_rays))]) @ onto_board.T
@@ -215,7 +215,7 @@ def fine_board_points(view: PhotoRegion, onto_board: Array) -> tuple[Grey, Grey]
     Args:
         onto_board: (3, 3) from viewing rays (x, y, 1) to (x, y, 1) on the board, m, up to a factor.
     """
-    field, A = view.field, onto_board.astype(np.float32)
+    field, A = view.sample_rays, onto_board.astype(np.float32)
     w = A[2, 0] * field[..., 0] + A[2, 1] * field[..., 1] + A[2, 2]
     # A ray may be parallel to the board.
     with np.errstate(divide="ignore"):
@@ -235,7 +235,7 @@ def _marker_at(view: PhotoRegion, at: Array, blur: BlurKernel) -> NDArray[np.int
     compared = np.zeros(board.rows * board.columns, dtype=bool)
     compared[list(view.piece.markers)] = True
     inside &= compared[marker]
-    reach = 1 + round(blur.radius)
+    reach = 1 + round(blur.blur_radius)
     kernel = np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)
     mask = inside.reshape(view.photo.shape).astype(np.uint8)
     clear = cv2.erode(mask, kernel, borderType=cv2.BORDER_CONSTANT, borderValue=0).ravel() > 0

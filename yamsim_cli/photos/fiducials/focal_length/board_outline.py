@@ -29,7 +29,7 @@ from ..fitting.normal_equations import (
     linearize_print,
 )
 from ..fitting.pose_alignment import BLUR_RANGE
-from ..fitting.pose_fits import SAME_PRINT
+from ..fitting.pose_fits import SAME_PRINT_CORRELATION
 from ..fitting.print_view import PhotoRegion, PrintPiece, view_print
 from ..markers import MarkerGroup
 
@@ -40,7 +40,7 @@ _MIN_SIGMA_PX = 0.003
 # tools.bench.intervals`.
 _INFLATION = 2.0
 _USUAL_BLUR = 0.9  # px, sigma at the start of a fit
-_FITTED = (0, *range(3, 11))  # blur and homography, but not motion
+_FITTED_PARAMETERS = (0, *range(3, 11))  # blur and homography, but not motion
 
 
 @dataclass(frozen=True)
@@ -65,8 +65,8 @@ def fit_outline(photo: NDArray[np.float32], group: MarkerGroup, board: Board) ->
     """Fit a homography to the print around detected markers in a photo (height, width); None if it is undetermined."""
     height, width = photo.shape
     # Results are in pixels: any focal length will do.
-    camera = CameraModel.pinhole(width, height, float(max(width, height)))
-    corners = board.corners()[list(group.places)].reshape(-1, 4, 3)[..., :2].reshape(-1, 2)
+    camera = CameraModel.from_focal_length(width, height, float(max(width, height)))
+    corners = board.marker_corners()[list(group.places)].reshape(-1, 4, 3)[..., :2].reshape(-1, 2)
     plane: Any = cv2.findHomography(corners, viewing_rays(camera, group.corners.reshape(-1, 2)))[0]
     # OpenCV returns None for collinear corners.
     if plane is None:
@@ -75,7 +75,7 @@ def fit_outline(photo: NDArray[np.float32], group: MarkerGroup, board: Board) ->
     if found is None:
         return None
     # Drop partly hidden and misread markers.
-    agreeing = tuple(k for k, tile in found[2].tiles[0].items() if tile.correlation >= SAME_PRINT)
+    agreeing = tuple(k for k, tile in found[2].tiles[0].items() if tile.correlation >= SAME_PRINT_CORRELATION)
     if not agreeing:
         return None
     if len(agreeing) < len(found[2].tiles[0]):
@@ -83,7 +83,7 @@ def fit_outline(photo: NDArray[np.float32], group: MarkerGroup, board: Board) ->
         if found is None:
             return None
     fit, state, system = found
-    return fit.outline(state, system, camera, agreeing)
+    return fit.outline_at(state, system, camera, agreeing)
 
 
 @dataclass(frozen=True)
@@ -101,7 +101,7 @@ def _fit_homography(
     view = view_print(photo, camera, PrintPiece(board, np.eye(4), tuple(places)), plane)
     if view is None:
         return None
-    fit = _PlaneProblem(view, camera.focal)
+    fit = _PlaneProblem(view, camera.mean_focal_length)
     found = fit.solve(_MapState(plane, _USUAL_BLUR))
     return None if found is None else (fit, *found)
 
@@ -116,15 +116,15 @@ class _PlaneProblem(PrintProblem[_MapState]):
         half = np.array([board.width, board.height]) / math.sqrt(12)
         self._on_board = half * np.array([[-1, 1], [1, 1], [1, -1], [-1, -1]])
 
-    def system(self, state: _MapState, noise: float | None) -> NormalEquations | None:
+    def equations_at(self, state: _MapState, noise: float | None) -> NormalEquations | None:
         def columns(pixels: PixelDerivatives) -> Array:
-            return self._by_map(state, pixels.at, pixels.rays, pixels.by_ray)
+            return self._derivatives_by_map(state, pixels.at, pixels.rays, pixels.by_ray)
 
         return combine_equations(
-            [linearize_print(self._view, state.plane, BlurKernel(state.blur), columns)], noise, _FITTED
+            [linearize_print(self._view, state.plane, BlurKernel(state.blur), columns)], noise, _FITTED_PARAMETERS
         )
 
-    def _by_map(self, state: _MapState, at: Array, seen: Array, by_ray: Array) -> Array:
+    def _derivatives_by_map(self, state: _MapState, at: Array, seen: Array, by_ray: Array) -> Array:
         """Return derivatives (n, 8) by the map, given `by_ray` (n, 2) by viewing rays."""
         w = np.column_stack([at, np.ones(len(at))]) @ state.plane[2]
         u = np.column_stack([at * self._per_metre, np.ones(len(at))]) / w[:, None]
@@ -133,33 +133,36 @@ class _PlaneProblem(PrintProblem[_MapState]):
 
     def apply_step(self, state: _MapState, step: Array) -> _MapState:
         change = np.append(step[1:], 0.0).reshape(3, 3) * (self._per_metre, self._per_metre, 1.0)
-        coarser = self._view.coarser
+        coarser = self._view.reduction_factor
         blur = float(np.clip(state.blur + step[0], BLUR_RANGE[0] * coarser, BLUR_RANGE[1] * coarser))
         return _MapState(state.plane + change, blur)
 
     def print_shift_px(self, state: _MapState, step: Array) -> float:
-        return float(np.abs(self._by_points(state) @ step[1:]).max())
+        return float(np.abs(self._derivatives_by_points(state) @ step[1:]).max())
 
-    def _rays(self, state: _MapState) -> Array:
+    def _corner_rays(self, state: _MapState) -> Array:
         in_cam = np.column_stack([self._on_board, np.ones(4)]) @ state.plane.T
         seen: Array = in_cam[:, :2] / in_cam[:, 2:]
         return seen
 
-    def _by_points(self, state: _MapState) -> Array:
-        seen, focal = self._rays(state), self._focal
-        by = [self._by_map(state, self._on_board, seen, np.tile(axis, (4, 1))) for axis in ([focal, 0], [0, focal])]
+    def _derivatives_by_points(self, state: _MapState) -> Array:
+        seen, focal = self._corner_rays(state), self._focal
+        by = [
+            self._derivatives_by_map(state, self._on_board, seen, np.tile(axis, (4, 1)))
+            for axis in ([focal, 0], [0, focal])
+        ]
         return np.stack(by, axis=1).reshape(8, 8)
 
-    def outline(
+    def outline_at(
         self, state: _MapState, system: NormalEquations, camera: CameraModel, markers: tuple[int, ...]
     ) -> BoardOutline | None:
         try:
-            covariance = np.linalg.inv(system.normal)[1:, 1:] * system.noise**2
+            covariance = np.linalg.inv(system.normal_matrix)[1:, 1:] * system.noise**2
         except np.linalg.LinAlgError:
             return None
         if not np.isfinite(covariance).all():
             return None
-        by = self._by_points(state)
-        points = self._rays(state) * camera.focal + (camera.K[0][2], camera.K[1][2])
-        noise = by @ covariance @ by.T * _INFLATION**2 + (_MIN_SIGMA_PX * self._view.coarser) ** 2 * np.eye(8)
+        by = self._derivatives_by_points(state)
+        points = self._corner_rays(state) * camera.mean_focal_length + (camera.K[0][2], camera.K[1][2])
+        noise = by @ covariance @ by.T * _INFLATION**2 + (_MIN_SIGMA_PX * self._view.reduction_factor) ** 2 * np.eye(8)
         return BoardOutline(self._view.piece.board, self._on_board, points, noise, markers)

@@ -38,10 +38,10 @@ def fit_board_poses(outline: BoardOutline, size: tuple[int, int], spread: Array)
     seen = (outline.points - (np.array(size) - 1) / 2) / longer
     whiten = np.linalg.inv(np.linalg.cholesky(outline.covariance / longer**2))
     on_board = outline.on_board / outline.board.width
-    return [BoardPoses(on_board, seen, whiten, spread, first) for first in _starts(on_board, seen, spread)]
+    return [BoardPoses(on_board, seen, whiten, spread, first) for first in _planar_pose_pairs(on_board, seen, spread)]
 
 
-def _starts(on_board: Array, seen: Array, spread: Array) -> list[FocalPoses]:
+def _planar_pose_pairs(on_board: Array, seen: Array, spread: Array) -> list[FocalPoses]:
     points = np.column_stack([on_board, np.zeros(4)])
     turns, shifts = np.empty((2, len(spread), 3, 3)), np.empty((2, len(spread), 3))
     for k, value in enumerate(spread):
@@ -65,7 +65,7 @@ def _homography_jacobian(points: Array) -> Array:
     return moves
 
 
-def _inverses(matrices: Array) -> Array:
+def _invert_2x2(matrices: Array) -> Array:
     """Return inverses (..., 2, 2); singular matrices, as of a board seen edge-on, get huge elements."""
     a, b, c, d = (matrices[..., row, column] for row in (0, 1) for column in (0, 1))
     determinant = a * d - b * c
@@ -105,15 +105,15 @@ class BoardPoses:
 
     def __init__(self, on_board: Array, seen: Array, whiten: Array, spread: Array, first: FocalPoses) -> None:
         self._on_board, self._seen, self._whiten, self._spread = on_board, seen, whiten, spread
-        self.first = first
+        self.initial_poses = first
         line = np.linspace(-0.5, 0.5, _GRID_POINTS)
         board = math.sqrt(12) * np.abs(on_board).max(axis=0)
         self._grid = board * np.stack(np.meshgrid(line, line), axis=-1).reshape(-1, 2)
         self._flatten = _homography_jacobian(on_board) @ np.linalg.pinv(_homography_jacobian(self._grid))
 
-    def refine(self, poses: FocalPoses, lens: Array) -> FocalPoses:
+    def refine_poses(self, poses: FocalPoses, lens: Array) -> FocalPoses:
         """Return the best poses nearby for a lens (n, 3): principal point shift and k1."""
-        _, _, by_lens = self.equations(poses, lens)
+        _, _, by_lens = self.linearized_residuals(poses, lens)
         # Distortion shifts hardly change during the fit.
         bend = np.linalg.solve(self._whiten, by_lens[..., 2:])[..., 0].reshape(-1, 4, 2).astype(np.float64)
         found = solve_least_squares(_BoardPosesProblem(self, lens, bend), poses, _MAX_STEPS)
@@ -131,20 +131,22 @@ class BoardPoses:
         w_grid = np.maximum(1 + spread * on_grid[..., 2], 1e-3)
         grid = (poses.centres[:, None, :] + on_grid[..., :2]) / w_grid[..., None]
         moved = grid * ((grid**2).sum(axis=-1) * spread**2)[..., None]
-        on_board = (_inverses(self._by_board(poses, grid, w_grid)) @ moved[..., None])[..., 0]
+        on_board = (_invert_2x2(self._rays_by_board_point(poses, grid, w_grid)) @ moved[..., None])[..., 0]
         flat = (on_board.reshape(len(spread), -1) @ self._flatten.T).reshape(len(spread), 4, 2)
-        moved_points = (self._by_board(poses, at, w) @ flat[..., None])[..., 0]
+        moved_points = (self._rays_by_board_point(poses, at, w) @ flat[..., None])[..., 0]
         # Edge-on, rounding errors dominate.
         possible = np.abs(moved_points).max(axis=(1, 2)) < _MAX_BEND
         return np.where(possible[:, None, None], moved_points, 0.0)
 
-    def _by_board(self, poses: FocalPoses, at: Array, w: Array) -> Array:
+    def _rays_by_board_point(self, poses: FocalPoses, at: Array, w: Array) -> Array:
         axes = poses.rotations[:, None, :, :2] * poses.sizes[:, None, None, None]
         by_depth = at[..., :, None] * (self._spread[:, None, None] * axes[:, :, 2])[:, :, None, :]
         by: Array = (axes[:, :, :2] - by_depth) / w[..., None, None]
         return by
 
-    def equations(self, poses: FocalPoses, lens: Array, bend: Array | None = None) -> tuple[Array, Array, Array]:
+    def linearized_residuals(
+        self, poses: FocalPoses, lens: Array, bend: Array | None = None
+    ) -> tuple[Array, Array, Array]:
         """Return whitened residuals (n, 8) and derivatives by pose (n, 8, 6) and lens (n, 8, 3).
 
         Args:
@@ -175,7 +177,7 @@ class BoardPoses:
 
 
 @dataclass(frozen=True)
-class _Linear:
+class _LinearizedPoses:
     residual: Array
     by_pose: Array
 
@@ -185,7 +187,7 @@ class _Linear:
         return cost
 
     @property
-    def normal(self) -> Array:
+    def normal_matrix(self) -> Array:
         normal: Array = np.swapaxes(self.by_pose, 1, 2) @ self.by_pose
         return normal
 
@@ -195,13 +197,13 @@ class _Linear:
         return gradient
 
 
-class _BoardPosesProblem(LeastSquares[FocalPoses, _Linear]):
+class _BoardPosesProblem(LeastSquares[FocalPoses, _LinearizedPoses]):
     def __init__(self, board: BoardPoses, lens: Array, bend: Array) -> None:
         self._board, self._lens, self._bend = board, lens, bend
 
-    def linearize(self, state: FocalPoses, before: _Linear | None) -> _Linear:
-        residual, by_pose, _ = self._board.equations(state, self._lens, self._bend)
-        return _Linear(residual, by_pose)
+    def linearize(self, state: FocalPoses, before: _LinearizedPoses | None) -> _LinearizedPoses:
+        residual, by_pose, _ = self._board.linearized_residuals(state, self._lens, self._bend)
+        return _LinearizedPoses(residual, by_pose)
 
     def apply_step(self, state: FocalPoses, step: Array) -> FocalPoses:
         angle = np.linalg.norm(step[:, :3], axis=1)
@@ -217,10 +219,13 @@ class _BoardPosesProblem(LeastSquares[FocalPoses, _Linear]):
             state.sizes * np.exp(np.clip(step[:, 5], -1, 1)),
         )
 
-    def is_converged(self, state: FocalPoses, known: _Linear, step: Array, gain: Array) -> bool:
+    def is_converged(self, state: FocalPoses, known: _LinearizedPoses, step: Array, gain: Array) -> bool:
         return bool((gain < _MIN_GAIN * (1 + known.cost)).all())
 
     def select_better(
-        self, better: NDArray[np.bool_], there: tuple[FocalPoses, _Linear], here: tuple[FocalPoses, _Linear]
-    ) -> tuple[FocalPoses, _Linear]:
+        self,
+        better: NDArray[np.bool_],
+        there: tuple[FocalPoses, _LinearizedPoses],
+        here: tuple[FocalPoses, _LinearizedPoses],
+    ) -> tuple[FocalPoses, _LinearizedPoses]:
         return select_rows(better, there[0], here[0]), select_rows(better, there[1], here[1])

@@ -94,10 +94,10 @@ def compute_profile(
     if near is not None:
         lens = np.column_stack([np.interp(spread, near.spread, near.lens[:, k]) for k in range(3)])
     problem = _LensProblem([fit_board_poses(outline, size, spread) for outline in outlines])
-    found = solve_least_squares(problem, problem.start(lens), _MAX_LENS_ROUNDS)
+    found = solve_least_squares(problem, problem.start_state(lens), _MAX_LENS_ROUNDS)
     assert found is not None
     state, known = found
-    return FocalProfile(spread, known.cost, state.lens, known.covariance())
+    return FocalProfile(spread, known.cost, state.lens, known.lens_covariance())
 
 
 @dataclass(frozen=True)
@@ -127,7 +127,7 @@ class _LensEquations:
     @classmethod
     def from_board(cls, board: BoardPoses, poses: FocalPoses, lens: Array) -> _LensEquations:
         """Return one board's equations, with what its pose could explain projected out."""
-        residual, by_pose, by_lens = board.equations(poses, lens)
+        residual, by_pose, by_lens = board.linearized_residuals(poses, lens)
         q, _ = np.linalg.qr(by_pose)
         own = by_lens - q @ (np.swapaxes(q, 1, 2) @ by_lens)
         left = residual - (q @ (np.swapaxes(q, 1, 2) @ residual[..., None]))[..., 0]
@@ -139,15 +139,15 @@ class _LensEquations:
         return np.where(np.isfinite(cost), cost, _CHI_IMPOSSIBLE)
 
     @property
-    def normal(self) -> Array:
+    def normal_matrix(self) -> Array:
         return np.nan_to_num(self.information) + np.diag(_LENS_SIGMAS**-2.0)
 
     @property
     def gradient(self) -> Array:
         return -np.nan_to_num(self.slope + _LENS_SIGMAS**-2.0 * self.lens)
 
-    def covariance(self) -> Array:
-        return np.linalg.inv(self.normal).astype(np.float64)
+    def lens_covariance(self) -> Array:
+        return np.linalg.inv(self.normal_matrix).astype(np.float64)
 
 
 class _LensProblem(LeastSquares[_LensState, _LensEquations]):
@@ -157,12 +157,14 @@ class _LensProblem(LeastSquares[_LensState, _LensEquations]):
         self._boards = boards
         self._idle = 0
 
-    def start(self, lens: Array) -> _LensState:
-        return self._through(lens, [[board.first for board in pair] for pair in self._boards])
+    def start_state(self, lens: Array) -> _LensState:
+        return self._refined_state(lens, [[board.initial_poses for board in pair] for pair in self._boards])
 
-    def _through(self, lens: Array, poses: Sequence[Sequence[FocalPoses]]) -> _LensState:
+    def _refined_state(self, lens: Array, poses: Sequence[Sequence[FocalPoses]]) -> _LensState:
         pairs = zip(self._boards, poses, strict=True)
-        return _LensState(lens, tuple(tuple(b.refine(p, lens) for b, p in zip(*pair, strict=True)) for pair in pairs))
+        return _LensState(
+            lens, tuple(tuple(b.refine_poses(p, lens) for b, p in zip(*pair, strict=True)) for pair in pairs)
+        )
 
     def linearize(self, state: _LensState, before: _LensEquations | None) -> _LensEquations:
         taken = []
@@ -172,7 +174,7 @@ class _LensProblem(LeastSquares[_LensState, _LensEquations]):
         return functools.reduce(_LensEquations.__add__, taken)
 
     def apply_step(self, state: _LensState, step: Array) -> _LensState:
-        return self._through(state.lens + step, state.poses)
+        return self._refined_state(state.lens + step, state.poses)
 
     def is_converged(self, state: _LensState, known: _LensEquations, step: Array, gain: Array) -> bool:
         matters = known.cost < known.cost.min() + _CHI_RELEVANT
@@ -212,14 +214,14 @@ class FocalEstimate:
 def known_focal(camera: CameraModel) -> FocalEstimate:
     """Return a calibrated camera's focal length, with the 95 % interval from `focal_sigma`."""
     wide = math.exp(math.sqrt(_CHI_95) * camera.focal_sigma)
-    return FocalEstimate(camera, camera.focal / wide, camera.focal * wide)
+    return FocalEstimate(camera, camera.mean_focal_length / wide, camera.mean_focal_length * wide)
 
 
 def find_outlines(grey: Grey, boards: Sequence[Board]) -> list[BoardOutline]:
     """Return the outlines of boards in a photo (height, width) from an unknown camera."""
     height, width = grey.shape
     markers = find_markers(grey, sorted({board.dictionary for board in boards}))
-    camera = CameraModel.pinhole(width, height, float(max(width, height)))
+    camera = CameraModel.from_focal_length(width, height, float(max(width, height)))
     found, photo = [], None
     for board in boards:
         for group in group_markers(markers[board.dictionary], board, camera)[:1]:
@@ -232,15 +234,15 @@ def find_outlines(grey: Grey, boards: Sequence[Board]) -> list[BoardOutline]:
 def estimate_focal(outlines: Sequence[BoardOutline], size: tuple[int, int]) -> FocalEstimate:
     """Estimate the focal length from all photos of one camera, of `size` (width, height), px."""
     width, height = size
-    usual = CameraModel.pinhole(width, height, _TYPICAL_FOCAL * max(size), _TYPICAL_LOG_SIGMA)
+    usual = CameraModel.from_focal_length(width, height, _TYPICAL_FOCAL * max(size), _TYPICAL_LOG_SIGMA)
     if not outlines:
         return FocalEstimate(usual, None, None, _NO_BOARD)
     found = _best_profile(
         outlines, size, compute_profile(outlines, size, np.geomspace(1 / _FOCAL_RANGE[1], 1 / _FOCAL_RANGE[0], _NODES))
     )
-    low, high = _interval(found, size)
-    refused = _reason(found, len(outlines), low, high)
-    return FocalEstimate(usual if refused else _camera(found, size), low, high, refused)
+    low, high = _focal_interval(found, size)
+    refused = _rejection_reason(found, len(outlines), low, high)
+    return FocalEstimate(usual if refused else _likeliest_camera(found, size), low, high, refused)
 
 
 def _best_profile(outlines: Sequence[BoardOutline], size: tuple[int, int], coarse: FocalProfile) -> FocalProfile:
@@ -277,7 +279,7 @@ def _refine_profile(
     return found
 
 
-def _interval(found: FocalProfile, size: tuple[int, int]) -> tuple[float | None, float | None]:
+def _focal_interval(found: FocalProfile, size: tuple[int, int]) -> tuple[float | None, float | None]:
     best = math.log(found.spread[np.argmin(found.misfit)])
     over = found.misfit - found.misfit.min() - _CHI_95
     inside = np.flatnonzero(over <= 0)
@@ -293,7 +295,7 @@ def _interval(found: FocalProfile, size: tuple[int, int]) -> tuple[float | None,
     return ends[0], ends[1]
 
 
-def _reason(found: FocalProfile, boards: int, low: float | None, high: float | None) -> str:
+def _rejection_reason(found: FocalProfile, boards: int, low: float | None, high: float | None) -> str:
     freedom = 2 * boards - 1
     # Wilson and Hilferty's approximation of chi squared.
     most = freedom * (1 - 2 / (9 * freedom) + _MAX_MISFIT_SIGMAS * math.sqrt(2 / (9 * freedom))) ** 3
@@ -312,7 +314,7 @@ def _reason(found: FocalProfile, boards: int, low: float | None, high: float | N
     return ""
 
 
-def _camera(found: FocalProfile, size: tuple[int, int]) -> CameraModel:
+def _likeliest_camera(found: FocalProfile, size: tuple[int, int]) -> CameraModel:
     width, height = size
     best = int(np.argmin(found.misfit))
     focal = max(size) / float(found.spread[best])

@@ -31,7 +31,7 @@ Grey = NDArray[np.uint8]
 _WHOLE_PRINT_SCALES = ((1, 3), (2, 3), (2, 7))  # reduction, and width of light lines to close, reduced px
 _MARKER_SCALES = ((1, 0),)  # the same for single markers: no change
 _MAX_PHOTO_SIDE = 960  # px, longer side of the searched photo
-_THRESHOLDS = np.linspace(0.12, 0.84, 9)  # share of the grey range, below which a pixel is dark
+_DARK_THRESHOLDS = np.linspace(0.12, 0.84, 9)  # share of the grey range, below which a pixel is dark
 _RANGE_PERCENTILES = (0.5, 99.5)  # percentiles that define a photo's range of grey levels
 # Difference within 3 px at an edge, share of the grey range; width of gaps between edges to close, px.
 _EDGE_THRESHOLDS = ((0.14, 3), (0.18, 3), (0.22, 3), (0.27, 3), (0.34, 3), (0.42, 5))
@@ -77,7 +77,7 @@ def dark_quads(grey: Grey, whole: bool) -> list[Array]:
             reduced = np.asarray(
                 cv2.morphologyEx(reduced, cv2.MORPH_OPEN, np.ones((close, close), np.uint8)), dtype=np.uint8
             )
-        for level in low + _THRESHOLDS * (high - low):
+        for level in low + _DARK_THRESHOLDS * (high - low):
             for quad in _enclosed_quads(reduced < level):
                 found.append(((quad + 0.5) * smaller * factor) - 0.5)
     return _distinct_quads(found)
@@ -238,18 +238,18 @@ class BoardCandidate:
     agreement: float
 
 
-def candidates(
+def oriented_candidates(
     grey: Grey, board: Board, quads: Sequence[Array], minimum: float = _MIN_AGREEMENT
 ) -> list[BoardCandidate]:
     """Return oriented patches that agree with a board by `minimum`, best first."""
     turned = [np.roll(quad, turn, axis=0) for quad in quads for turn in range(4)]
-    found = [BoardCandidate(corners, _agreement(grey, board, corners)) for corners in turned]
+    found = [BoardCandidate(corners, _bit_agreement(grey, board, corners)) for corners in turned]
     return sorted((one for one in found if one.agreement > minimum), key=lambda one: -one.agreement)
 
 
 def refine_candidates(grey: Grey, board: Board, quads: Sequence[Array]) -> list[BoardCandidate]:
     """Return patches with corners moved to the best agreement, best first."""
-    rough = candidates(grey, board, quads, _MIN_REFINED_AGREEMENT)[:_MAX_REFINED]
+    rough = oriented_candidates(grey, board, quads, _MIN_REFINED_AGREEMENT)[:_MAX_REFINED]
     found = [moved for candidate in rough if (moved := _refine_quad(grey, board, candidate)) is not None]
     return sorted(found, key=lambda one: -one.agreement)
 
@@ -261,7 +261,7 @@ def _refine_quad(grey: Grey, board: Board, candidate: BoardCandidate) -> BoardCa
             before = candidate.agreement
             for move in step * _corner_moves():
                 corners = candidate.corners + move
-                if (agreement := _agreement(grey, board, corners)) > candidate.agreement:
+                if (agreement := _bit_agreement(grey, board, corners)) > candidate.agreement:
                     candidate = BoardCandidate(corners, agreement)
             if candidate.agreement == before:
                 break
@@ -285,7 +285,7 @@ def _corner_moves() -> Array:
 _UNIT_SQUARE = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], np.float32)
 
 
-def _agreement(grey: Grey, board: Board, corners: Array) -> float:
+def _bit_agreement(grey: Grey, board: Board, corners: Array) -> float:
     """Return the correlation of bits, with equal weight per marker."""
     at, size = _bit_points(board)
     flat = cv2.getPerspectiveTransform(_UNIT_SQUARE, corners.astype(np.float32))
@@ -293,12 +293,12 @@ def _agreement(grey: Grey, board: Board, corners: Array) -> float:
     values = cv2.remap(grey, seen[..., 0], seen[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     patch = values.reshape(size).astype(np.float32).mean(axis=2)
     patch -= patch.mean(axis=1, keepdims=True)
-    agree = (patch * _bits(board)).sum(axis=1) / np.maximum(np.linalg.norm(patch, axis=1), 1e-6)
+    agree = (patch * _board_bits(board)).sum(axis=1) / np.maximum(np.linalg.norm(patch, axis=1), 1e-6)
     return float(agree.sum() / np.sqrt(len(agree)))
 
 
 @functools.lru_cache(maxsize=32)
-def _bits(board: Board) -> Array:
+def _board_bits(board: Board) -> Array:
     return marker_bits(board)
 
 
@@ -309,10 +309,10 @@ def _bit_points(board: Board) -> tuple[NDArray[np.float32], tuple[int, int, int]
     cell, step = board.marker_length / side, board.marker_length + board.gap
     inner = (np.arange(side - 2)[:, None] + 1 + (np.arange(_POINTS_PER_CELL) + 0.5) / _POINTS_PER_CELL) * cell
     points = []
-    for k in range(len(board.ids)):
+    for k in range(len(board.marker_ids)):
         row, column = divmod(k, board.columns)
         x, y = column * step + inner, row * step + inner
         grid = np.stack(np.broadcast_arrays(x[None, :, None, :], y[:, None, :, None]), axis=-1)
         points.append(grid.reshape(-1, 2) / (board.width, board.height))
     at = np.concatenate(points).astype(np.float32)
-    return at, (len(board.ids), (side - 2) ** 2, _POINTS_PER_CELL**2)
+    return at, (len(board.marker_ids), (side - 2) ** 2, _POINTS_PER_CELL**2)

@@ -31,14 +31,21 @@ from ..board_detection import (
 )
 from ..fitting.blur_kernel import BlurKernel
 from ..fitting.pose_alignment import USUAL_BLUR, Alignment, align_pose
-from ..fitting.pose_fits import EXPLAINED, PoseFit, faces_camera, planar_poses
+from ..fitting.pose_fits import EXPLAINED_CORRELATION, PoseFit, faces_camera, planar_poses
 from ..fitting.print_view import PhotoRegion, PrintPiece, draw_print, print_plane, view_print, whole_board_piece
-from .board_candidates import BoardCandidate, board_quads, candidates, dark_quads, edge_quads, refine_candidates
+from .board_candidates import (
+    BoardCandidate,
+    board_quads,
+    dark_quads,
+    edge_quads,
+    oriented_candidates,
+    refine_candidates,
+)
 from .marker_bits import BitEvidence, measure_evidence
 
 Grey = NDArray[np.uint8]
 
-FALSE_ALARMS = 1e-4  # accepted rate of photos without the board
+FALSE_ALARM_RATE = 1e-4  # accepted rate of photos without the board
 # Tried positions and orientations. Source: `make bench-fiducials`: 20 to 60 patches in four orientations, about 250
 # moves of each refined patch.
 _TRIALS_PER_BOARD = 1200
@@ -105,28 +112,28 @@ class BoardRecognizer:
         self._likeliest = None
         for T in (*before, *predicted_poses):
             if (T_moved := self._shift_to_match(board, T)) is not None:
-                fits += self._fits(board, [T_moved])
+                fits += self._fit_poses(board, [T_moved])
         if anywhere:
-            for found in self._candidates(board):
+            for found in self._candidate_batches(board):
                 if fits:
                     break
                 for candidate in _best_candidates(found):
-                    fits += self._fits(board, self._starts(board, candidate))
+                    fits += self._fit_poses(board, self._start_poses(board, candidate))
         if not fits:
-            return replace(seen, advice=self._advice(board)) if anywhere else seen
+            return replace(seen, advice=self._photo_advice(board)) if anywhere else seen
         best = min(fits, key=lambda fit: fit.mean_square)
-        size = board.width * self._camera.focal / best.T[2, 3]
+        size = board.width * self._camera.mean_focal_length / best.T_board_in_cam[2, 3]
         if any(self._distance_px(fit, best) > _MIN_SEPARATION * size for fit in fits):
             reason = "the board is in the photo twice: hide or remove the other print"
             return BoardDetection(board, seen.markers, BoardStatus.AMBIGUOUS, reason, is_duplicated=True)
         return judge_detection(self._photo, self._camera, board, best, fits, predicted_poses, self._limits)
 
-    def _candidates(self, board: Board) -> Iterator[list[BoardCandidate]]:
-        yield candidates(self._grey, board, self._dark_prints)
-        yield candidates(self._grey, board, board_quads(self._dark_markers, board))
+    def _candidate_batches(self, board: Board) -> Iterator[list[BoardCandidate]]:
+        yield oriented_candidates(self._grey, board, self._dark_prints)
+        yield oriented_candidates(self._grey, board, board_quads(self._dark_markers, board))
         yield refine_candidates(self._grey, board, self._edge_patches)
 
-    def _advice(self, board: Board) -> tuple[str, ...]:
+    def _photo_advice(self, board: Board) -> tuple[str, ...]:
         if self._likeliest is not None and self._likeliest[0] < _MAX_BOARD_LOG_CHANCE:
             found = suggest_improvements(measure_appearance(board, self._camera, self._photo, self._likeliest[1]))
             if found:
@@ -134,28 +141,28 @@ class BoardRecognizer:
         return suggest_photo_improvements(self._grey)
 
     def _distance_px(self, one: PoseFit, other: PoseFit) -> float:
-        at = project_points(self._camera, np.array([one.T[:3, 3], other.T[:3, 3]]))
+        at = project_points(self._camera, np.array([one.T_board_in_cam[:3, 3], other.T_board_in_cam[:3, 3]]))
         return float(np.linalg.norm(at[0] - at[1]))
 
-    def _starts(self, board: Board, candidate: BoardCandidate) -> list[Array]:
+    def _start_poses(self, board: Board, candidate: BoardCandidate) -> list[Array]:
         poses = planar_poses(board.outer_corners(), viewing_rays(self._camera, candidate.corners))
         return [T for T in poses if np.isfinite(T).all() and faces_camera(T)]
 
-    def _fits(self, board: Board, poses: Sequence[Array]) -> list[PoseFit]:
+    def _fit_poses(self, board: Board, poses: Sequence[Array]) -> list[PoseFit]:
         found = list[PoseFit]()
         for T in poses:
-            if fit := self._fit(board, T):
+            if fit := self._fit_by_bits(board, T):
                 found.append(fit)
                 # The other pose could only compete, which `judge_detection` searches.
-                if fit.contradicting == 0 and _is_explained(fit.alignment, _SUFFICIENT_CORRELATION):
+                if fit.contradicting_count == 0 and _is_explained(fit.alignment, _SUFFICIENT_CORRELATION):
                     break
         return found
 
-    def _fit(self, board: Board, T: Array) -> PoseFit | None:
+    def _fit_by_bits(self, board: Board, T: Array) -> PoseFit | None:
         whole = whole_board_piece(board)
-        found = self._recognized(whole, T)
+        found = self._align_with_blur(whole, T)
         if found is not None and not _is_explained(found[0]) and found[1].log_chance < _MAX_RETRIED_LOG_CHANCE:
-            again = self._recognized(whole, found[0].T_ref_in_cam, found[0].blur)
+            again = self._align_with_blur(whole, found[0].T_ref_in_cam, found[0].blur)
             if again is not None and again[1].log_chance < found[1].log_chance:
                 found = again
         if found is None:
@@ -164,7 +171,7 @@ class BoardRecognizer:
         if self._likeliest is None or bits.log_chance < self._likeliest[0]:
             self._likeliest = bits.log_chance, first
         # Bonferroni: the accepted rate is divided by the photo's trials.
-        if bits.log_chance > math.log(FALSE_ALARMS / (self._boards * _TRIALS_PER_BOARD * _TRIALS_PER_FIT)):
+        if bits.log_chance > math.log(FALSE_ALARM_RATE / (self._boards * _TRIALS_PER_BOARD * _TRIALS_PER_FIT)):
             return None
         if len(bits.markers) < len(first.tiles[0]):
             fewer = align_pose(
@@ -175,22 +182,22 @@ class BoardRecognizer:
             first = fewer
         return PoseFit(first, bits.markers, len(bits.agreement) - len(bits.markers))
 
-    def _view(self, piece: PrintPiece, T: Array) -> tuple[PhotoRegion | None, Array]:
+    def _view_piece(self, piece: PrintPiece, T: Array) -> tuple[PhotoRegion | None, Array]:
         plane = print_plane(piece, T)
         return view_print(self._photo, self._camera, piece, plane), plane
 
-    def _recognized(
+    def _align_with_blur(
         self, piece: PrintPiece, T: Array, tried: BlurKernel | None = None
     ) -> tuple[Alignment, BitEvidence] | None:
         """Align a piece with an estimated blur; None if that resembles the earlier blur `tried`."""
-        view, plane = self._view(piece, T)
+        view, plane = self._view_piece(piece, T)
         kernel = None if view is None else estimate_blur(view, plane)
-        if kernel is None or (tried is not None and abs(kernel.length - tried.length) < _SAME_MOTION):
+        if kernel is None or (tried is not None and abs(kernel.motion_length - tried.motion_length) < _SAME_MOTION):
             return None
         fit = align_pose(self._photo, self._camera, [piece], T, kernel)
         if fit is None or not faces_camera(fit.T_ref_in_cam):
             return None
-        view, plane = self._view(piece, fit.T_ref_in_cam)
+        view, plane = self._view_piece(piece, fit.T_ref_in_cam)
         return None if view is None else (fit, measure_evidence(view, plane, fit.blur, fit.noise))
 
     def _shift_to_match(self, board: Board, T: Array) -> Array | None:
@@ -204,8 +211,8 @@ class BoardRecognizer:
         reach = np.ceil(half + _SEARCH_RADIUS * 2 * half.max()).astype(int)
         low = np.maximum(np.round(centre).astype(int) - reach, 0)
         high = np.minimum(np.round(centre).astype(int) + reach + 1, (width, height))
-        view, plane = self._view(whole_board_piece(board), T)
-        if view is None or (high - low < 2 * half).any() or view.coarser > 1:
+        view, plane = self._view_piece(whole_board_piece(board), T)
+        if view is None or (high - low < 2 * half).any() or view.reduction_factor > 1:
             return T
         drawing = draw_print(view, plane, USUAL_BLUR)
         seen = self._photo[low[1] : high[1], low[0] : high[0]]
@@ -235,7 +242,7 @@ def _best_candidates(found: Sequence[BoardCandidate]) -> Iterator[BoardCandidate
             yield one
 
 
-def _is_explained(fit: Alignment, minimum: float = EXPLAINED) -> bool:
+def _is_explained(fit: Alignment, minimum: float = EXPLAINED_CORRELATION) -> bool:
     return float(np.median([tile.correlation for tile in fit.tiles[0].values()])) > minimum
 
 
@@ -245,7 +252,7 @@ def estimate_blur(view: PhotoRegion, plane: Array) -> BlurKernel | None:
     Args:
         plane: (3, 3) from the board to the camera frame, as for `draw_print`.
     """
-    drawing = draw_print(view, plane, _COMPARISON_BLUR.in_larger_pixels(view.coarser))
+    drawing = draw_print(view, plane, _COMPARISON_BLUR.in_larger_pixels(view.reduction_factor))
     use = drawing.marker >= 0
     if use.sum() < 2 * len(view.piece.markers):
         return None
@@ -254,8 +261,8 @@ def estimate_blur(view: PhotoRegion, plane: Array) -> BlurKernel | None:
     place = np.flatnonzero(use)[order]
     seen = _subtract_marker_means(view.photo.ravel()[place], starts, which)
 
-    def unexplained(blur: BlurKernel) -> float:
-        drawn = blur.in_larger_pixels(view.coarser).apply(drawing.sharp).ravel()[place]
+    def unexplained_power(blur: BlurKernel) -> float:
+        drawn = blur.in_larger_pixels(view.reduction_factor).blur_picture(drawing.sharp).ravel()[place]
         shape = _subtract_marker_means(drawn, starts, which)
         power = np.add.reduceat(shape**2, starts) + 1e-9
         contrast = np.maximum(np.add.reduceat(shape * seen, starts) / power, 0.0)
@@ -263,8 +270,10 @@ def estimate_blur(view: PhotoRegion, plane: Array) -> BlurKernel | None:
 
     angles = np.arange(_MOTION_DIRECTIONS) * math.pi / _MOTION_DIRECTIONS
     vectors = [(length * math.cos(angle), length * math.sin(angle)) for length in _MOTION_LENGTHS for angle in angles]
-    blurs = {kernel: unexplained(kernel) for kernel in map(BlurKernel, _BLUR_SIGMAS)}
-    motions = {kernel: unexplained(kernel) for kernel in (BlurKernel(_MOVING_BLUR_SIGMA, vector) for vector in vectors)}
+    blurs = {kernel: unexplained_power(kernel) for kernel in map(BlurKernel, _BLUR_SIGMAS)}
+    motions = {
+        kernel: unexplained_power(kernel) for kernel in (BlurKernel(_MOVING_BLUR_SIGMA, vector) for vector in vectors)
+    }
     blurred, moved = min(blurs, key=lambda one: blurs[one]), min(motions, key=lambda one: motions[one])
     return moved if motions[moved] < _MAX_MOTION_RATIO * blurs[blurred] else blurred
 

@@ -46,13 +46,13 @@ def measure_evidence(view: PhotoRegion, plane: Array, blur: BlurKernel, noise: f
         blur: px of the photo.
         noise: standard deviation, grey levels.
     """
-    blur = blur.in_larger_pixels(view.coarser)
+    blur = blur.in_larger_pixels(view.reduction_factor)
     drawing = draw_print(view, plane, blur)
     bits = marker_bits(view.piece.board)
-    cells = _cells(view, plane)
+    cells = _sample_bit_indices(view, plane)
     agreement = {}
     for k in view.piece.markers:
-        if (found := _estimated(view, drawing, blur, cells, k, bits[k], noise)) is not None:
+        if (found := _estimate_bits(view, drawing, blur, cells, k, bits[k], noise)) is not None:
             agreement[k] = float(bits[k] @ found)
     log_chance, markers = most_significant_markers(agreement)
     return BitEvidence(log_chance, markers, agreement)
@@ -82,7 +82,7 @@ def marker_bits(board: Board) -> Array:
     return bits
 
 
-def _cells(view: PhotoRegion, plane: Array) -> NDArray[np.int_]:
+def _sample_bit_indices(view: PhotoRegion, plane: Array) -> NDArray[np.int_]:
     """Return each sample point's bit index (rows, columns), marker by marker; -1 for none."""
     board = view.piece.board
     x, y = fine_board_points(view, np.linalg.inv(plane).astype(np.float64))
@@ -98,7 +98,7 @@ def _cells(view: PhotoRegion, plane: Array) -> NDArray[np.int_]:
     return np.where(inside, ((row * board.columns + column) * inner + bit_y) * inner + bit_x, -1)
 
 
-def _estimated(
+def _estimate_bits(
     view: PhotoRegion,
     drawing: RenderedPrint,
     blur: BlurKernel,
@@ -122,7 +122,7 @@ def _estimated(
     y, x = (at // fine for at in np.nonzero(points))
     # Share of each pixel that each bit covers.
     share = np.bincount((y * wide + x) * count + which[points], minlength=high * wide * count).astype(np.float32)
-    blurred = blur.apply(share.reshape(high, wide, count) / fine**2)
+    blurred = blur.blur_picture(share.reshape(high, wide, count) / fine**2)
     inside = use[part]
     by_bit = blurred[inside].astype(np.float64)
     drawn, photo = (picture[part][inside].astype(np.float64) for picture in (drawing.grey, view.photo))

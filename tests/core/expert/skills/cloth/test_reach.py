@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 
 from tests.programs import FOLD, bench_at_start, session_of
-from yamsim_cli.core.episode.simulator import Simulators
+from yamsim_cli.core.episode.simulator import SimulatorCache
 from yamsim_cli.core.expert.skills.cloth.point_grasps import PointPlacement, reachable_grasps, target_at_place
 
 
 def test_a_hand_does_not_come_down_where_cloth_stands_up_beside_its_fingers(tmp_path: Path) -> None:
-    with Simulators(session_of(tmp_path, FOLD)) as simulators:
+    with SimulatorCache(session_of(tmp_path, FOLD)) as simulators:
         bench = bench_at_start(simulators)
         flat = bench.world.cloth_points("napkin")
         place, around = flat[4, 8], ([3, 3, 4, 5, 5], [8, 7, 7, 7, 8])

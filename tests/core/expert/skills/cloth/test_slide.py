@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from tests.programs import FOLD, bench_at_start, session_of
-from yamsim_cli.core.episode.simulator import Simulators
-from yamsim_cli.core.expert.skills.cloth.cloth_motions import predicted_points
+from yamsim_cli.core.episode.simulator import SimulatorCache
+from yamsim_cli.core.expert.skills.cloth.cloth_motions import predict_cloth_points
 from yamsim_cli.core.expert.skills.cloth.slide_grasps import SLIDE_SPEED, slide_grasps
 from yamsim_cli.core.geometry.cloth_flattening import height_range
 from yamsim_cli.core.geometry.se3 import Array
@@ -22,7 +22,7 @@ def _turned(points: Array) -> float:
 
 
 def test_two_hands_slide_cloth_to_where_it_is_wanted_and_nowhere_else(tmp_path: Path) -> None:
-    with Simulators(session_of(tmp_path, FOLD)) as simulators:
+    with SimulatorCache(session_of(tmp_path, FOLD)) as simulators:
         bench = bench_at_start(simulators)
         points = bench.world.cloth_points("napkin")
         turned = _turned(points)
@@ -33,7 +33,7 @@ def test_two_hands_slide_cloth_to_where_it_is_wanted_and_nowhere_else(tmp_path: 
 
         grasps = slide_grasps(bench, "napkin", [np.radians(-turned)], wanted)
         assert grasps is not None and len(grasps) == 2 and all(grasp.placement.single_layer for grasp in grasps)
-        after = predicted_points(bench, "napkin", grasps, 0.0, SLIDE_SPEED)
+        after = predict_cloth_points(bench, "napkin", grasps, 0.0, SLIDE_SPEED)
         assert wanted(after) and height_range(after) < 0.01
         # It comes nearer to the arms by 10 cm: a pull moves it straight.
         assert np.ptp(after[..., 0]) < 0.22

@@ -9,15 +9,15 @@ import numpy as np
 
 from yamsim_cli.core.attempt_data import FailureCause
 from yamsim_cli.core.geometry.se3 import Array, interpolate_rotation, pose
-from yamsim_cli.core.sim.cloth import points_between_pads, simulated_pull
+from yamsim_cli.core.sim.cloth import points_between_pads, simulate_pull
 
 from ..common_motions import GRIP_TICKS, rest_segment, unparked_hands
 from ..hand import Hand
 from ..planning_context import FingerTarget, MotionSegment, PlanningContext, SkillFailedError
-from .point_grasps import APPROACH, APPROACH_OPENING, TIP_CLEARANCE, PointGrasp, hands_clear
+from .point_grasps import APPROACH_DISTANCE, APPROACH_OPENING, TIP_CLEARANCE, PointGrasp, are_hands_clear
 
-SPEED = 0.12  # m/s, of a hand that carries cloth
-ARCH = 0.45  # height of a fold's path, as a share of its length
+CARRY_SPEED = 0.12  # m/s, of a hand that carries cloth
+ARCH_HEIGHT_RATIO = 0.45  # height of a fold's path, as a share of its length
 
 _FORCE = 20.0  # N, of closed fingers on cloth
 
@@ -34,8 +34,12 @@ _DROP_HEIGHT = 0.002  # m over the target at which a folded point is released
 _PULL_HEIGHT = 0.006  # m over the table: tips that rub on the table hold arms back by 2 to 4 cm
 
 
-def predicted_points(
-    context: PlanningContext, thing: str, grasps: Sequence[PointGrasp], arch: float = ARCH, speed: float = SPEED
+def predict_cloth_points(
+    context: PlanningContext,
+    thing: str,
+    grasps: Sequence[PointGrasp],
+    arch: float = ARCH_HEIGHT_RATIO,
+    speed: float = CARRY_SPEED,
 ) -> Array:
     """Return a cloth's points (along y, along x, 3) in `world` after `carry_points` with the same arguments, m.
 
@@ -49,24 +53,28 @@ def predicted_points(
         patches.append(np.union1d(between, [row * points.shape[1] + column]))
     paths = [grasp.placement.target(points) - points[grasp.placement.point] for grasp in grasps]
     seconds = max(float(np.linalg.norm(path[:2])) for path in paths) / speed
-    return simulated_pull(context.world.data, context.model, cloth, patches, paths, arch, seconds)
+    return simulate_pull(context.world.data, context.model, cloth, patches, paths, arch, seconds)
 
 
 def carry_points(
-    context: PlanningContext, thing: str, grasps: Sequence[PointGrasp], arch: float = ARCH, speed: float = SPEED
+    context: PlanningContext,
+    thing: str,
+    grasps: Sequence[PointGrasp],
+    arch: float = ARCH_HEIGHT_RATIO,
+    speed: float = CARRY_SPEED,
 ) -> Iterator[MotionSegment]:
     """Grasp points of a cloth, carry them to their targets at a speed (m/s), and release them.
 
     `arch` is the height of the path, as a share of its length.
     """
     opened = {grasp.hand: FingerTarget(APPROACH_OPENING) for grasp in grasps}
-    yield from _approach(context, grasps)
+    yield from _approach_grasps(context, grasps)
     _check_fingers(context, grasps)
     yield context.make_segment({grasp.hand: context.plan_line(grasp.hand, grasp.T_grasp) for grasp in grasps})
     yield from _close_with_retries(context, thing, grasps)
     missed = [grasp.hand for grasp in grasps if grasp.hand.side not in context.world.holding_sides(thing)]
     if not missed:
-        yield context.make_segment(_arches(context, thing, grasps, arch, speed))
+        yield context.make_segment(_plan_arch_paths(context, thing, grasps, arch, speed))
         yield rest_segment(context)
     yield context.make_segment(
         {hand: context.still_motion(hand, GRIP_TICKS) for hand in opened}, opened, wait_for_arrival=False
@@ -83,7 +91,7 @@ def carry_points(
     up = {}
     for hand in opened:
         T_up = hand.pinch_pose(hand.joints)
-        T_up[2, 3] += APPROACH
+        T_up[2, 3] += APPROACH_DISTANCE
         up[hand] = context.plan_line(hand, T_up)
     yield context.make_segment(up, wait_for_arrival=False)
     if missed:
@@ -91,13 +99,13 @@ def carry_points(
         raise SkillFailedError(FailureCause.SLIPPED, f"the {sides} hand missed its corner of the {thing}")
 
 
-def _approach(context: PlanningContext, grasps: Sequence[PointGrasp]) -> Iterator[MotionSegment]:
+def _approach_grasps(context: PlanningContext, grasps: Sequence[PointGrasp]) -> Iterator[MotionSegment]:
     """Move grasping hands to their approaches and idle hands away: at once if their paths are clear of each other."""
     opened = {grasp.hand: FingerTarget(APPROACH_OPENING) for grasp in grasps}
     goals = {hand: hand.ready_joints for hand in unparked_hands(context) if hand not in opened}
     goals |= {grasp.hand: grasp.approach_joints for grasp in grasps}
     paths = {hand: context.plan_free_path(hand, goal, APPROACH_OPENING) for hand, goal in goals.items()}
-    if _free_together(context, paths):
+    if _are_paths_collision_free(context, paths):
         yield context.make_segment(paths, opened, wait_for_arrival=False)
         return
     for hand, goal in goals.items():
@@ -110,15 +118,15 @@ def _approach(context: PlanningContext, grasps: Sequence[PointGrasp]) -> Iterato
 def _check_fingers(context: PlanningContext, grasps: Sequence[PointGrasp]) -> None:
     """Fingers that are stuck open would also grasp cloth that stands up beside a point."""
     for grasp in grasps:
-        if context.opening(grasp.hand) > _MAX_OPEN_OPENING:
+        if context.finger_opening(grasp.hand) > _MAX_OPEN_OPENING:
             raise SkillFailedError(FailureCause.SLIPPED, f"the {grasp.hand.side} hand's fingers do not close")
 
 
-def _free_together(context: PlanningContext, paths: Mapping[Hand, Array]) -> bool:
+def _are_paths_collision_free(context: PlanningContext, paths: Mapping[Hand, Array]) -> bool:
     ticks = max(len(path) for path in paths.values())
     for tick in range(ticks):
         there = [(hand, path[min(tick, len(path) - 1)]) for hand, path in paths.items()]
-        if not all(hands_clear(context, one, other) for one, other in itertools.combinations(there, 2)):
+        if not all(are_hands_clear(context, one, other) for one, other in itertools.combinations(there, 2)):
             return False
     return True
 
@@ -128,7 +136,7 @@ def _close_with_retries(context: PlanningContext, thing: str, grasps: Sequence[P
 
     A hand misses if its arm comes to rest a little too high, or if hollow cloth gives way to its fingers.
     """
-    yield from _close(context, grasps)
+    yield from _close_fingers(context, grasps)
     points = context.world.cloth_points(thing)
     limits = {grasp.hand: _max_depth(points, grasp) for grasp in grasps}
     for depth in DEPTHS:
@@ -150,7 +158,7 @@ def _close_with_retries(context: PlanningContext, thing: str, grasps: Sequence[P
             lower[2, 3] -= min(depth, limits[grasp.hand])
             lines[grasp.hand] = context.plan_line(grasp.hand, lower)
         yield context.make_segment(lines)
-        yield from _close(context, retried)
+        yield from _close_fingers(context, retried)
 
 
 def _max_depth(points: Array, grasp: PointGrasp) -> float:
@@ -159,14 +167,14 @@ def _max_depth(points: Array, grasp: PointGrasp) -> float:
     return hollow + TIP_CLEARANCE
 
 
-def _close(context: PlanningContext, grasps: Sequence[PointGrasp]) -> Iterator[MotionSegment]:
+def _close_fingers(context: PlanningContext, grasps: Sequence[PointGrasp]) -> Iterator[MotionSegment]:
     closing = {grasp.hand: FingerTarget(0.0, _FORCE) for grasp in grasps}
     yield context.make_segment({hand: context.still_motion(hand, GRIP_TICKS) for hand in closing}, closing)
     yield rest_segment(context)
 
 
 def _fingers_closed(context: PlanningContext, hand: Hand) -> bool:
-    return context.opening(hand) < _MAX_CLOSED_OPENING
+    return context.finger_opening(hand) < _MAX_CLOSED_OPENING
 
 
 def _retreat_path(context: PlanningContext, grasp: PointGrasp) -> Array:
@@ -181,7 +189,7 @@ def _retreat_path(context: PlanningContext, grasp: PointGrasp) -> Array:
     return context.still_motion(grasp.hand, 1)
 
 
-def _arches(
+def _plan_arch_paths(
     context: PlanningContext, thing: str, grasps: Sequence[PointGrasp], arch: float, speed: float
 ) -> dict[Hand, Array]:
     points = context.world.cloth_points(thing)
@@ -198,12 +206,12 @@ def _arches(
         )
     length = max(float(np.linalg.norm((T_end - T_now)[:2, 3])) for T_now, T_end in ends.values())
     return {
-        hand: context.plan_curve(hand, partial(_arch, *both, arch * length), length / speed)
+        hand: context.plan_curve(hand, partial(_arch_pose, *both, arch * length), length / speed)
         for hand, both in ends.items()
     }
 
 
-def _arch(T_start: Array, T_end: Array, height: float, share: float) -> Array:
+def _arch_pose(T_start: Array, T_end: Array, height: float, share: float) -> Array:
     path, across = T_end[:3, 3] - T_start[:3, 3], (1 - math.cos(math.pi * share)) / 2
     up = path[2] * share + height * math.sin(math.pi * share)
     R = interpolate_rotation(T_start[:3, :3], T_end[:3, :3], across)

@@ -14,15 +14,15 @@ from yamsim_cli.core.geometry.cloth_flattening import (
     candidate_pulls,
     height_range,
     max_displacement,
+    sheet_unevenness,
     square_side,
-    unevenness,
 )
 from yamsim_cli.core.geometry.se3 import Array
 
 from ..common_motions import open_and_park_hands
 from ..planning_context import MotionSegment, PlanningContext, SkillFailedError
 from ..skill import Skill
-from .cloth_motions import carry_points, predicted_points
+from .cloth_motions import carry_points, predict_cloth_points
 from .point_grasps import PointGrasp, PointPlacement, reachable_grasps, target_at_place
 
 FLAT_LAYERS = 3.5  # layer thicknesses, largest height of flat cloth
@@ -96,7 +96,7 @@ def flatten_cloth(
         if planned is None:
             break
         before, tried = (
-            unevenness(points, cloth.flat_points, cloth.thickness),
+            sheet_unevenness(points, cloth.flat_points, cloth.thickness),
             [points[point] for point in planned.pull.points],
         )
         try:
@@ -107,7 +107,7 @@ def flatten_cloth(
             missed += tried
             yield from open_and_park_hands(context)
         if (
-            unevenness(context.world.cloth_points(thing), cloth.flat_points, cloth.thickness)
+            sheet_unevenness(context.world.cloth_points(thing), cloth.flat_points, cloth.thickness)
             > (1 - _MIN_IMPROVEMENT) * before
         ):
             # A pull without effect would be planned again.
@@ -134,7 +134,7 @@ def _best_pull(
     cloth, points = context.world.cloth_addresses(thing), context.world.cloth_points(thing)
     thickness = cloth.thickness
     best: _PlannedPull | None = None
-    for pull in candidate_pulls(points, cloth.flat_points, thickness, cloth.spacing, scale):
+    for pull in candidate_pulls(points, cloth.flat_points, thickness, cloth.max_point_spacing, scale):
         if any(np.linalg.norm(points[point] - place) < _MISSED_RADIUS for point in pull.points for place in missed):
             continue
         grasps = next(
@@ -149,11 +149,11 @@ def _best_pull(
         )
         if grasps is None:
             continue
-        after = predicted_points(context, thing, grasps, pull.arch_ratio, _PULL_SPEED)
-        uneven = unevenness(after, cloth.flat_points, thickness)
+        after = predict_cloth_points(context, thing, grasps, pull.arch_ratio, _PULL_SPEED)
+        uneven = sheet_unevenness(after, cloth.flat_points, thickness)
         if best is None or uneven < best.predicted_unevenness:
             best = _PlannedPull(grasps, pull, uneven)
-    now, improvement = unevenness(points, cloth.flat_points, thickness), scale * _MIN_IMPROVEMENT
+    now, improvement = sheet_unevenness(points, cloth.flat_points, thickness), scale * _MIN_IMPROVEMENT
     return None if best is None or best.predicted_unevenness > (1 - improvement) * now else best
 
 

@@ -7,13 +7,13 @@ import numpy as np
 
 from yamsim_cli.core.attempt_data import FailureCause
 from yamsim_cli.core.config.goals.role_assignment import RoleAssignment
-from yamsim_cli.core.geometry.cloth_folding import Fold as FoldKind
-from yamsim_cli.core.geometry.cloth_folding import Move, fold_plans
+from yamsim_cli.core.geometry.cloth_folding import ClothFoldKind as FoldKind
+from yamsim_cli.core.geometry.cloth_folding import FoldMove, fold_plans
 from yamsim_cli.core.geometry.se3 import Array
 
 from ..planning_context import MotionSegment, PlanningContext, SkillFailedError
 from ..skill import Skill
-from .cloth_motions import SPEED, carry_points
+from .cloth_motions import CARRY_SPEED, carry_points
 from .point_grasps import PointGrasp, PointPlacement, reachable_grasps, target_on_point
 
 _LAYERED_SPEED = 0.08  # m/s, in folds after the first: several layers come apart at a higher speed
@@ -56,18 +56,22 @@ class Fold(Skill):
             if number < last and any(_is_folded(points, moves[number]) for moves in plans):
                 continue
             # Plans whose later moves are also within reach come first: their corners hardly move before.
-            plans.sort(key=lambda moves: not all(_grasps(context, thing, move) for move in moves[number + 1 :]))
-            grasps = next(filter(None, (_grasps(context, thing, moves[number]) for moves in plans)), None)
+            plans.sort(
+                key=lambda moves: not all(_reachable_fold_grasps(context, thing, move) for move in moves[number + 1 :])
+            )
+            grasps = next(
+                filter(None, (_reachable_fold_grasps(context, thing, moves[number]) for moves in plans)), None
+            )
             if grasps is None:
                 raise SkillFailedError(
                     FailureCause.UNREACHABLE, f"no hands reach corners of the {thing} and their targets"
                 )
-            yield from carry_points(context, thing, grasps, speed=_LAYERED_SPEED if number else SPEED)
+            yield from carry_points(context, thing, grasps, speed=_LAYERED_SPEED if number else CARRY_SPEED)
 
 
-def _grasps(context: PlanningContext, thing: str, move: Move) -> list[PointGrasp] | None:
+def _reachable_fold_grasps(context: PlanningContext, thing: str, move: FoldMove) -> list[PointGrasp] | None:
     return reachable_grasps(context, thing, [PointPlacement(one, target_on_point(other)) for one, other in move])
 
 
-def _is_folded(points: Array, move: Move) -> bool:
+def _is_folded(points: Array, move: FoldMove) -> bool:
     return all(np.linalg.norm((points[one] - points[other])[:2]) < _MAX_CORNER_ERROR for one, other in move)

@@ -14,7 +14,7 @@ from ..planning_context import PlanningContext
 
 APPROACH_OPENING = 0.012  # m, of each finger, before it closes on cloth
 TIP_CLEARANCE = 0.001  # m, of tips over a grasped point: tips press on the cloth, and do not touch what is under it
-APPROACH = 0.08  # m, length of a hand's straight approach
+APPROACH_DISTANCE = 0.08  # m, length of a hand's straight approach
 
 HALF_PAD, _HALF_WIDTH = 0.0082, 0.0072  # m, half the length of a pad, which ends at the tip, and half its width
 _INSET = 0.007  # m, offset of a grasp from its point towards the middle of the cloth, so that both pads meet cloth
@@ -30,7 +30,7 @@ _NEAR_HEIGHT = 0.03  # m over the grasp at which contacts of the hand are checke
 _TILTS = tuple(math.radians(angle) for angle in (0, 15, 30, 45))  # rad, of a hand to its arm, in the order tried
 
 # Target (3,) of a point in `world`, m, given the cloth's points (along y, along x, 3) at the grasp.
-Target = Callable[[Array], Array]
+PointTarget = Callable[[Array], Array]
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +38,7 @@ class PointPlacement:
     """A point of cloth to grasp, by row and column, and its target; if `single_layer`, without the layers below it."""
 
     point: tuple[int, int]
-    target: Target
+    target: PointTarget
     single_layer: bool = False
 
 
@@ -64,12 +64,12 @@ class PointGrasp:
     lateral: Array
 
 
-def target_at_place(place: Array) -> Target:
+def target_at_place(place: Array) -> PointTarget:
     """Return the target at a fixed position (3,) in `world`, m."""
     return lambda points: place
 
 
-def target_on_point(point: tuple[int, int]) -> Target:
+def target_on_point(point: tuple[int, int]) -> PointTarget:
     """Return a target on another point of the cloth, by its row and column."""
     return lambda points: points[point]
 
@@ -107,7 +107,7 @@ def _point_grasp(context: PlanningContext, hand: Hand, points: Array, placement:
     away = middle - hand.arm.T_base_in_world[:2, 3]
     heading = math.atan2(away[1], away[0])
     inwards = _direction_to_middle(
-        place, _neighbours(points, placement.point) if placement.single_layer else points.reshape(-1, 3)
+        place, _neighbouring_points(points, placement.point) if placement.single_layer else points.reshape(-1, 3)
     )
     forward = path[:2] / max(float(np.linalg.norm(path[:2])), 1e-9)
     lateral = -inwards if placement.single_layer else (inwards @ forward) * forward - inwards
@@ -128,7 +128,7 @@ def _point_grasp(context: PlanningContext, hand: Hand, points: Array, placement:
         at = None if near is None else hand.solve_ik(T_at, (near,))
         if near is None or at is None or context.collision_checker.has_self_collision(hand.number, at):
             continue
-        before = hand.solve_ik(T_at @ pose((0.0, 0.0, -APPROACH)), (near,), WAYPOINT_TOLERANCE)
+        before = hand.solve_ik(T_at @ pose((0.0, 0.0, -APPROACH_DISTANCE)), (near,), WAYPOINT_TOLERANCE)
         if (
             before is None
             or context.find_contact(hand, near, APPROACH_OPENING)
@@ -161,7 +161,7 @@ def _direction_to_middle(place: Array, others: Array) -> Array:
     return inwards
 
 
-def _neighbours(points: Array, point: tuple[int, int]) -> Array:
+def _neighbouring_points(points: Array, point: tuple[int, int]) -> Array:
     row, column = point
     near = points[
         max(0, row - _NEIGHBOURS) : row + _NEIGHBOURS + 1, max(0, column - _NEIGHBOURS) : column + _NEIGHBOURS + 1
@@ -176,10 +176,10 @@ def _hands_stay_clear(context: PlanningContext, grasps: Sequence[PointGrasp]) ->
         [(grasp.hand, grasp.approach_joints) for grasp in grasps],
         [(grasp.hand, grasp.end_joints) for grasp in grasps],
     ]
-    return all(hands_clear(context, *both) for both in ends)
+    return all(are_hands_clear(context, *both) for both in ends)
 
 
-def hands_clear(context: PlanningContext, one: tuple[Hand, Array], other: tuple[Hand, Array]) -> bool:
+def are_hands_clear(context: PlanningContext, one: tuple[Hand, Array], other: tuple[Hand, Array]) -> bool:
     """Return whether hands at joints (dof,) do not touch each other, with fingers at least open for an approach."""
     (hand, joints), (other_hand, other_joints) = one, other
     there = context.qpos_with_hand(hand, joints, max(APPROACH_OPENING, hand.opening), None)

@@ -7,7 +7,7 @@ from yamsim_cli.core.geometry.cloth_flattening import height_range
 from yamsim_cli.core.geometry.se3 import Array, rotation_z
 
 from ..planning_context import PlanningContext
-from .cloth_motions import predicted_points
+from .cloth_motions import predict_cloth_points
 from .point_grasps import PointGrasp, PointPlacement, reachable_grasps, target_at_place
 
 SLIDE_SPEED = 0.2  # m/s
@@ -37,7 +37,7 @@ def slide_grasps(
             placements = [PointPlacement(corner, target_at_place(slide[corner]), single_layer=True) for corner in pair]
             if (grasps := reachable_grasps(context, thing, placements)) is None:
                 continue
-            after = predicted_points(context, thing, grasps, 0.0, SLIDE_SPEED)
+            after = predict_cloth_points(context, thing, grasps, 0.0, SLIDE_SPEED)
             if height_range(after) < _MAX_HEIGHT_RANGE and wanted(after):
                 return grasps
             trials += 1
