@@ -230,7 +230,7 @@ class SessionOpener:
         return load_config(RigConfig, "rigs", name, locations, overrides)
 
     def use_gl(self, locations: Locations, *, workers: bool = False) -> Locations:
-        """Find an OpenGL backend, set `MUJOCO_GL`, and return `find_locations` with the quality that `auto` stands for
+        """Find an OpenGL backend, set `MUJOCO_GL`, and return `locations` with the quality that `auto` stands for
         there.
 
         With several `workers`, Mesa's software renderer uses one core in each.
@@ -272,7 +272,7 @@ class SessionOpener:
     def with_mesh_folders(
         self, locations: Locations, names: Iterable[str], quality: RenderConfig | None = None
     ) -> Locations:
-        """Return `find_locations` with the folder of each asset set. Fetch missing sets; failures are only a note.
+        """Return `locations` with the folder of each asset set. Fetch missing sets; failures are only a note.
 
         The render quality decides whether meshes are reduced, now if necessary.
         """

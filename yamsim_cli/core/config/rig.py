@@ -164,7 +164,7 @@ class ArmConfig(Config):
 
     @property
     def T_board_in_base(self) -> Array:
-        """Pose (4, 4) of the `board_in_metres` frame in the base frame, for an arm with a board."""
+        """Pose (4, 4) of the `board` frame in the base frame, for an arm with a board."""
         assert self.board is not None
         return self.robot.T_base_mesh @ self.board.T_in_base_mesh
 

@@ -214,7 +214,7 @@ def select_episodes(dataset: Path, episodes: str | None, sample: int | None) -> 
         sample: number of episodes to select, evenly spread; None for all. Ignored if `episodes` is given.
 
     Raises:
-        DatasetError: `dataset_directory` is not a directory with episodes.
+        DatasetError: `dataset` is not a directory with episodes.
         UsageError: an episode does not exist, or `episodes` is not a list of numbers and ranges.
     """
     if not dataset.is_dir():

@@ -113,10 +113,10 @@ def object_on_ground_spec(tested_object: TestedObject) -> mujoco.MjSpec:
 def add_view_camera(
     spec: mujoco.MjSpec, centre: Sequence[float] | Array, size: float, steep: float = 0.75
 ) -> mujoco.MjSpec:
-    """Add lights, and a camera `view` that shows `bounding_diagonal` (m) around `centre` (3,), m.
+    """Add lights, and a camera `view` that shows `size` (m) around `centre` (3,), m.
 
     Args:
-        steep: the camera's height over `centre`, as a share of 1.75 `bounding_diagonal`.
+        steep: the camera's height over `centre`, as a share of 1.75 `size`.
     """
     spec.visual.headlight.ambient = [0.35, 0.35, 0.35]
     spec.visual.headlight.diffuse = [0.3, 0.3, 0.3]

@@ -168,7 +168,7 @@ def _opening_around_object(config: RecordConfig) -> float:
 
 
 def _fixed_pose(model: mujoco.MjModel, site: str, reference: str) -> Array:
-    """Return the pose (4, 4) of a site in the frame of the site `command_reference` on the same body."""
+    """Return the pose (4, 4) of a site in the frame of the site `reference` on the same body."""
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     T, T_reference = (pose(data.site(name).xpos, data.site(name).xmat.reshape(3, 3)) for name in (site, reference))

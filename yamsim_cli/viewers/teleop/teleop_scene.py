@@ -52,7 +52,7 @@ class TeleopAttemptScene:
         return attempt
 
     def sample_attempt(self, job: AttemptJob, start: Array | None = None) -> Attempt:
-        """Sample the attempt of a job, which may lack a start unless `start_recording` (nq,) is given."""
+        """Sample the attempt of a job, which may lack a start unless `start` (nq,) is given."""
         simulator = self._simulators.get(job)
         if simulator is not self._simulator:
             self._simulator, self.scene = simulator, simulator.scene

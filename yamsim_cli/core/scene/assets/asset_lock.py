@@ -58,7 +58,7 @@ class Reduction(_Frozen):
 
 
 class LockedFile(_Frozen):
-    """A locked mesh file of `total_bytes` bytes; `member` is its path inside the set's archive.
+    """A locked mesh file of `size` bytes; `member` is its path inside the set's archive.
 
     `tools/bench/reduction.py` finds the best `reduction`.
     """
