@@ -133,7 +133,7 @@ def test_another_camera_of_the_episode(episode: Path, single: RigConfig) -> None
 @pytest.mark.parametrize(
     ("data", "part"),
     [
-        (b"\x80\x04", "not a whole pickle"),
+        (b"\x80\x04", "not a valid pickle"),
         (pickle.dumps({"joints": print}), "print"),
         (dump_frame(frame(joints=np.zeros(5))), "(5,)"),
         (dump_frame(frame(extrinsics={})), "has no 'scene_camera' of camera scene_camera; to use the images alone"),

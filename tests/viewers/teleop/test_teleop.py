@@ -473,7 +473,7 @@ def test_a_damaged_ledger_line_loses_its_attempt_alone(
     for _ in range(2):
         with open_teleop(Session(config, locations), out, OpenMode.RESUME, said.append) as session:
             assert session.attempts.next_attempt == 4
-    assert said[0].startswith("attempts.jsonl is damaged (line 1: ")
+    assert said[0].startswith("attempts.jsonl was damaged (line 1: ")
     assert said[1:] == [
         "the line of attempt 0 in attempts.jsonl is lost",
         *["ep_000000 is gone, and a demonstration cannot be made again."] * 2,
