@@ -214,10 +214,10 @@ class PlayedArm:
 
     def step(self, qpos: np.ndarray) -> np.ndarray:
         self._tick = min(self._tick + 1, len(self._played) - 1)
-        return self.reference
+        return self.command_reference
 
     @property
-    def reference(self) -> np.ndarray:
+    def command_reference(self) -> np.ndarray:
         ctrl: np.ndarray = self._played.ctrl[self._tick, self._number]
         return ctrl
 

@@ -261,7 +261,7 @@ def test_an_existing_directory_is_kept_or_moved_aside(dataset: Path, locations: 
 
 @pytest.mark.parametrize(
     ("function", "options"),
-    [("core.files.writing._fsync", SOURCE), ("export.raiden_episode._write", NEAREST)],
+    [("core.files.writing._fsync_file", SOURCE), ("export.raiden_episode._write_with_parents", NEAREST)],
     ids=["end", "pictures"],
 )
 def test_a_full_disk_is_reported_and_leaves_nothing(

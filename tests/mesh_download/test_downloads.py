@@ -160,7 +160,7 @@ def empty_cache(package, tmp_path, monkeypatch):
 def test_a_local_checkout_is_read_by_content_without_a_probe(world, checkout):
     report = fetch(world.lock, ["tiny"], world.store, [Menagerie(probe_s=0)])
     assert report.sets[0].source == "mujoco-menagerie"
-    assert world.store.resolve(world.lock.sets["tiny"]) == report.sets[0].directory
+    assert world.store.find_verified_folder(world.lock.sets["tiny"]) == report.sets[0].directory
 
 
 def test_a_checkout_with_other_files_is_a_reason(world, checkout, tmp_path):

@@ -37,7 +37,7 @@ def test_the_first_source_that_has_it_right_wins(world, contents):
     right, never = Fake("right", files=contents), Fake("never", files=contents)
     (fetched,) = fetch(world.lock, ["tiny"], world.store, [broken, wrong, right, never]).sets
     assert fetched.source == "right"
-    assert world.store.resolve(world.lock.sets["tiny"]) == fetched.directory
+    assert world.store.find_verified_folder(world.lock.sets["tiny"]) == fetched.directory
     assert [source.asked for source in (broken, wrong, right, never)] == [["tiny"], ["tiny"], ["tiny"], []]
 
 
@@ -73,7 +73,7 @@ def test_one_set_that_fails_does_not_hold_up_the_others(world, contents):
 
     with pytest.raises(ResourceError, match=r"could not fetch bad \(no source offers it\)"):
         fetch(world.lock, [], world.store, [OnlyTiny("half", files=contents)])
-    assert world.store.resolve(world.lock.sets["tiny"]) is not None
+    assert world.store.find_verified_folder(world.lock.sets["tiny"]) is not None
 
 
 @pytest.mark.parametrize("error", [KeyboardInterrupt(), ZeroDivisionError()])
@@ -108,7 +108,7 @@ def test_two_processes_at_once_fetch_once(world, tmp_path):
         process.join(30)
     assert [process.exitcode for process in processes] == [0, 0]
     assert calls.read_text() == "called\n"
-    assert world.store.resolve(world.lock.sets["tiny"]) is not None
+    assert world.store.find_verified_folder(world.lock.sets["tiny"]) is not None
 
 
 @pytest.mark.network

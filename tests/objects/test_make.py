@@ -29,7 +29,7 @@ from yamsim_cli.objects.part_surfaces import solid_or_sheet
 from yamsim_cli.objects.primitives import PointBody
 from yamsim_cli.objects.readers.object_parts import ObjectDescription, RigidPart, Surface, SurfaceMaterial
 from yamsim_cli.objects.readers.object_reader import UnitOptions
-from yamsim_cli.objects.readers.primitive_shapes import collision_shape, visual_surface
+from yamsim_cli.objects.readers.primitive_shapes import collision_shape, primitive_surface
 from yamsim_cli.objects.readers.reader_process import read_file
 from yamsim_cli.objects.visual_meshes import make_visual_meshes
 
@@ -104,7 +104,7 @@ def test_the_first_proposed_place_of_a_faceted_mug_keeps_the_fingers_off_its_han
 
 
 def test_a_block_becomes_a_box_primitive() -> None:
-    block = visual_surface("box", np.array([0.05, 0.02, 0.03]), SurfaceMaterial())
+    block = primitive_surface("box", np.array([0.05, 0.02, 0.03]), SurfaceMaterial())
     made = build_object(thing(block), ImportOptions("brick"), Path("unused"))
     assert made.collision[0].kind == "primitives" and made.data["collision"][0]["type"] == "box"
     assert made.collision[0].fit is not None and made.collision[0].fit.p99 < 1e-3

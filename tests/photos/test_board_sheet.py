@@ -52,9 +52,9 @@ def detect(image, dictionary="DICT_6X6_250", refine=cv2.aruco.CORNER_REFINE_NONE
 def assert_true_size(image, px_per_mm, board):
     """Assert that all markers are found, at the board's distances: within 0.1 mm and, over the whole board, 0.1 %."""
     found = detect(image, board.dictionary, cv2.aruco.CORNER_REFINE_SUBPIX)
-    assert tuple(sorted(found)) == board.ids
-    seen = np.array([found[i] for i in board.ids]) / px_per_mm
-    true = board.corners()[..., :2] * (1000, -1000)
+    assert tuple(sorted(found)) == board.marker_ids
+    seen = np.array([found[i] for i in board.marker_ids]) / px_per_mm
+    true = board.marker_corners()[..., :2] * (1000, -1000)
     assert np.abs((seen - seen.mean((0, 1))) - (true - true.mean((0, 1)))).max() < 0.1
     edges = np.linalg.norm(seen - np.roll(seen, 1, axis=1), axis=2)
     assert np.abs(edges - board.marker_length * 1000).max() < 0.1

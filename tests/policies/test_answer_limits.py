@@ -135,7 +135,7 @@ def test_chunks_that_can_act_no_more_are_dropped() -> None:
         kept.append(weakref.ref(rows))
         player.add_chunk(ActionChunk(rows, np.zeros((1000, 1), bool), False), tick, 0.0)
         del rows
-        ctrl, _ = player.next_command(tick)
+        ctrl, _ = player.command_at(tick)
         assert ctrl[0, 0] == tick
         assert sum(one() is not None for one in kept) <= 2
 
@@ -144,7 +144,7 @@ def test_an_older_chunk_acts_on_where_a_newer_one_is_shorter() -> None:
     player = ChunkScheduler(ChunkSettings(execute=1), 0.032, 1, np.zeros((1, 7)))
     for tick, length in ((0, 10), (1, 2)):
         player.add_chunk(ActionChunk(np.full((length, 1, 7), tick), np.zeros((length, 1), bool), False), tick, 0.0)
-    acted = [player.next_command(tick)[0][0, 0] for tick in range(1, 12)]
+    acted = [player.command_at(tick)[0][0, 0] for tick in range(1, 12)]
     assert acted == [1, 1, 0, 0, 0, 0, 0, 0, 0, 1, 1]
 
 

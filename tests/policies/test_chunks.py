@@ -30,7 +30,7 @@ def played(player: ChunkScheduler, ticks: int, actions: int = 5, *, per: int = 1
             rows.ctrl[:] = (now + per * np.arange(actions)).reshape(-1, 1, 1) + asked / 1000
             player.add_chunk(rows, now, seconds)
             asked += 1
-        acted.append(float(player.next_command(now)[0][0, 0]))
+        acted.append(float(player.command_at(now)[0][0, 0]))
     return [round(value, 6) for value in acted]
 
 
@@ -46,7 +46,7 @@ def test_actions_may_last_several_ticks_or_parts_of_one() -> None:
     # At 50 a second on ticks of 32 ms: the action of the tick's beginning.
     rows = chunk(0, 5)
     player.add_chunk(ActionChunk(rows.ctrl, rows.magnet, False, 0.020), 0, 0.0)
-    assert [player.next_command(now)[0][0, 0] for now in range(4)] == [0, 1, 3, 4]
+    assert [player.command_at(now)[0][0, 0] for now in range(4)] == [0, 1, 3, 4]
     assert not player.is_due(3)
     assert player.is_due(4)
 
@@ -94,7 +94,7 @@ def test_chunks_that_overlap_are_averaged() -> None:
     for now, first in ((0, 0.0), (1, 10.0), (2, 100.0)):
         assert player.is_due(now)
         player.add_chunk(chunk(first, 3), now, 0.0)
-        told = player.next_command(now)[0]
+        told = player.command_at(now)[0]
     # The oldest says 2, the next 11, the newest 100: with weights of 4, 2 and 1.
     np.testing.assert_allclose(told, (4 * 2 + 2 * 11 + 100) / 7)
 
@@ -103,7 +103,7 @@ def test_of_two_chunks_that_disagree_on_a_weld_the_weightier_wins() -> None:
     player = ChunkScheduler(ChunkSettings(execute=1, ensemble=0.1), TICK, 1, REST)
     player.add_chunk(chunk(0, 3, welds=True), 0, 0.0)
     player.add_chunk(chunk(0, 3), 1, 0.0)
-    assert player.next_command(1)[1].tolist() == [True]
+    assert player.command_at(1)[1].tolist() == [True]
 
 
 def test_a_last_chunk_is_played_to_its_end() -> None:

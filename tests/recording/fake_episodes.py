@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from yamsim_cli.core.attempt_data import Attempt, AttemptJob, AttemptPayload, FailureCause, Layout, Outcome
+from yamsim_cli.core.attempt_data import Attempt, AttemptJob, AttemptPayload, FailureCause, ObjectLayout, Outcome
 from yamsim_cli.core.closable import Closable
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.session import Session
@@ -26,7 +26,7 @@ FRAMES = 1
 def payload(job: AttemptJob) -> AttemptPayload:
     """Every third attempt fails."""
     place = (0.3 + job.attempt / 1000, 0.0, 0.0, 1.0, 0.0, 0.0, float(job.seed % 3))
-    attempt = Attempt(job, Layout.from_places({"banana": place}))
+    attempt = Attempt(job, ObjectLayout.from_places({"banana": place}))
     if job.attempt % 3 == 1:
         return AttemptPayload(attempt, Outcome(False, FailureCause.OFF_TARGET, "far off", dxy=0.2, dz=0.0))
     names = [name for k in range(FRAMES) for name in (lowdim_path(k), image_path("scene_camera", k))]
@@ -73,7 +73,7 @@ class Inline(Closable):
         assert self.idle
         self.jobs.append(job)
 
-    def result(self, timeout: float | None = None) -> tuple[AttemptJob, AttemptPayload]:
+    def next_result(self, timeout: float | None = None) -> tuple[AttemptJob, AttemptPayload]:
         job = self.jobs.pop()
         self.made.append(job.attempt)
         if job.attempt in self.lose:

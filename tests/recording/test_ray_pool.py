@@ -84,7 +84,7 @@ class TestOnACluster:
         with RayExecutorFactory(cluster[0].address).open(Session(noted, locations), 1) as executor:
             executor.submit(AttemptJob(0, 0))
             with pytest.raises(ResourceError, match="i2rt_yam_crank: full 0"):
-                executor.result()
+                executor.next_result()
 
     def test_more_workers_than_cpus_are_refused(self, open_pool: Any) -> None:
         with pytest.raises(ResourceError, match="has 2 CPUs, and 3 workers need one each"):

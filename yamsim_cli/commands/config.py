@@ -95,7 +95,7 @@ def validate(
     if kind is None and guessed not in CONFIG_KINDS:
         raise UsageError(f"{file} is in no folder named after a kind of config; give --kind: {', '.join(CONFIG_KINDS)}")
     model, where = config_model(guessed), opener.find_locations()
-    parts = model.paths_in_file(file)
+    parts = model.config_paths_in_file(file)
     for part in parts:
         validate_file(model, part, where, check=check_task_config)
     if json:

@@ -11,7 +11,7 @@ from yamsim_cli.core.errors import UsageError, count_noun
 from yamsim_cli.flags import session_options as flags
 from yamsim_cli.flags.output_files import Rename, open_mode
 from yamsim_cli.flags.session_options import opener, session_settings
-from yamsim_cli.flags.viewer_options import Host, Port, page_address, quiet_page
+from yamsim_cli.flags.viewer_options import Host, Port, page_address, silence_viser
 from yamsim_cli.terminal.console import print_json, print_line, print_note
 from yamsim_cli.terminal.signals import stop_on_signal
 
@@ -67,7 +67,7 @@ def teleop(
     if realtime and stream is None:
         raise UsageError("--realtime is for --input; the page always keeps to the clock")
     session = opener.open(config, resumes=out if resume else None, **session_settings(locals()))
-    quiet_page()
+    silence_viser()
 
     from yamsim_cli.viewers.teleop.command_stream import read_stream
     from yamsim_cli.viewers.teleop.teleop_session import check_page, open_teleop, run_page, run_stream

@@ -59,7 +59,7 @@ def export_raiden(
         for folder, made in _convert_all(factory, jobs, workers if options.renders_images else 0):
             episode = episodes[folder.name]
             record = episode.record
-            data = [converter.convert_simulated(frame) for frame in made.frames]
+            data = [converter.convert_simulated_step(frame) for frame in made.frames]
             metadata = _metadata(
                 episode,
                 converter.names,
@@ -102,7 +102,7 @@ def _convert_all(
         for _ in jobs:
             while pool.idle and waiting:
                 pool.submit(waiting.pop())
-            (_, folder), made = pool.result()
+            (_, folder), made = pool.next_result()
             yield folder, made
 
 

@@ -121,7 +121,7 @@ class FrameConverter:
         pair = (arms[0], arms[-1])[: 1 if single else 2]
         self._arms = [_ArmConverter(arm, locations, hand_frame) for arm in pair]
 
-    def convert_simulated(self, frame: Mapping[str, Any]) -> dict[str, Any]:
+    def convert_simulated_step(self, frame: Mapping[str, Any]) -> dict[str, Any]:
         """Convert a simulated frame to raiden's layout."""
         data = self.convert_frame(frame, self._with_shares(frame["joints"]), self._with_shares(frame["action_joints"]))
         if RIGHT_IN_LEFT_BASE_KEY in frame:

@@ -67,10 +67,10 @@ def prepare_viewer(page: PageAddress | None) -> None:
         os.environ["MUJOCO_GL"] = "glfw"
         return
     opener.skip_gl()
-    quiet_page()
+    silence_viser()
 
 
-def quiet_page() -> None:
+def silence_viser() -> None:
     """Silence rich's global console, because the web server viser announces itself on stdout."""
     import rich
 

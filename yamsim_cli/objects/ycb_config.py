@@ -55,7 +55,7 @@ def build_ycb_config(thing: ScannedObject, scan: Scan) -> YcbConfig:
     else:
         fit, hollow = solid, None
         low, high = scan.points.min(axis=0) - 0.01, scan.points.max(axis=0) + 0.01
-        alone = _centre_of_mass(fit.parts[0]) if len(fit.parts) == 1 else None
+        alone = _primitive_centre_of_mass(fit.parts[0]) if len(fit.parts) == 1 else None
         origin = PointBody.from_primitives(fit.parts, low, high).centre if alone is None else alone
         parts = tuple(_translate_primitive(part, -origin) for part in fit.parts)
     points = scan.points - origin
@@ -99,7 +99,7 @@ def _contact_data(parts: tuple[Primitive, ...]) -> dict[str, Any]:
     return {"friction": [*_FRICTION, round(ROLLING_SHARE * min(round_), 4)], "condim": 6}
 
 
-def _centre_of_mass(part: Primitive) -> Array | None:
+def _primitive_centre_of_mass(part: Primitive) -> Array | None:
     """Return a solid's centre of mass (3,), m; None for a ring."""
     match part:
         case Capsule():

@@ -127,7 +127,7 @@ class ChunkScheduler:
             count.chunks + 1, count.actions + timed.action_count, count.stale + stale, count.waited
         )
 
-    def next_command(self, now: int) -> tuple[Array, WeldStates]:
+    def command_at(self, now: int) -> tuple[Array, WeldStates]:
         """Return commands to drives (arms, drives) and welds (arms,). Call once per tick, in order."""
         self._drop_chunks(now)
         here = [timed for timed in self._chunks if timed.arrival_tick <= now]

@@ -98,7 +98,7 @@ class Collector:
 
     def _receive(self, executor: EpisodeExecutor) -> None:
         try:
-            job, payload = executor.result(_POLL_SECONDS)
+            job, payload = executor.next_result(_POLL_SECONDS)
         except TimeoutError:
             return
         except LostJobError as error:

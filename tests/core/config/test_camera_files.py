@@ -398,7 +398,7 @@ def test_the_cameras_of_a_file(locations: Locations) -> None:
         "calibration_results.json:left": ["calibration_results.json:left"],
         "camchain.yaml": ["camchain.yaml:cam0"],
     }.items():
-        assert list(map(str, CameraConfig.paths_in_file(Path(name)))) == parts
+        assert list(map(str, CameraConfig.config_paths_in_file(Path(name)))) == parts
 
 
 def test_a_camera_name_for_a_single_camera_and_a_missing_file_are_refused(locations: Locations) -> None:

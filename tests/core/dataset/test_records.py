@@ -8,8 +8,8 @@ from yamsim_cli.core.attempt_data import (
     AttemptJob,
     AttemptPayload,
     FailureCause,
-    Layout,
     MotionMargins,
+    ObjectLayout,
     Outcome,
 )
 from yamsim_cli.core.dataset.dataset_paths import episode_directories
@@ -91,7 +91,9 @@ def test_an_invalid_record_is_a_dataset_error(text):
 
 def test_an_attempt_is_written_down_with_its_outcome():
     payload = AttemptPayload(
-        Attempt(AttemptJob(seed=7, attempt=4), Layout.from_places({"banana": (1.0, 2.0, 3.0, 0.6, 0.0, 0.0, 0.8)})),
+        Attempt(
+            AttemptJob(seed=7, attempt=4), ObjectLayout.from_places({"banana": (1.0, 2.0, 3.0, 0.6, 0.0, 0.0, 0.8)})
+        ),
         outcome=Outcome(
             False,
             FailureCause.DROPPED,

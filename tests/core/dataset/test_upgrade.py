@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from yamsim_cli.core.attempt_data import Layout
+from yamsim_cli.core.attempt_data import ObjectLayout
 from yamsim_cli.core.config.variation import RandomizationSample
 from yamsim_cli.core.dataset.dataset_paths import FORMAT_VERSION
 from yamsim_cli.core.dataset.imported_records import RealEpisodeRecord, read_imported_config
@@ -62,7 +62,7 @@ def test_version_1_left_out_what_it_did_not_know() -> None:
 
 def test_upright_poses_of_version_1_become_full_poses() -> None:
     record = open_episode(sample(1) / "ep_000000").record
-    layout = Layout.from_places(record.layout)
+    layout = ObjectLayout.from_places(record.layout)
     for name, (x, y, z, turn) in stored(1)["layout"].items():
         T = layout.T_in_world[name]
         assert tuple(T[:3, 3]) == (x, y, z)

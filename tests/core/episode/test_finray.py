@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tests.attempts import all_actions, planned
-from yamsim_cli.core.attempt_data import ArmPosture, Layout
+from yamsim_cli.core.attempt_data import ArmPosture, ObjectLayout
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.session import Session
 from yamsim_cli.core.episode.episode_rules import EXPERT_RULES
@@ -21,7 +21,7 @@ from yamsim_cli.core.scene.compilation import physics_failure
 from yamsim_cli.core.scene.compiled import GeomOwner
 
 # Both on the table, away from the hand.
-_ASIDE = Layout({"strawberry": pose([0.60, -0.25, 0.0213]), "plate": pose([0.58, 0.20, 0.001])})
+_ASIDE = ObjectLayout({"strawberry": pose([0.60, -0.25, 0.0213]), "plate": pose([0.58, 0.20, 0.001])})
 
 
 @pytest.fixture(scope="module")

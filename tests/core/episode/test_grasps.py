@@ -25,7 +25,7 @@ from yamsim_cli.core.episode.grasps import (
     make_grasp_simulator,
     set_weld_pose,
 )
-from yamsim_cli.core.episode.held_objects import SETTLED_TICKS, HeldObjectMonitor
+from yamsim_cli.core.episode.held_objects import SETTLED_TICKS, HeldObjectSlipMonitor
 from yamsim_cli.core.episode.simulator import Simulator, SimulatorCache
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.geometry.se3 import Array, pose, quat_from_rotation, rotation_from_vector
@@ -177,7 +177,7 @@ class InHand:
     def __init__(self, simulator: Simulator) -> None:
         self.scene, self.data = simulator.scene, at_hand(simulator, 0.03)
         self.world = make_sim_world(self.scene, self.data, arm_sides(simulator.config))
-        self.things = HeldObjectMonitor(self.scene, self.world)
+        self.things = HeldObjectSlipMonitor(self.scene, self.world)
         self.grasp = make_grasp_simulator(self.scene, None)
         self.address = self.scene.object_qpos["banana"]
         self.place: Array = self.data.qpos[self.address : self.address + 3].copy()

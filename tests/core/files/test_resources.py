@@ -58,7 +58,7 @@ def test_a_path_that_is_no_file_is_named(two_roots, tmp_path, monkeypatch, name)
 
 def test_a_missing_file_names_every_root_and_the_fix(two_roots):
     with pytest.raises(ResourceError) as caught:
-        two_roots.file("robot_models/x.xml")
+        two_roots.find_data_file("robot_models/x.xml")
     message = str(caught.value)
     assert "robot_models/x.xml" in message
     assert all(str(root) in message for root in two_roots.data)

@@ -12,17 +12,17 @@ WIDE = Board("wide", 0, 4, 2, "DICT_4X4_50", 0.02, 0.005)
 def test_board_cv_is_the_frame_of_opencvs_grid_board(board):
     dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, board.dictionary))
     grid = cv2.aruco.GridBoard(
-        (board.columns, board.rows), board.marker_length, board.gap, dictionary, np.array(board.ids)
+        (board.columns, board.rows), board.marker_length, board.gap, dictionary, np.array(board.marker_ids)
     )
     T = board.T_board_in_board_cv
-    ours = board.corners() @ T[:3, :3].T + T[:3, 3]
-    assert tuple(grid.getIds().ravel()) == board.ids
+    ours = board.marker_corners() @ T[:3, :3].T + T[:3, 3]
+    assert tuple(grid.getIds().ravel()) == board.marker_ids
     assert np.allclose(ours, np.array(grid.getObjPoints()), atol=1e-7)
 
 
 @pytest.mark.parametrize("board", [BOARD, WIDE], ids=lambda board: board.name)
 def test_the_board_frame_has_its_origin_in_the_middle_and_y_up(board):
-    corners = board.corners()
+    corners = board.marker_corners()
     assert np.allclose(corners.reshape(-1, 3).mean(axis=0), 0, atol=1e-12)
     assert np.allclose(corners[0, 0], (-board.width / 2, board.height / 2, 0))
     assert np.allclose(corners[-1, 2], (board.width / 2, -board.height / 2, 0))

@@ -28,7 +28,7 @@ from yamsim_cli.core.episode.episode_rules import EndReason
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.config.session import Session
 from yamsim_cli.core.attempt_data import AttemptJob
-where = Locations.find({})
+where = Locations.from_environment({})
 config = load_config(RecordConfig, "record", "default", where)
 task = config.task.model_copy(update={"start_joints": (0.0, 106.0, 109.0, -78.5, 0.0, 0.0)})
 with AttemptRunner(Session(config, where).with_values(task=task), render=False) as runner:

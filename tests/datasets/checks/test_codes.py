@@ -343,7 +343,7 @@ TESTED_ELSEWHERE = {"dataset.plain", "episode.gap", "episode.unchecked"} | {
 
 def check(path: Path, survey_of: Any, code: str, place: str, text: str) -> None:
     problems = survey_of(path).problems
-    assert [(p.code, p.place) for p in problems] == [(code, place)], [(p.code, p.text) for p in problems]
+    assert [(p.code, p.location_text) for p in problems] == [(code, place)], [(p.code, p.text) for p in problems]
     assert text in problems[0].text
     assert not Path("pwned").exists()
 

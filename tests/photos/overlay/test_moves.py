@@ -15,7 +15,7 @@ from yamsim_cli.core.geometry.camera import CameraModel
 from yamsim_cli.core.geometry.se3 import Array, invert_pose, pose, rotation_from_vector
 from yamsim_cli.photos.fiducials.board_detection import BoardDetection, BoardStatus
 from yamsim_cli.photos.overlay.move_detection import MovedBody, MoveReport, find_moves
-from yamsim_cli.photos.overlay.photo_arm_poses import ArmPose, RigInPhoto
+from yamsim_cli.photos.overlay.photo_arm_poses import ArmBasePose, RigInPhoto
 from yamsim_cli.photos.overlay.photo_cameras import PhotoCamera
 
 LENS = PhotoCamera.from_calibration(CameraModel.from_focal_length(640, 480, 600.0), "file")
@@ -57,14 +57,14 @@ class Series:
         for k, (arm, T_base_in_cam) in enumerate(zip(rig.arms, bases, strict=True)):
             if (number, k) in self.unseen:
                 gone = BoardDetection(arm.board.board_in_metres, (), BoardStatus.NOT_FOUND, "nothing there")
-                arms.append(ArmPose(arm.name, arm.board.name, "not_found", gone))
+                arms.append(ArmBasePose(arm.name, arm.board.name, "not_found", gone))
                 continue
             shift = rng.normal(0, self.noise_m, 3) + (0.05 if (number, k) in self.wrong else 0.0)
             T_board = T_base_in_cam @ arm.T_board_in_base
             turn = rotation_from_vector(rng.normal(0, self.noise_rad, 3))
             seen = pose(T_board[:3, 3] + shift, turn @ T_board[:3, :3])
             sighting = BoardDetection(arm.board.board_in_metres, (1, 2, 3), BoardStatus.OK, T_board_in_cam=seen)
-            arms.append(ArmPose(arm.name, arm.board.name, "ok", sighting, seen @ invert_pose(arm.T_board_in_base)))
+            arms.append(ArmBasePose(arm.name, arm.board.name, "ok", sighting, seen @ invert_pose(arm.T_board_in_base)))
         return RigInPhoto(Path(f"{number:03d}.png"), LENS, "file", tuple(arms), (), time=number / 10)
 
 

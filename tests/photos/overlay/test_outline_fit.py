@@ -17,7 +17,7 @@ from yamsim_cli.core.geometry.se3 import Array, invert_pose, pose, rotation_from
 from yamsim_cli.core.images.image_files import to_grey
 from yamsim_cli.photos.lens_distortion import project_points
 from yamsim_cli.photos.overlay.outline_fit import mask_iou, refine_poses, score_outlines
-from yamsim_cli.photos.overlay.photo_arm_poses import RECORDED, ArmPose, RigInPhoto
+from yamsim_cli.photos.overlay.photo_arm_poses import RECORDED, ArmBasePose, RigInPhoto
 from yamsim_cli.photos.overlay.photo_cameras import PhotoCamera
 from yamsim_cli.photos.overlay.rendered_arms import ArmRenderer
 
@@ -38,7 +38,7 @@ def moved(T: Array, shift: tuple[float, float, float], turn: tuple[float, float,
 
 def with_poses(shot: RigPhoto, poses: dict[int, Array]) -> RigInPhoto:
     """A result whose poses are known to a degree and a centimetre only."""
-    arms = tuple(ArmPose(arm.name, None, RECORDED, None, poses.get(k)) for k, arm in enumerate(shot.rig.arms))
+    arms = tuple(ArmBasePose(arm.name, None, RECORDED, None, poses.get(k)) for k, arm in enumerate(shot.rig.arms))
     return RigInPhoto(Path("p.png"), PhotoCamera.from_calibration(shot.camera, "file"), "file", arms, ())
 
 

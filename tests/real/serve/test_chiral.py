@@ -29,7 +29,7 @@ class Robot:
 
     metadata = {"action_shape": [20]}  # noqa: RUF012
     is_going_home = False
-    now = 0.0
+    sim_time = 0.0
     stopped = ""
 
     def __init__(self) -> None:
@@ -41,7 +41,7 @@ class Robot:
     def camera_frames(self) -> Any:
         return self.shots.newest_frames
 
-    def act(self, numbers: np.ndarray) -> None:
+    def queue_action(self, numbers: np.ndarray) -> None:
         if numbers.shape != (20,) or not np.isfinite(numbers).all():
             raise ValueError("an action has 20 numbers")
         self.told.append(numbers)
@@ -161,7 +161,7 @@ def test_it_tells_what_it_is_and_what_it_sees_in_the_order_of_questions(server: 
 
 def test_a_reset_is_answered_when_the_arms_are_home_and_seen_there(server: ChiralServer, robot: Robot) -> None:
     robot.shots.take(0, sim_time=1.0)
-    robot.is_going_home, robot.now = True, 3.0
+    robot.is_going_home, robot.sim_time = True, 3.0
     one = Client(server)
     one.send(packed({"type": "reset"}))
     turn(server)

@@ -35,7 +35,7 @@ class Arm:
     def joint_pos(self) -> np.ndarray:
         return np.arange(7.0)
 
-    def observations(self) -> dict[str, np.ndarray]:
+    def get_observations(self) -> dict[str, np.ndarray]:
         return {"joint_pos": np.arange(6.0), "gripper_pos": np.array([0.5])}
 
     def command_joint_pos(self, joint_pos: Any) -> None:

@@ -420,10 +420,10 @@ class FullDiskDataset:
         self.attempts: list[AttemptRecord] = []
         self.asked: list[int] = []
 
-    def publish(self, record: EpisodeRecord, files: dict[str, bytes]) -> None:
+    def publish_episode(self, record: EpisodeRecord, files: dict[str, bytes]) -> None:
         raise AssertionError("nothing succeeded")
 
-    def log(self, attempt: AttemptRecord) -> None:
+    def log_attempt(self, attempt: AttemptRecord) -> None:
         self.asked.append(attempt.attempt)
         raise TimeoutError(errno.ETIMEDOUT, "the server does not answer")
 
@@ -437,7 +437,7 @@ class Failing:
     def submit(self, job: SimulatedAttempt) -> None:
         self.jobs.append(job)
 
-    def result(self, timeout: float | None = None) -> tuple[SimulatedAttempt, AttemptPayload]:
+    def next_result(self, timeout: float | None = None) -> tuple[SimulatedAttempt, AttemptPayload]:
         job = self.jobs.pop()
         return job, AttemptPayload(job.attempt, Outcome(False, FailureCause.OFF_TARGET))
 

@@ -115,7 +115,7 @@ def load_config(
     _resolve_references(model, document, (), locations)
     for path, (place, value) in changes.items():
         if path[-1] == REVISION_KEY:
-            _set_revision(document, path[:-1], value, place, locations)
+            _set_robot_revision(document, path[:-1], value, place, locations)
         elif path[-1] == DYNAMICS_KEY:
             _add_dynamics(document, path[:-1], value, place, locations)
         elif len(path) > 1:
@@ -159,7 +159,7 @@ def _single_arm_rig(name: str) -> Document:
     return document
 
 
-def _set_revision(document: Document, path: KeyPath, revision: str, place: str, locations: Locations) -> None:
+def _set_robot_revision(document: Document, path: KeyPath, revision: str, place: str, locations: Locations) -> None:
     for k, (model, _) in _arm_models_and_sides(document, path).items():
         try:
             name = robot_names.other_revision(model, str(revision), locations)

@@ -487,7 +487,7 @@ class ProgramTask(Config):
                 words[f"{role}.preposition"] = next(item.preposition for item in one.of if item.name == kind)
         return words
 
-    def with_arm_sides(self, first: str, second: str) -> ProgramTask:
+    def with_side_words(self, first: str, second: str) -> ProgramTask:
         """Return the task with the sides of its arms, "left" or "right", in its phrasings and its name."""
         words = {"first_arm": first, "second_arm": second}
         return self._fill_placeholders(words, words)

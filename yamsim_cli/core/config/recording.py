@@ -127,7 +127,7 @@ class RecordConfig(Config):
     @model_validator(mode="after")
     def _fill_in_the_arms(self) -> RecordConfig:
         first, second = (self.rig.arms[k].side for k in (self.first_arm, self.second_arm))
-        return self.model_copy(update={"task": self.task.with_arm_sides(first, second)})
+        return self.model_copy(update={"task": self.task.with_side_words(first, second)})
 
     @model_validator(mode="after")
     def _arms_can_grasp(self) -> RecordConfig:

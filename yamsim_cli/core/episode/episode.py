@@ -16,7 +16,7 @@ from ..sim.encoder_readings import delayed_positions, encoder_readings
 from ..sim.sim_world import SimWorld, make_sim_world
 from .episode_rules import EndReason, EndRule, EpisodeEnd, EpisodeRules
 from .grasps import is_weld_active, make_grasp_simulator
-from .held_objects import HeldObjectMonitor
+from .held_objects import HeldObjectSlipMonitor
 from .monitor import StepMonitor, describe_exceeded_limits
 
 # Is called with MuJoCo's state at the start and after every physics step, and must not change it.
@@ -115,7 +115,7 @@ class Episode:
         self.world.store_start()
         self._grasp = make_grasp_simulator(scene, self._rules.weld_reach)
         self._monitor = StepMonitor(scene, timing.physics_steps_per_tick)
-        self._held_monitor = HeldObjectMonitor(scene, self.world)
+        self._held_monitor = HeldObjectSlipMonitor(scene, self.world)
         self._T_at_start = self._object_poses()
         self._ctrl: list[Array] = []
         self._weld_on: list[Sequence[bool]] = []

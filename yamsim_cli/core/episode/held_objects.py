@@ -11,7 +11,7 @@ from ..sim.sim_world import SimWorld
 SETTLED_TICKS = 8  # control ticks of holding after which an object counts as settled; fingers close until then
 
 
-class HeldObjectMonitor:
+class HeldObjectSlipMonitor:
     """Keeps the largest `slip` (m) of settled objects in hands, and `tilt` (rad) of held objects since their grasps."""
 
     def __init__(self, scene: CompiledScene, world: SimWorld) -> None:

@@ -173,7 +173,7 @@ class FilmedTrial:
     path: Path
 
 
-class TrialFilmer(Closable):
+class TrialFrameRenderer(Closable):
     """Base of filmers, which render simulated trials."""
 
     def __init__(self, session: Session) -> None:
@@ -188,7 +188,7 @@ class TrialFilmer(Closable):
         self._simulators.close()
 
 
-class _ExpertFilmer(TrialFilmer):
+class _ExpertFilmer(TrialFrameRenderer):
     def run(self, job: AttemptJob) -> list[bytes]:
         """Return the trial's frames as JPEGs, for any outcome."""
         simulator = self._simulators.get(job)

@@ -62,7 +62,7 @@ class Executor(Protocol[J, R]):
         """Give a job to an idle worker; requires `idle` above 0."""
         ...
 
-    def result(self, timeout: float | None = None) -> tuple[J, R]:
+    def next_result(self, timeout: float | None = None) -> tuple[J, R]:
         """Wait for the next job that finishes, and return the job and its result.
 
         Args:
@@ -91,7 +91,7 @@ class Executor(Protocol[J, R]):
 def run_all(
     executor: Executor[J, R], jobs: Iterable[J], lost: Callable[[LostJobError], R] | None = None
 ) -> Iterator[tuple[J, R]]:
-    """Yield every job with its result, in the order in which jobs finish. Raises as `Executor.result`.
+    """Yield every job with its result, in the order in which jobs finish. Raises as `Executor.next_result`.
 
     `lost` returns the result of a job that ended every worker; with None, the `LostJobError` is raised.
     """
@@ -102,7 +102,7 @@ def run_all(
         if not executor.in_flight:
             return
         try:
-            yield executor.result()
+            yield executor.next_result()
         except LostJobError as error:
             if lost is None:
                 raise
@@ -131,7 +131,7 @@ class InlineExecutor(Closable, Generic[J, R]):
         """Keep a job until its result is requested."""
         self._waiting.append(job)
 
-    def result(self, timeout: float | None = None) -> tuple[J, R]:
+    def next_result(self, timeout: float | None = None) -> tuple[J, R]:
         """Run the waiting job, and return the job and its result; `timeout` is ignored."""
         job = self._waiting.popleft()
         return job, self._runner.run(job)

@@ -158,7 +158,7 @@ class BaseWorkerPool(Closable, Generic[J, R]):
         self._assign_jobs()
 
     def result(self, timeout: float | None = None) -> tuple[J, R]:
-        """See `Executor.result`."""
+        """See `Executor.next_result`."""
         end = math.inf if timeout is None else time.monotonic() + timeout
         while not self._done:
             assert self.in_flight, "nothing was submitted"

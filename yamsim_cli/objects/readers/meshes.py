@@ -270,7 +270,7 @@ def _with_material(surface: Surface, material: SurfaceMaterial) -> Surface:
     return replace(surface, material=material)
 
 
-def plain_material(folder: ConfinedFolder, rgba: Sequence[float], texture: str, base: Path) -> SurfaceMaterial:
+def make_material(folder: ConfinedFolder, rgba: Sequence[float], texture: str, base: Path) -> SurfaceMaterial:
     """Return a material with a colour and the texture `texture`, if it names an image."""
     red, green, blue, alpha = (min(1.0, max(0.0, value)) for value in (*rgba, 1.0, 1.0, 1.0, 1.0)[:4])
     colour: Rgba = (red, green, blue, alpha if len(rgba) > 3 else 1.0)

@@ -30,7 +30,7 @@ from .kinematic_tree import (
 from .mesh_headers import check_header
 from .meshes import MAX_FACES
 from .object_parts import ObjectDescription, Surface, SurfaceMaterial
-from .primitive_shapes import collision_shape, visual_surface
+from .primitive_shapes import collision_shape, primitive_surface
 from .textures import encode_png_texture, open_image
 from .untrusted_xml import Element, parse_untrusted_xml
 
@@ -154,7 +154,7 @@ def _describe_link(model: mujoco.MjModel, body: int, name: str, notes: list[str]
             continue
         size = model.geom_size[geom, : _SIZE_COUNTS[kind]].copy() if kind else np.zeros(0)
         if geom in only_seen or not only_seen:
-            surface = visual_surface(kind, size, _geom_material(model, geom)) if kind else _mesh_surface(model, geom)
+            surface = primitive_surface(kind, size, _geom_material(model, geom)) if kind else _mesh_surface(model, geom)
             link.visual_surfaces.append(surface.transform(T))
         if touch:
             link.shapes.append(

@@ -64,10 +64,10 @@ def collision_shape(kind: str, size: Array, T: Array) -> Mapping[str, Any] | Sur
             yaw = math.degrees(math.atan2(R[1, first], R[0, first]))
             half = [float(size[k]) for k in (first, (up + 2) % 3, up)]
             return {"type": "box", "centre": centre, "half_size": half, "yaw_deg": round(yaw, 6)}
-    return visual_surface(kind, size, SurfaceMaterial()).transform(T)
+    return primitive_surface(kind, size, SurfaceMaterial()).transform(T)
 
 
-def visual_surface(kind: str, size: Array, material: SurfaceMaterial) -> Surface:
+def primitive_surface(kind: str, size: Array, material: SurfaceMaterial) -> Surface:
     """Return a centred primitive's surface. Raises `RefusedError` for absurd sizes."""
     if not all(1e-6 <= length <= 1e4 for length in size):
         raise RefusedError("impossible", f"it has a primitive of size {' x '.join(f'{length:g}' for length in size)}")

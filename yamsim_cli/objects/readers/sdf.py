@@ -23,9 +23,9 @@ from .kinematic_tree import (
     joint_range,
     make_mass_properties,
 )
-from .meshes import mesh_surfaces, plain_material
+from .meshes import make_material, mesh_surfaces
 from .object_parts import MassProperties, ObjectDescription, Surface, SurfaceMaterial
-from .primitive_shapes import collision_shape, visual_surface
+from .primitive_shapes import collision_shape, primitive_surface
 from .untrusted_xml import Element, inertia_matrix, parse_number, parse_numbers, parse_untrusted_xml, rotation_from_rpy
 
 _MAX_INCLUDE_DEPTH = 8  # levels of included models
@@ -121,7 +121,7 @@ class _ModelReader:
         if found is None:
             self.notes.append(f"left out: {', '.join(child.tag for child in geometry) or 'an empty geometry'}")
             return []
-        return [visual_surface(*found, material or SurfaceMaterial())]
+        return [primitive_surface(*found, material or SurfaceMaterial())]
 
     def _read_mesh(self, mesh: Element, material: SurfaceMaterial | None) -> list[Surface]:
         scale = parse_numbers(mesh.findtext("scale"), 3, (1.0, 1.0, 1.0))
@@ -188,7 +188,7 @@ class _ModelReader:
         if not albedo and diffuse is None:
             return None
         colour = parse_numbers(diffuse, len((diffuse or "1 1 1 1").split()), (1.0,) * 4)
-        return plain_material(self._folder, colour, albedo, self._base)
+        return make_material(self._folder, colour, albedo, self._base)
 
 
 def _read_mass_properties(inertial: Element | None) -> MassProperties | None:

@@ -16,9 +16,9 @@ from yamsim_cli.core.files.untrusted.refusals import RefusedError
 from yamsim_cli.core.geometry.se3 import Array, pose
 
 from .kinematic_tree import JointDescription, LinkDescription, build_parts, joint_range, make_mass_properties
-from .meshes import mesh_surfaces, plain_material
+from .meshes import make_material, mesh_surfaces
 from .object_parts import MassProperties, ObjectDescription, Surface, SurfaceMaterial
-from .primitive_shapes import collision_shape, visual_surface
+from .primitive_shapes import collision_shape, primitive_surface
 from .untrusted_xml import Element, inertia_matrix, parse_number, parse_numbers, parse_untrusted_xml, rotation_from_rpy
 
 _JOINT_TYPES = {"revolute": "hinge", "continuous": "hinge", "prismatic": "slide"}
@@ -83,7 +83,7 @@ def _read_material(element: Element, folder: ConfinedFolder, base: Path) -> Surf
     if colour is None and texture is None:
         return None
     rgba = parse_numbers(None if colour is None else colour.get("rgba"), 4, (1.0,) * 4)
-    return plain_material(folder, rgba, "" if texture is None else texture.get("filename", ""), base)
+    return make_material(folder, rgba, "" if texture is None else texture.get("filename", ""), base)
 
 
 def _read_link(
@@ -117,7 +117,7 @@ def _visual_surfaces(
         scale = parse_numbers(mesh.get("scale"), 3, (1.0, 1.0, 1.0))
         return mesh_surfaces(folder, mesh.get("filename", ""), base, scale, material)
     found = _read_primitive(element)
-    return [] if found is None else [visual_surface(*found, material or SurfaceMaterial())]
+    return [] if found is None else [primitive_surface(*found, material or SurfaceMaterial())]
 
 
 def _read_primitive(element: Element) -> tuple[str, Array] | None:

@@ -40,7 +40,7 @@ from .fitting.pose_alignment import (
 from .fitting.pose_fits import PoseFit, fit_pose, initial_poses
 from .fitting.print_view import PrintPiece, whole_board_piece
 from .markers import DetectedMarker, find_markers, group_markers
-from .recognition.board_recognizer import BoardRecognizer
+from .recognition.board_recognizer import BoardRedetector
 
 Grey = NDArray[np.uint8]
 
@@ -69,7 +69,7 @@ def locate_boards(
     markers = find_markers(grey, sorted({board.dictionary for board in boards}))
     photo = grey.astype(np.float32)
     sightings = [_locate_read_board(photo, camera, board, markers, limits) for board in boards]
-    recognizer = BoardRecognizer(grey, photo, camera, len(boards), limits)
+    recognizer = BoardRedetector(grey, photo, camera, len(boards), limits)
     located = [seen.status is BoardStatus.OK for seen in sightings]
     for k, seen in enumerate(sightings):
         if seen.status is not BoardStatus.OK and not seen.is_duplicated:

@@ -17,7 +17,7 @@ import numpy as np
 from yamsim_cli.core.geometry.se3 import Array, invert_pose, pose, rotation_from_vector, rotation_vector
 
 from ..fiducials.board_detection import BoardStatus
-from .photo_arm_poses import ArmPose, RigInPhoto
+from .photo_arm_poses import ArmBasePose, RigInPhoto
 
 # Smallest reported move; an arm in front of its board shifts the estimate by part of it.
 _MIN_SHIFT = 5e-4  # m
@@ -190,7 +190,7 @@ def _board_track(results: Sequence[RigInPhoto], k: int) -> _BoardTrack | None:
     return _BoardTrack(k, photos, boards, bases, np.median(noise, axis=0))
 
 
-def _photo_noise(arm: ArmPose) -> Array:
+def _photo_noise(arm: ArmBasePose) -> Array:
     """Return sigmas (6,) of a board's pose, rad and m, without errors that all photos share."""
     seen = arm.detection
     least = np.array([_NOISE_TURN] * 3 + [_NOISE_SHIFT] * 3)

@@ -24,7 +24,7 @@ from ..edge_alignment import (
 )
 from ..fiducials.board_localization import with_pose
 from .joint_files import ArmPostures
-from .photo_arm_poses import ArmPose, RigInPhoto
+from .photo_arm_poses import ArmBasePose, RigInPhoto
 from .rendered_arms import ArmRenderer, PinholeArms
 
 _MIN_POINTS = 20  # points of an outline; with fewer, it does not move a pose
@@ -96,7 +96,9 @@ def _arm_edge_equations(
     return edge_equations(line, depth, offsets, flat.intrinsics.K, centre, edge_sigma=grain_px(flat_grey.shape))
 
 
-def _with_refined_pose(arm: ArmPose, T_base_in_cam: Array, grey: NDArray[np.uint8], camera: CameraModel) -> ArmPose:
+def _with_refined_pose(
+    arm: ArmBasePose, T_base_in_cam: Array, grey: NDArray[np.uint8], camera: CameraModel
+) -> ArmBasePose:
     seen = arm.detection
     if seen is not None and seen.T_board_in_cam is not None:
         assert arm.T_base_in_cam is not None
@@ -105,7 +107,7 @@ def _with_refined_pose(arm: ArmPose, T_base_in_cam: Array, grey: NDArray[np.uint
     return replace(arm, T_base_in_cam=T_base_in_cam, detection=seen)
 
 
-def _pose_prior(arms: Sequence[ArmPose]) -> tuple[Array, Array]:
+def _pose_prior(arms: Sequence[ArmBasePose]) -> tuple[Array, Array]:
     """Return a point (3,) in the camera frame, and the pose's inverse covariance (6, 6) about it."""
     for arm in arms:
         seen = arm.detection

@@ -14,7 +14,7 @@ from yamsim_cli.core.files.writing import write_output
 from yamsim_cli.core.geometry.se3 import Array, invert_pose
 
 from .move_detection import DetectedMove, MoveReport
-from .photo_arm_poses import INFERRED, RECORDED, ArmPose, RigInPhoto
+from .photo_arm_poses import INFERRED, RECORDED, ArmBasePose, RigInPhoto
 
 REPORT_NAME = "overlay.json"
 
@@ -159,7 +159,7 @@ def _result_data(result: RigInPhoto, rig: RigConfig) -> dict[str, Any]:
     }
 
 
-def _arm_data(arm: ArmPose) -> dict[str, Any]:
+def _arm_data(arm: ArmBasePose) -> dict[str, Any]:
     seen = arm.detection
     return {
         "name": arm.name,

@@ -36,7 +36,7 @@ _MIN_SIZE_DIFFERENCE = 0.01  # smallest reported difference, relative to the rig
 
 
 @dataclass(frozen=True)
-class ArmPose:
+class ArmBasePose:
     """The pose of one arm in a photo.
 
     Attributes:
@@ -77,7 +77,7 @@ class RigInPhoto:
     path: Path
     lens: PhotoCamera
     joints_source: str
-    arms: tuple[ArmPose, ...]
+    arms: tuple[ArmBasePose, ...]
     ids: tuple[int, ...]
     T_arm2_in_arm1: Array | None = None
     margin: float | None = None
@@ -124,11 +124,11 @@ def find_arms(
     arms = []
     for arm in rig.arms:
         if arm.board is None:
-            arms.append(ArmPose(arm.name, None, NO_BOARD))
+            arms.append(ArmBasePose(arm.name, None, NO_BOARD))
             continue
         seen = by_board[arm.board.board_in_metres.name]
         T = None if seen.T_board_in_cam is None else seen.T_board_in_cam @ invert_pose(arm.T_board_in_base)
-        arms.append(ArmPose(arm.name, arm.board.name, seen.status, seen, T))
+        arms.append(ArmBasePose(arm.name, arm.board.name, seen.status, seen, T))
     notes = _reprojection_notes(arms)
     arms = _drop_inconsistent_sizes(rig, arms)
     ids = tuple(sorted_marker_ids(markers))
@@ -144,13 +144,13 @@ def _T_board_in_world(rig: RigConfig, k: int) -> Array:
     return T
 
 
-def _located_boards(arms: Sequence[ArmPose]) -> list[tuple[int, BoardDetection]]:
+def _located_boards(arms: Sequence[ArmBasePose]) -> list[tuple[int, BoardDetection]]:
     return [
         (k, arm.detection) for k, arm in enumerate(arms) if arm.detection and arm.detection.status is BoardStatus.OK
     ]
 
 
-def _drop_inconsistent_sizes(rig: RigConfig, arms: list[ArmPose]) -> list[ArmPose]:
+def _drop_inconsistent_sizes(rig: RigConfig, arms: list[ArmBasePose]) -> list[ArmBasePose]:
     """Drop two arms' poses if their prints cannot both have the rig's sizes."""
     for (k, one), (j, two) in itertools.combinations(_located_boards(arms), 2):
         ratio = _size_ratio(one, two, _T_board_in_world(rig, k), _T_board_in_world(rig, j))
@@ -204,7 +204,7 @@ def _without_pose(detection: BoardDetection) -> BoardDetection:
     return replace(detection, T_board_in_cam=None, covariance=None, shared_errors=None)
 
 
-def _with_other_pose(arm: ArmPose, status: str, T_base_in_cam: Array) -> ArmPose:
+def _with_other_pose(arm: ArmBasePose, status: str, T_base_in_cam: Array) -> ArmBasePose:
     sighting = arm.detection and _without_pose(arm.detection)
     return replace(arm, status=status, detection=sighting, T_base_in_cam=T_base_in_cam)
 
@@ -218,7 +218,7 @@ def _with_recorded_poses(rig: RigConfig, result: RigInPhoto, T_first_base_in_cam
     return replace(result, arms=arms)
 
 
-def _reprojection_notes(arms: Sequence[ArmPose]) -> tuple[str, ...]:
+def _reprojection_notes(arms: Sequence[ArmBasePose]) -> tuple[str, ...]:
     return tuple(
         f"{arm.name}'s markers lie {rms:.2f} px from where its pose puts them: check the camera's distortion, and the "
         "rig's marker_length_mm and gap_mm against the print"
@@ -248,7 +248,7 @@ def _with_margin(rig: RigConfig, result: RigInPhoto) -> RigInPhoto:
     return replace(result, T_arm2_in_arm1=measured, margin=margin, margin_sigma=sigma, notes=notes)
 
 
-def _margin_sigma(one: ArmPose, two: ArmPose, direction: Array) -> float:
+def _margin_sigma(one: ArmBasePose, two: ArmBasePose, direction: Array) -> float:
     """Return the sigma (m) of two bases' distance along a direction (3,) of the camera frame."""
     variance, scales = 0.0, []
     for arm in (one, two):

@@ -16,7 +16,7 @@ from yamsim_cli.core.episode.execution import simulate_actions
 from yamsim_cli.core.episode.simulator import sample_roles_for
 from yamsim_cli.core.episode.trials import (
     FilmedTrial,
-    TrialFilmer,
+    TrialFrameRenderer,
     TrialVideoWriter,
     count_outcomes,
     describe_run,
@@ -173,7 +173,7 @@ class _FilmJob:
     actions: ActionSequence
 
 
-class PolicyFilmer(TrialFilmer):
+class PolicyFilmer(TrialFrameRenderer):
     """Films trials of a policy by simulating the recorded actions again."""
 
     def run(self, film: _FilmJob) -> list[bytes]:

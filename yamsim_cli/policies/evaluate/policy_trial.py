@@ -162,7 +162,7 @@ class TrialRunner(Closable):
                     answer = self._request_answer(observer.observe(episode, attempt, renderer), renderer)
                     seconds.append(self._caller.seconds)
                     scheduler.add_chunk(read_chunk(answer, *observer.drive_shape), episode.ticks, self._caller.seconds)
-                ctrl, magnet = scheduler.next_command(episode.ticks)
+                ctrl, magnet = scheduler.command_at(episode.ticks)
                 episode.step(ctrl, magnet)
         except InvalidActionError as error:
             return TrialEnd.INVALID, PolicyFault(str(error))

@@ -118,7 +118,7 @@ def _arm_motions(columns: Mapping[str, Array], rig: RigConfig, path: Path) -> tu
     motions = []
     for side, k in zip(motion_sides(rig), rig.recording_order, strict=True):
         joints = rig.arms[k].robot.joint_names
-        measured = _joint_columns(columns, _POSITION, side, joints, path)
+        measured = _stack_joint_values(columns, _POSITION, side, joints, path)
         if measured is None:
             raise DatasetError(
                 f"{path}: has no column {_column_name(_POSITION, side, joints[0])!r}; its columns are "
@@ -128,10 +128,10 @@ def _arm_motions(columns: Mapping[str, Array], rig: RigConfig, path: Path) -> tu
             ArmMotion(
                 side,
                 measured,
-                _joint_columns(columns, _COMMAND, side, joints, path),
+                _stack_joint_values(columns, _COMMAND, side, joints, path),
                 columns.get(_column_name(_POSITION, side, _GRIPPER)),
                 columns.get(_column_name(_COMMAND, side, _GRIPPER)),
-                _joint_columns(columns, _VELOCITY, side, joints, path),
+                _stack_joint_values(columns, _VELOCITY, side, joints, path),
             )
         )
     return tuple(motions)
@@ -148,7 +148,7 @@ def _normalized_column_name(name: str, arms: Sequence[str]) -> str:
     return _column_name(kind, side, joint) if side in arms and kind in (_COMMAND, _POSITION, _VELOCITY) else name
 
 
-def _joint_columns(
+def _stack_joint_values(
     columns: Mapping[str, Array], kind: str, side: str, joints: Sequence[str], path: Path
 ) -> Array | None:
     names = [_column_name(kind, side, joint) for joint in joints]

@@ -136,7 +136,7 @@ def _lowdim_recording(folder: Path, rig: RigConfig) -> Recording:
     times = _frame_times(folder, frames, cameras)
     joints = _frame_rows(frames, "joints", files, rig)
     commands = _frame_rows(frames, "action_joints", files, rig) if "action_joints" in frames[0] else None
-    texts = [_first_text(frames[0].get(key)) for key in ("language_prompt", "language_task")]
+    texts = [_text_from_array(frames[0].get(key)) for key in ("language_prompt", "language_task")]
     samples = np.arange(len(times), dtype=np.int64)
     return Recording(
         RecordedMotion(str(folder), times, split_arms(joints, commands, rig)),
@@ -149,7 +149,7 @@ def _lowdim_recording(folder: Path, rig: RigConfig) -> Recording:
     )
 
 
-def _first_text(value: object) -> str:
+def _text_from_array(value: object) -> str:
     texts = np.asarray("" if value is None else value).ravel()
     return str(texts[0]) if len(texts) and texts.dtype.kind == "U" else ""
 

@@ -112,7 +112,7 @@ class JointController:
         for motor, *law in zip(
             self._motors, angles, speeds, kp, kd, self._plant.gravity_torques(self._number), strict=True
         ):
-            motor.drive(MitCommand(*map(float, law)), self._plant.sim_time)
+            motor.apply_command(MitCommand(*map(float, law)), self._plant.sim_time)
 
     def _finite_vector(self, what: str, given: Any) -> Array:
         try:

@@ -146,7 +146,7 @@ class AttemptWriter(Closable):
     def _wait_for_payload(self) -> AttemptPayload | None:
         while not self._ended.is_set():
             try:
-                return self._executor.result(_POLL_SECONDS)[1]
+                return self._executor.next_result(_POLL_SECONDS)[1]
             except TimeoutError:
                 continue
         return None

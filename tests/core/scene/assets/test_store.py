@@ -13,14 +13,14 @@ def publish(world, contents) -> Path:
 
 def test_an_empty_store_has_nothing_and_says_so(world):
     tiny = world.lock.sets["tiny"]
-    assert world.store.resolve(tiny) is None
+    assert world.store.find_verified_folder(tiny) is None
     assert {state.status for state in world.store.status(tiny)} == {FileStatus.MISSING}
     assert not world.store.root.exists(), "looking must not create anything"
 
 
 def test_a_published_set_resolves_with_its_notice(world, contents):
     folder = publish(world, contents)
-    assert world.store.resolve(world.lock.sets["tiny"]) == folder
+    assert world.store.find_verified_folder(world.lock.sets["tiny"]) == folder
     assert {path.name for path in folder.iterdir()} == {"part.stl", "tip.stl", "tiny.txt"}
     assert (folder / "tiny.txt").read_text() == "the notice"
     assert {path.name for path in world.store.root.iterdir()} == {folder.name, ".lock"}
@@ -31,7 +31,7 @@ def test_a_changed_byte_is_found(world, contents, damage):
     folder = publish(world, contents)
     (folder / "tip.stl").write_bytes(damage)
     tiny = world.lock.sets["tiny"]
-    assert world.store.resolve(tiny) is None
+    assert world.store.find_verified_folder(tiny) is None
     assert [(state.name, state.status) for state in world.store.status(tiny)] == [
         ("part.stl", FileStatus.OK),
         ("tip.stl", FileStatus.CHANGED),
@@ -42,7 +42,7 @@ def test_what_is_no_regular_file_is_never_opened(world, contents):
     folder = publish(world, contents)
     (folder / "tip.stl").unlink()
     os.mkfifo(folder / "tip.stl")  # opening it would wait for ever
-    assert world.store.resolve(world.lock.sets["tiny"]) is None
+    assert world.store.find_verified_folder(world.lock.sets["tiny"]) is None
     assert world.store.status(world.lock.sets["tiny"])[1].status is FileStatus.CHANGED
 
 
@@ -60,7 +60,7 @@ def test_a_damaged_set_is_replaced_whole(world, contents):
     (folder / "tip.stl").write_bytes(b"junk")
     (folder / "stray.stl").write_bytes(b"junk")
     assert publish(world, contents) == folder
-    assert world.store.resolve(world.lock.sets["tiny"]) == folder
+    assert world.store.find_verified_folder(world.lock.sets["tiny"]) == folder
     assert not (folder / "stray.stl").exists()
 
 
@@ -70,14 +70,14 @@ def test_files_put_there_by_hand_count(world, contents, place):
     folder.mkdir(parents=True)
     for name, data in contents.items():
         (folder / name).write_bytes(data)
-    assert world.store.resolve(world.lock.sets["tiny"]) == folder
+    assert world.store.find_verified_folder(world.lock.sets["tiny"]) == folder
 
 
 def test_a_half_filled_folder_does_not_count_and_its_state_is_told(world, contents):
     (world.store.root / "tiny").mkdir(parents=True)
     (world.store.root / "tiny/part.stl").write_bytes(contents["part.stl"])
     tiny = world.lock.sets["tiny"]
-    assert world.store.resolve(tiny) is None
+    assert world.store.find_verified_folder(tiny) is None
     assert [state.status for state in world.store.status(tiny)] == [FileStatus.OK, FileStatus.MISSING]
     assert world.store.status(tiny)[0].path == world.store.root / "tiny/part.stl"
 
@@ -107,9 +107,9 @@ def test_publishing_is_all_or_nothing(world, contents, owner, call, monkeypatch)
             else:
                 break
         # If flushing the parent failed, the set is complete already.
-        assert (world.store.resolve(tiny) is not None) == world.store.directory(tiny).exists()
+        assert (world.store.find_verified_folder(tiny) is not None) == world.store.directory(tiny).exists()
     assert failures > 0, "the fault was never injected"
-    assert world.store.resolve(tiny) is not None
+    assert world.store.find_verified_folder(tiny) is not None
 
 
 def test_files_outside_the_lock_are_not_published(world, contents):

@@ -80,6 +80,6 @@ class CameraConfig(Config):
         return read_camera(path)
 
     @classmethod
-    def paths_in_file(cls, path: Path) -> tuple[Path, ...]:
+    def config_paths_in_file(cls, path: Path) -> tuple[Path, ...]:
         """Return `FILE:CAMERA` for each named camera in a file. Raises as `cameras_in_file`."""
         return cameras_in_file(path)

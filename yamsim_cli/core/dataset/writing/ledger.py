@@ -99,7 +99,7 @@ class Ledger:
                 )
                 self._store_line(adopted, to_json(adopted))
         self._check_order()
-        self._drop_after_gap()
+        self._drop_failures_after_gap()
         self.known_attempts = dict(sorted(self.known_attempts.items()))
 
     def _check_order(self) -> None:
@@ -110,7 +110,7 @@ class Ledger:
                 f"{self._file.parent} has episodes that are not in the order of their attempts; it cannot be resumed"
             )
 
-    def _drop_after_gap(self) -> None:
+    def _drop_failures_after_gap(self) -> None:
         """Drop failed attempts after a gap if no episode follows them. They are simulated again if needed."""
         last = max(
             (number for number, attempt in self.known_attempts.items() if attempt.episode is not None), default=-1

@@ -21,7 +21,7 @@ class Config(BaseModel):
         return load_yaml(path)
 
     @classmethod
-    def paths_in_file(cls, path: Path) -> tuple[Path, ...]:
+    def config_paths_in_file(cls, path: Path) -> tuple[Path, ...]:
         """Return the paths to pass to `read_document`, one for each config in a file."""
         return (path,)
 

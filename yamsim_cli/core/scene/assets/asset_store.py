@@ -70,7 +70,7 @@ class AssetStore:
 
     root: Path
 
-    def set_directory(self, assets: AssetSet) -> Path:
+    def folder_of_set(self, assets: AssetSet) -> Path:
         """Return the folder in which the set is published."""
         return self.root / assets.directory_name
 
@@ -151,7 +151,7 @@ class AssetStore:
         return self.root / ".staging"
 
     def _candidate_folders(self, assets: AssetSet) -> tuple[Path, Path, Path]:
-        return self.set_directory(assets), self.root / assets.name, self.root
+        return self.folder_of_set(assets), self.root / assets.name, self.root
 
 
 def _count_files_with_status(files: tuple[FileState, ...], status: FileStatus) -> int:

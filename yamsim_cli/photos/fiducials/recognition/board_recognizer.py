@@ -68,7 +68,7 @@ _MAX_MOTION_RATIO = 0.85  # squared residuals with motion over those with blur; 
 _COMPARISON_BLUR = BlurKernel(_BLUR_SIGMAS[1])
 
 
-class BoardRecognizer:
+class BoardRedetector:
     """Recognizes boards in one photo by their bits.
 
     Args:
