@@ -72,7 +72,7 @@ def test_large_answers_leave_nothing_behind() -> None:
         used = []
         for k in range(400):
             pool.submit(f"large:{3_000_000 + 5000 * (k % 97)}")
-            assert pool.result()[1]
+            assert pool.next_result()[1]
             if k in (100, 399):
                 used.append([resident_mb(pid) for pid in (os.getpid(), *workers_of(os.getpid()))])
     before, after = used

@@ -33,7 +33,7 @@ def look(world: AssetFixture, local_pip: None, monkeypatch: pytest.MonkeyPatch) 
 
 def test_missing_meshes_are_fetched_once(look: Look, world: AssetFixture) -> None:
     meshes, told = look()
-    assert meshes["tiny"] == world.store.set_directory(world.lock.sets["tiny"])
+    assert meshes["tiny"] == world.store.folder_of_set(world.lock.sets["tiny"])
     assert told == ["The meshes of tiny are being fetched, which is done once."]
     assert look() == (meshes, [])
 

@@ -56,25 +56,25 @@ class TestOnACluster:
         with open_pool() as pool:
             assert dict(run_all(pool, range(10))) == {k: k * k for k in range(10)}
             pool.submit("pid")
-            assert pool.result()[1] != os.getpid()
+            assert pool.next_result()[1] != os.getpid()
 
     def test_errors_and_bugs_reach_the_caller(self, open_pool: Any) -> None:
         with open_pool(1) as pool:
             pool.submit("error")
             with pytest.raises(SimulationError, match="the toy is broken"):
-                pool.result()
+                pool.next_result()
             pool.submit("bug")
             with pytest.raises(WorkerBugError, match="ZeroDivisionError: nobody expected"):
-                pool.result()
+                pool.next_result()
 
     @pytest.mark.parametrize("job", ["die", "sleep"])
     def test_a_job_that_ends_every_actor_is_given_up_and_the_rest_goes_on(self, open_pool: Any, job: str) -> None:
         with open_pool(2, job_seconds=1.0) as pool:
             pool.submit(job)
             with pytest.raises(LostJobError, match=f"^{job} "):
-                pool.result()
+                pool.next_result()
             pool.submit(7)
-            assert pool.result() == (7, 49)
+            assert pool.next_result() == (7, 49)
 
     def test_a_node_that_would_draw_otherwise_is_refused_at_the_start(
         self, cluster: Any, config: RecordConfig, locations: Locations
@@ -98,7 +98,7 @@ class TestOnACluster:
     def test_variables_reach_the_actors(self, open_pool: Any) -> None:
         with open_pool(1, environ={"YAMSIM_TOY": "painted"}) as pool:
             pool.submit("variable:YAMSIM_TOY")
-            assert pool.result()[1] == "painted"
+            assert pool.next_result()[1] == "painted"
 
     def test_a_lost_node_costs_only_what_was_in_flight(self, cluster: Any, open_pool: Any) -> None:
         made, nodes = cluster

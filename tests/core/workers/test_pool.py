@@ -71,7 +71,7 @@ def theatre(monkeypatch: pytest.MonkeyPatch) -> FakeBackend:
 def listen(pool: BaseWorkerPool[str, str]) -> None:
     """Hear the whole script."""
     with pytest.raises(TimeoutError):
-        pool.result(1e-3)
+        pool.next_result(1e-3)
 
 
 def test_a_lost_job_is_tried_three_times_each_on_a_new_worker(theatre: FakeBackend) -> None:
@@ -81,7 +81,7 @@ def test_a_lost_job_is_tried_three_times_each_on_a_new_worker(theatre: FakeBacke
             theatre.hear((k, WorkerReady()))
             theatre.hear((k, WorkerDied("fell over")))
         with pytest.raises(LostJobError, match="its worker fell over"):
-            pool.result()
+            pool.next_result()
         assert [puppet.jobs for puppet in theatre.puppets] == [["a"], ["a"], ["a"], []]
         assert (pool.idle, pool.in_flight) == (1, 0)
 
@@ -99,12 +99,12 @@ def test_the_last_try_is_made_alone(theatre: FakeBackend) -> None:
         assert theatre.puppets[3].jobs == [], "b is still at work"
         assert pool.idle == 0, "nothing else may begin"
         theatre.hear((1, JobFinished("B")))
-        assert pool.result() == ("b", "B")
+        assert pool.next_result() == ("b", "B")
         listen(pool)
         assert [puppet.jobs for puppet in theatre.puppets] == [["a"], ["b"], ["a"], ["a"]]
         assert pool.idle == 0
         theatre.hear((3, JobFinished("A")))
-        assert pool.result() == ("a", "A")
+        assert pool.next_result() == ("a", "A")
         assert pool.idle == 2
 
 
@@ -119,7 +119,7 @@ def test_deaths_before_a_worker_is_ready_are_no_jobs_fault(theatre: FakeBackend)
             theatre.hear((k, WorkerDied("x")))
         theatre.hear((5, WorkerReady()))
         theatre.hear((5, JobFinished("A")))
-        assert pool.result() == ("a", "A")
+        assert pool.next_result() == ("a", "A")
 
 
 def test_a_worker_that_does_not_start_is_given_up_and_the_rest_go_on(theatre: FakeBackend) -> None:
@@ -131,9 +131,9 @@ def test_a_worker_that_does_not_start_is_given_up_and_the_rest_go_on(theatre: Fa
         for k in (1, 2, 3):
             theatre.hear((k, WorkerDied("x")))
         theatre.hear((0, JobFinished("A")))
-        assert pool.result() == ("a", "A")
+        assert pool.next_result() == ("a", "A")
         theatre.hear((0, JobFinished("B")))
-        assert pool.result() == ("b", "B")
+        assert pool.next_result() == ("b", "B")
         assert pool.idle == 1
         assert len(theatre.puppets) == 4
 
@@ -144,10 +144,10 @@ def test_a_worker_that_hangs_is_ended_and_replaced(theatre: FakeBackend) -> None
         pool.submit("a")
         listen(pool)
         with pytest.raises(TimeoutError):
-            pool.result(9)
+            pool.next_result(9)
         assert not theatre.puppets[0].killed
         with pytest.raises(TimeoutError):
-            pool.result(2)
+            pool.next_result(2)
         assert theatre.puppets[0].killed
         theatre.hear((1, WorkerReady()))
         listen(pool)
@@ -158,19 +158,19 @@ def test_starting_has_a_limit_of_its_own_and_does_not_count_on_the_job(theatre: 
     with BaseWorkerPool[str, str](theatre, 1, job_seconds=10) as pool:
         pool.submit("a")
         with pytest.raises(TimeoutError):
-            pool.result(START_SECONDS - 1)
+            pool.next_result(START_SECONDS - 1)
         theatre.hear((0, WorkerReady()))
         with pytest.raises(TimeoutError):
-            pool.result(9)
+            pool.next_result(9)
         theatre.hear((0, JobFinished("A")))
-        assert pool.result() == ("a", "A")
+        assert pool.next_result() == ("a", "A")
 
         theatre.puppets[0].deaf = True
         pool.submit("b")
         theatre.hear((0, WorkerDied("x")))
         listen(pool)
         with pytest.raises(TimeoutError):
-            pool.result(START_SECONDS + 1)
+            pool.next_result(START_SECONDS + 1)
         assert theatre.puppets[1].killed
         theatre.hear((2, WorkerReady()))
         listen(pool)
@@ -185,7 +185,7 @@ def test_time_in_which_everything_slept_does_not_count(theatre: FakeBackend) -> 
         listen(pool)
         theatre.script.append((3600.0, []))
         with pytest.raises(TimeoutError):
-            pool.result(5)
+            pool.next_result(5)
         assert not theatre.puppets[0].killed
 
 
@@ -194,7 +194,7 @@ def test_a_worker_that_died_at_rest_costs_the_next_job_nothing(theatre: FakeBack
         theatre.hear((0, WorkerReady()))
         pool.submit("a")
         theatre.hear((0, JobFinished("A")))
-        pool.result()
+        pool.next_result()
         theatre.puppets[0].deaf = True
         pool.submit("b")
         theatre.hear((0, WorkerDied("x")))
@@ -203,7 +203,7 @@ def test_a_worker_that_died_at_rest_costs_the_next_job_nothing(theatre: FakeBack
             theatre.hear((k, WorkerDied("x")))
         theatre.hear((3, WorkerReady()))
         theatre.hear((3, JobFinished("B")))
-        assert pool.result() == ("b", "B")
+        assert pool.next_result() == ("b", "B")
 
 
 def test_what_is_heard_together_with_an_error_is_not_lost(theatre: FakeBackend) -> None:
@@ -213,6 +213,6 @@ def test_what_is_heard_together_with_an_error_is_not_lost(theatre: FakeBackend) 
         pool.submit("b")
         theatre.hear((0, JobFailed(SimulationError("broken"))), (1, JobFinished("B")))
         with pytest.raises(SimulationError):
-            pool.result()
-        assert pool.result() == ("b", "B")
+            pool.next_result()
+        assert pool.next_result() == ("b", "B")
         assert (pool.idle, pool.in_flight) == (2, 0)

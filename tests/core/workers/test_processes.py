@@ -55,42 +55,42 @@ def test_a_lost_job_gets_another_result_among_the_others() -> None:
 def test_an_error_of_the_job_reaches_the_caller_as_it_is_and_the_worker_goes_on() -> None:
     with _pool() as pool:
         pool.submit("pid")
-        before = pool.result()
+        before = pool.next_result()
         pool.submit("error")
         with pytest.raises(SimulationError, match="the toy is broken"):
-            pool.result()
+            pool.next_result()
         pool.submit("pid")
-        assert pool.result() == before
+        assert pool.next_result() == before
 
 
 def test_a_bug_brings_its_own_traceback() -> None:
     with _pool() as pool:
         pool.submit("bug")
         with pytest.raises(WorkerBugError, match=r"on bug:(?s:.*)toy_runners(?s:.*)ZeroDivisionError: nobody expected"):
-            pool.result()
+            pool.next_result()
 
 
 def test_an_answer_that_cannot_travel_is_a_bug() -> None:
     with _pool() as pool:
         pool.submit("lambda")
         with pytest.raises(WorkerBugError, match="pickle"):
-            pool.result()
+            pool.next_result()
 
 
 @pytest.mark.parametrize("died_of", ["kill", "resting"])
 def test_a_dead_worker_is_replaced_and_its_job_tried_again(tmp_path: Path, died_of: str) -> None:
     with _pool() as pool:
         pool.submit("pid")
-        _, pid = pool.result()
+        _, pid = pool.next_result()
         assert isinstance(pid, int)
         if died_of == "kill":
             pool.submit(f"once:{tmp_path / 'flag'}")
-            assert pool.result()[1] == f"once:{tmp_path / 'flag'} again"
+            assert pool.next_result()[1] == f"once:{tmp_path / 'flag'} again"
         else:
             os.kill(pid, signal.SIGKILL)
             assert _gone_within(pid, 10)
         pool.submit("pid")
-        assert pool.result()[1] != pid
+        assert pool.next_result()[1] != pid
 
 
 @pytest.mark.parametrize(
@@ -107,10 +107,10 @@ def test_a_job_that_ends_every_worker_is_given_up_and_the_pool_goes_on(job: str,
     with _pool(2, job_seconds=0.2) as pool:
         pool.submit(job)
         with pytest.raises(LostJobError, match=rf"^{job} was given up after 3 tries: its worker {how}") as caught:
-            pool.result()
+            pool.next_result()
         assert caught.value.job == job
         pool.submit(7)
-        assert pool.result() == (7, 49)
+        assert pool.next_result() == (7, 49)
 
 
 def test_a_worker_that_stops_in_the_middle_of_its_answer_is_ended(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -118,13 +118,13 @@ def test_a_worker_that_stops_in_the_middle_of_its_answer_is_ended(monkeypatch: p
     with _pool() as pool:
         pool.submit("half")
         with pytest.raises(LostJobError, match="was killed by SIGKILL"):
-            pool.result()
+            pool.next_result()
 
 
 def test_a_large_answer_arrives_whole() -> None:
     with _pool() as pool:
         pool.submit("large:30000000")
-        assert pool.result()[1] == bytes(30_000_000)
+        assert pool.next_result()[1] == bytes(30_000_000)
 
 
 def test_a_fork_of_a_worker_answers_for_nobody() -> None:
@@ -132,26 +132,26 @@ def test_a_fork_of_a_worker_answers_for_nobody() -> None:
     with _pool() as pool:
         for job, result in (("fork", "forked"), (3, 9), ("fork", "forked"), (4, 16)):
             pool.submit(job)
-            assert pool.result() == (job, result)
+            assert pool.next_result() == (job, result)
 
 
 def test_a_fork_that_exits_keeps_its_exit_code() -> None:
     with _pool() as pool:
         pool.submit("fork and exit")
-        assert pool.result()[1] == 5
+        assert pool.next_result()[1] == 5
 
 
 def test_answers_of_other_processes_and_for_other_jobs_are_refused() -> None:
     with _pool() as pool:
         for number in (1, 2):
             pool.submit(f"forge:{number}")
-            assert pool.result()[1] == "true"
+            assert pool.next_result()[1] == "true"
 
 
 def test_leaving_ends_workers_in_the_middle_of_a_job() -> None:
     with _pool() as pool:
         pool.submit("pid")
-        _, pid = pool.result()
+        _, pid = pool.next_result()
         assert isinstance(pid, int)
         pool.submit("sleep")
     assert not _alive(pid)
@@ -161,12 +161,12 @@ def test_what_stops_the_parent_does_not_stop_a_worker() -> None:
     """Ctrl-C reaches the whole process group, SIGTERM a whole cluster job."""
     with _pool() as pool:
         pool.submit("pid")
-        _, pid = pool.result()
+        _, pid = pool.next_result()
         assert isinstance(pid, int)
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
             os.kill(pid, number)
         pool.submit("pid")
-        assert pool.result()[1] == pid
+        assert pool.next_result()[1] == pid
 
 
 def test_a_worker_that_is_only_just_starting_is_deaf_to_ctrl_c() -> None:
@@ -177,25 +177,25 @@ def test_a_worker_that_is_only_just_starting_is_deaf_to_ctrl_c() -> None:
         assert pid is not None
         os.kill(pid, signal.SIGINT)
         pool.submit("pid")
-        assert pool.result()[1] == pid
+        assert pool.next_result()[1] == pid
 
 
 def test_a_runner_that_cannot_be_made_is_reported() -> None:
     with ProcessPool[int, object](functools.partial(ToyRunner, "no argument", "too many"), 1) as pool:  # type: ignore[call-arg]
         pool.submit(1)
         with pytest.raises(WorkerBugError, match="TypeError"):
-            pool.result()
+            pool.next_result()
     with ProcessPool[int, object](functools.partial(ToyRunner, "refuse"), 2) as pool:
         pool.submit(1)
         with pytest.raises(ResourceError, match=r"^no toys here$"):
-            pool.result()
+            pool.next_result()
 
 
 def test_workers_that_die_while_starting_are_not_replaced_for_ever() -> None:
     with ProcessPool[int, object](functools.partial(ToyRunner, "die"), 2) as pool:
         pool.submit(1)
         with pytest.raises(PartialJobError, match=r"do not start: .* the last one ended with code 9"):
-            pool.result()
+            pool.next_result()
 
 
 def _parent(tmp_path: Path, last_words: str) -> subprocess.Popen[str]:
@@ -206,7 +206,7 @@ def _parent(tmp_path: Path, last_words: str) -> subprocess.Popen[str]:
         "if __name__ == '__main__':\n"
         "    pool = ProcessPool(ToyRunner, 1)\n"
         "    pool.submit('pid')\n"
-        "    print(pool.result()[1], flush=True)\n"
+        "    print(pool.next_result()[1], flush=True)\n"
         "    pool.submit('sleep')\n"
         f"    {last_words}\n"
     )

@@ -30,7 +30,7 @@ class Robot:
     metadata = {"action_shape": [20]}  # noqa: RUF012
     is_going_home = False
     sim_time = 0.0
-    stopped = ""
+    stop_reason = ""
 
     def __init__(self) -> None:
         self.shots = FakeRenderProcess()
@@ -48,10 +48,10 @@ class Robot:
 
     def reset(self) -> None:
         self.resets += 1
-        self.stopped = ""
+        self.stop_reason = ""
 
     def stop(self, why: str) -> None:
-        self.stopped = why
+        self.stop_reason = why
 
     def observe(self, shot: Any) -> RobotObservation:
         view = CameraView(shot.pictures["top"], np.eye(3), np.eye(4), shot.time_ns)
@@ -186,7 +186,7 @@ def test_actions_are_taken_and_the_arms_stop_when_who_sent_them_goes(
     np.testing.assert_equal(robot.told, [np.full(20, 0.5), np.ones(20)])
     one.socket.close()
     turn(server)
-    assert "has gone" in robot.stopped
+    assert "has gone" in robot.stop_reason
 
 
 def test_a_client_without_actions_may_disconnect(server: ChiralServer, robot: Robot) -> None:
@@ -196,7 +196,7 @@ def test_a_client_without_actions_may_disconnect(server: ChiralServer, robot: Ro
     turn(server)
     one.socket.close()
     turn(server)
-    assert robot.stopped == ""
+    assert robot.stop_reason == ""
 
 
 @pytest.mark.parametrize(

@@ -157,7 +157,7 @@ class BaseWorkerPool(Closable, Generic[J, R]):
         self._waiting.append(_Task(job))
         self._assign_jobs()
 
-    def result(self, timeout: float | None = None) -> tuple[J, R]:
+    def next_result(self, timeout: float | None = None) -> tuple[J, R]:
         """See `Executor.next_result`."""
         end = math.inf if timeout is None else time.monotonic() + timeout
         while not self._done:

@@ -14,7 +14,7 @@ def publish(world, contents) -> Path:
 def test_an_empty_store_has_nothing_and_says_so(world):
     tiny = world.lock.sets["tiny"]
     assert world.store.find_verified_folder(tiny) is None
-    assert {state.status for state in world.store.status(tiny)} == {FileStatus.MISSING}
+    assert {state.status for state in world.store.file_states(tiny)} == {FileStatus.MISSING}
     assert not world.store.root.exists(), "looking must not create anything"
 
 
@@ -32,7 +32,7 @@ def test_a_changed_byte_is_found(world, contents, damage):
     (folder / "tip.stl").write_bytes(damage)
     tiny = world.lock.sets["tiny"]
     assert world.store.find_verified_folder(tiny) is None
-    assert [(state.name, state.status) for state in world.store.status(tiny)] == [
+    assert [(state.name, state.status) for state in world.store.file_states(tiny)] == [
         ("part.stl", FileStatus.OK),
         ("tip.stl", FileStatus.CHANGED),
     ]
@@ -43,7 +43,7 @@ def test_what_is_no_regular_file_is_never_opened(world, contents):
     (folder / "tip.stl").unlink()
     os.mkfifo(folder / "tip.stl")  # opening it would wait for ever
     assert world.store.find_verified_folder(world.lock.sets["tiny"]) is None
-    assert world.store.status(world.lock.sets["tiny"])[1].status is FileStatus.CHANGED
+    assert world.store.file_states(world.lock.sets["tiny"])[1].status is FileStatus.CHANGED
 
 
 def test_a_file_of_the_wrong_size_is_not_read(tmp_path, world, monkeypatch):
@@ -78,8 +78,8 @@ def test_a_half_filled_folder_does_not_count_and_its_state_is_told(world, conten
     (world.store.root / "tiny/part.stl").write_bytes(contents["part.stl"])
     tiny = world.lock.sets["tiny"]
     assert world.store.find_verified_folder(tiny) is None
-    assert [state.status for state in world.store.status(tiny)] == [FileStatus.OK, FileStatus.MISSING]
-    assert world.store.status(tiny)[0].path == world.store.root / "tiny/part.stl"
+    assert [state.status for state in world.store.file_states(tiny)] == [FileStatus.OK, FileStatus.MISSING]
+    assert world.store.file_states(tiny)[0].path == world.store.root / "tiny/part.stl"
 
 
 @pytest.mark.parametrize(("owner", "call"), [(os, "open"), (Path, "mkdir"), (os, "fsync"), (os, "rename")])
@@ -107,7 +107,7 @@ def test_publishing_is_all_or_nothing(world, contents, owner, call, monkeypatch)
             else:
                 break
         # If flushing the parent failed, the set is complete already.
-        assert (world.store.find_verified_folder(tiny) is not None) == world.store.directory(tiny).exists()
+        assert (world.store.find_verified_folder(tiny) is not None) == world.store.folder_of_set(tiny).exists()
     assert failures > 0, "the fault was never injected"
     assert world.store.find_verified_folder(tiny) is not None
 

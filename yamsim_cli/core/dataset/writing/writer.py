@@ -159,7 +159,7 @@ class DatasetWriter(AttemptLog, Closable):
         if self.lost_lines:
             self._ledger = ledger
             numbers = join_ranges(sorted(self.lost_lines))
-            self.repairs.append(f"the line of attempt {numbers} in {LEDGER_FILE} is lost; yamsim makes it again")
+            self.repairs.append(f"the line of attempt {numbers} in {LEDGER_FILE} is lost")
         for number in range(max(ledger.known_attempts, default=-1) + 1):
             self._add_attempt(ledger.known_attempts.get(number) or placeholder_record(number, self._seed))
 
