@@ -266,7 +266,7 @@ def test_the_line_of_a_failure_has_to_be_made_again(with_failures, broken):
         assert writer.lost_lines == {1}
         assert numbers(writer) == [(0, 0), (1, None), (2, 1), (3, 2), (4, None), (5, 3)]
         assert writer.attempts[1].outcome == LOST_LINE_OUTCOME
-        assert writer.repairs[-1] == "the line of attempt 1 in attempts.jsonl is lost; yamsim makes it again"
+        assert writer.repairs[-1] == "the line of attempt 1 in attempts.jsonl is lost"
     writer.log_attempt(failed_attempt(1))
     assert (writer.lost_lines, writer.attempts[1]) == (set(), failed_attempt(1))
     assert (with_failures / "attempts.jsonl").read_bytes() == whole
