@@ -153,7 +153,7 @@ def open_teleop(
         if writer.moved_aside:
             warn(f"What was in {out} is now in {writer.moved_aside}.")
         for repair in writer.repairs:
-            warn(repair.removesuffix(", and made again"))
+            warn(repair.removesuffix(", to be recorded again"))
         for number in sorted(writer.lost_lines):
             # A demonstration cannot be repeated, so write a placeholder record to the ledger.
             writer.log_attempt(writer.attempts[number])
