@@ -18,6 +18,7 @@ from ..closable import Closable
 from ..errors import ResourceError
 from ..geometry.camera import Intrinsics
 from ..images.image import Image
+from .incremental_renderer import IncrementalRenderer
 
 # Id of the process that first used OpenGL; None if none has. Forked processes inherit it, spawned ones do not.
 _opengl_pid: int | None = None
@@ -64,6 +65,7 @@ _MAX_GEOMS = 10_000  # geoms that can be rendered; no scene has as many
 _FONT = mujoco.mjtFontScale.mjFONTSCALE_150.value
 # Plain integers, because NumPy does not accept enums as indices.
 _GEOM, _FLEX = int(mujoco.mjtObj.mjOBJ_GEOM), int(mujoco.mjtObj.mjOBJ_FLEX)
+_SOFTWARE_RENDERERS = ("llvmpipe", "softpipe", "swrast")  # parts of the names of OpenGL implementations without a GPU
 _SEGMENTATION_FLAGS = [int(mujoco.mjtRndFlag.mjRND_SEGMENT), int(mujoco.mjtRndFlag.mjRND_IDCOLOR)]
 
 
@@ -105,13 +107,21 @@ class SceneRenderer(Closable):
         model: the scene. `scene.environment.apply_quality` must have made its offscreen buffer large enough.
         size: width and height of images, px.
         fine: width and height in which colour images are rendered before averaging to `size`; by default `size`.
+        incremental: without a GPU, render only the changed part of a camera's image. The pixels are the same.
 
     Raises:
         ResourceError: OpenGL cannot create a context, or this process was forked from one that had used OpenGL. The
             rendering methods raise the second error too.
     """
 
-    def __init__(self, model: mujoco.MjModel, size: tuple[int, int], fine: tuple[int, int] | None = None) -> None:
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        size: tuple[int, int],
+        fine: tuple[int, int] | None = None,
+        *,
+        incremental: bool = True,
+    ) -> None:
         _enter_opengl()
         self._contexts = _Contexts()
         self._free = weakref.finalize(self, self._contexts.free_contexts)
@@ -135,6 +145,16 @@ class SceneRenderer(Closable):
         self._camera = mujoco.MjvCamera()
         self._camera.type = mujoco.mjtCamera.mjCAMERA_FIXED
         self.description = _opengl_name()
+        # A GPU draws a whole image in less time than the changed part takes to be found.
+        software = any(name in self.description.lower() for name in _SOFTWARE_RENDERERS)
+        self._images: dict[str, Image] = {}
+        self._incremental = self._make_incremental_renderer(fine) if incremental and software else None
+
+    def _make_incremental_renderer(self, size: tuple[int, int]) -> IncrementalRenderer | None:
+        try:
+            return IncrementalRenderer(self._model, self._scene, self._make_context_current(), size)
+        except (AttributeError, RuntimeError):  # OpenGL lacks something
+            return None
 
     def _open_contexts(self, size: tuple[int, int]) -> None:
         self._contexts.gl = mujoco.GLContext(*size)
@@ -155,11 +175,14 @@ class SceneRenderer(Closable):
     def upload_texture(self, texture: int) -> None:
         """Copy the texture with the id `texture` to OpenGL again after its pixels have changed in the model."""
         mujoco.mjr_uploadTexture(self._model, self._make_context_current(), texture)
+        if self._incremental:
+            self._incremental.forget()
 
     def render(self, data: mujoco.MjData, camera: str, out: Image | None = None) -> Image:
         """Render an RGB image (height, width, 3) of the scene in the state `data`, into `out` if given."""
         self._update_scene(data, camera)
-        return self._read_rgb_pixels(out)
+        pixels = self._render_changed_part(data, camera) if self._incremental else None
+        return self._average_pixels(self._render_whole_image() if pixels is None else pixels, out)
 
     def render_geom_ids(self, data: mujoco.MjData, camera: str) -> GeomIds:
         """Render the id of the visible geom at each pixel, as int32 (height, width); -1 for no geom."""
@@ -226,16 +249,33 @@ class SceneRenderer(Closable):
         for view in self._scene.camera:
             view.frustum_width = (view.frustum_top - view.frustum_bottom) / 2 * self._width / self._height
 
-    def _read_rgb_pixels(self, out: Image | None) -> Image:
+    def _render_changed_part(self, data: mujoco.MjData, camera: str) -> Image | None:
+        """Return the camera's image in the fine size, bottom row first; None if only `mjr_render` can draw it."""
+        assert self._incremental is not None
         context = self._make_context_current()
-        image = np.empty((self._height, self._width, 3), np.uint8) if out is None else out
+        box = self._incremental.draw(data, camera)
+        if box is None:
+            return None
+        image = self._images.setdefault(camera, np.empty_like(self._pixels))
+        if not box.is_empty:
+            part = np.empty((box.height, box.width, 3), np.uint8)
+            mujoco.mjr_readPixels(part, None, mujoco.MjrRect(*box), context)
+            image[box.bottom : box.bottom + box.height, box.left : box.left + box.width] = part
+        return image
+
+    def _render_whole_image(self) -> Image:
+        """Return the image in the fine size, bottom row first."""
+        context = self._make_context_current()
         mujoco.mjr_render(self._fine_rect, self._scene, context)
         mujoco.mjr_readPixels(self._pixels, None, self._fine_rect, context)
-        pixels = self._pixels
+        return self._pixels
+
+    def _average_pixels(self, pixels: Image, out: Image | None) -> Image:
+        """Return an image of the fine size, bottom row first, in the final size, top row first; in `out` if given."""
+        image = np.empty((self._height, self._width, 3), np.uint8) if out is None else out
         if pixels.shape != image.shape:
             size = (self._width, self._height)
             pixels = np.asarray(cv2.resize(pixels, size, self._averaged, interpolation=cv2.INTER_AREA), np.uint8)
-        # OpenGL's first row is the lowest.
         cv2.flip(pixels, 0, image)
         return image
 

@@ -1,0 +1,123 @@
+"""Images of which only the changed part is drawn have the same pixels as whole ones."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+
+from yamsim_cli.core.attempt_data import AttemptJob
+from yamsim_cli.core.config.session import Session
+from yamsim_cli.core.episode.execution import simulate_expert
+from yamsim_cli.core.episode.sampling import sample_attempt
+from yamsim_cli.core.episode.simulator import SimulatorCache
+from yamsim_cli.core.geometry.se3 import Array
+from yamsim_cli.core.rendering.incremental_renderer import IncrementalRenderer
+from yamsim_cli.core.rendering.pixel_boxes import Box, Projection, ShadowTable, ShadowVolumes, box_corners, union
+from yamsim_cli.core.rendering.renderer import SceneRenderer
+from yamsim_cli.session_opener import SessionOpener
+
+SIZE = (320, 240)
+
+
+def open_session(**settings: Any) -> Session:
+    opener = SessionOpener({**os.environ, "YAMSIM_ASSETS": os.devnull}, lambda line: None, str)
+    where = opener.find_locations()
+    return Session(opener.load_record_config("default", where, quality="balanced", **settings), where).without_meshes()
+
+
+def draw_all(renderer: SceneRenderer, model: mujoco.MjModel, states: Sequence[Array], cameras: Sequence[str]) -> Array:
+    data, images = mujoco.MjData(model), []
+    for qpos in states:
+        data.qpos[:] = qpos
+        mujoco.mj_forward(model, data)
+        images += [renderer.render(data, camera) for camera in cameras]
+        renderer.render_depth(data, cameras[0])  # which MuJoCo draws in between
+    return np.array(images)
+
+
+@pytest.mark.render
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {"task": "pickplace", "wrist": True, "boards": True},
+        {"task": "handover", "rig": "russet", "wrist": True},
+        {"task": "fold_napkin"},
+        {"task": "tower", "randomize": "default", "seed": 3},
+    ],
+    ids=lambda settings: settings["task"],
+)
+def test_the_pixels_are_those_of_whole_images(settings: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> None:
+    boxes: list[Box | None] = []
+    draw = IncrementalRenderer.draw
+
+    def record_box(self: IncrementalRenderer, data: mujoco.MjData, camera: str) -> Box | None:
+        boxes.append(draw(self, data, camera))
+        return boxes[-1]
+
+    monkeypatch.setattr(IncrementalRenderer, "draw", record_box)
+    with SimulatorCache(open_session(**settings)) as simulators:
+        job = AttemptJob(settings.get("seed", 0), 0)
+        simulator = simulators.get(job)
+        states = [s.qpos for s in simulate_expert(simulator, sample_attempt(simulator, job)).recorded_states[::4]]
+        model, cameras = simulator.scene.model, simulator.scene.cameras
+        fine = simulator.config.render.fine_size(SIZE)
+        images = []
+        for incremental in (True, False):
+            with SceneRenderer(model, SIZE, fine, incremental=incremental) as renderer:
+                images.append(draw_all(renderer, model, states, cameras))
+    np.testing.assert_array_equal(*images)
+    if boxes:  # a GPU draws whole images
+        shares = [box.width * box.height / (fine[0] * fine[1]) for box in boxes[:: len(cameras)] if box is not None]
+        assert len(shares) == len(states)
+        assert np.mean(shares) < 0.7
+
+
+@pytest.mark.render
+def test_an_image_follows_colours_lights_and_the_camera() -> None:
+    with SimulatorCache(open_session(task="pickplace")) as simulators:
+        simulator = simulators.get(AttemptJob(0, 0))
+        model, (camera, *_) = simulator.scene.model, simulator.scene.cameras
+        attempt = sample_attempt(simulator, AttemptJob(0, 0))
+        assert attempt.start is not None
+        states = [attempt.start]
+        fine = simulator.config.render.fine_size(SIZE)
+        with SceneRenderer(model, SIZE, fine) as part, SceneRenderer(model, SIZE, fine, incremental=False) as whole:
+            before = draw_all(part, model, states, [camera])
+            headlight = model.vis.headlight.diffuse
+            for change in (model.mat_rgba, model.light_diffuse, headlight, model.light_dir, model.cam_pos):
+                change += 0.05
+                after = draw_all(part, model, states, [camera])
+                assert (after != before).any()
+                np.testing.assert_array_equal(after, draw_all(whole, model, states, [camera]))
+                before = after
+
+
+def test_a_box_contains_the_projected_points() -> None:
+    matrix = np.array([[2.0, 0, 0, 0], [0, 2.0, 0, 0], [0, 0, 0, 0], [0, 0, -1, 0]])  # looks along -z
+    projection = Projection(matrix, 0, (200, 100), (200, 100), margin=2)
+    corners = box_corners(
+        np.array([[0, 0, 0, 0.1, 0.1, 0.1]] * 2), np.array([[0, 0, -2.0], [0, 0, 2.0]]), np.eye(3)[None]
+    )
+    boxes, bounded = projection.boxes(corners)
+    # The near face is 1.9 m away: 0.1 m are 10.5 px across and 5.3 px along the image.
+    assert boxes[0].tolist() == [87, 42, 113, 58]
+    assert bounded.tolist() == [True, False]
+    assert boxes[1].tolist() == [0, 0, 200, 100]
+    assert union(boxes[:1]) == Box(87, 42, 26, 16)
+    assert union(boxes[:0]).is_empty
+
+
+def test_a_shadow_ends_on_a_table_that_catches_all_of_it() -> None:
+    table = ShadowTable(np.eye(4), np.array([1.0, 1.0, 0.1]))
+    volumes = ShadowVolumes(np.array([0.0, 0.0, -1.0]), -0.8, (table,), margin=0.001)
+    over, beside = (
+        box_corners(np.array([[x, 0, 0.5, 0.1, 0.1, 0.1]]), np.zeros((1, 3)), np.eye(3)[None]) for x in (0.0, 0.95)
+    )
+    assert volumes.corners(over)[0, :, 2].min() == pytest.approx(0.1)
+    assert volumes.corners(beside)[0, :, 2].min() == pytest.approx(-0.8)
+    assert not ShadowVolumes(np.array([1.0, 0.0, 0.0]), 0.0, (), 0.001).is_bounded

@@ -1,0 +1,545 @@
+"""Draws the part of a camera's image that has changed, with the same pixels as `mjr_render`.
+
+`mjr_render` draws the whole image, and the shadow map again for each camera. Here OpenGL's scissor test limits drawing
+to a rectangle of the image and of the shadow map. It leaves rasterization as it is, so each pixel in the rectangle has
+exactly the value that `mjr_render` gives it. Framebuffers, textures, meshes and primitives are those of `MjrContext`.
+Source of the passes and of OpenGL's states: `mjr_render` in MuJoCo's `render_gl3.c`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from ..geometry.se3 import Array, pose
+from .geom_display_lists import Builtin, GeomDisplayLists, Mode
+from .opengl import OpenGlFunctions, address, floats
+from .pixel_boxes import Box, Projection, ShadowTable, ShadowVolumes, box_corners, overlaps, union
+
+_Floats = NDArray[np.float32]
+_GEOM, _FLEX = int(mujoco.mjtObj.mjOBJ_GEOM), int(mujoco.mjtObj.mjOBJ_FLEX)
+_SHADOW, _SKYBOX = int(mujoco.mjtRndFlag.mjRND_SHADOW), int(mujoco.mjtRndFlag.mjRND_SKYBOX)
+_REFLECTION = int(mujoco.mjtRndFlag.mjRND_REFLECTION)
+_PLANE, _BOX = int(mujoco.mjtGeom.mjGEOM_PLANE), int(mujoco.mjtGeom.mjGEOM_BOX)
+_DIRECTIONAL = int(mujoco.mjtLightType.mjLIGHT_DIRECTIONAL)
+_DRAWN_TYPES = {
+    int(getattr(mujoco.mjtGeom, f"mjGEOM_{name}"))
+    for name in ("PLANE", "SPHERE", "CAPSULE", "ELLIPSOID", "CYLINDER", "BOX", "MESH", "SDF", "FLEX")
+}
+_OPAQUE = 0.995  # smallest alpha of a geom that MuJoCo draws as opaque
+_POLYGON_OFFSET = (-1.5, -4.0)  # factor and units that MuJoCo uses for shadow maps
+_SKY_DISTANCE = np.float32(0.70)  # distance of the sky from the camera, as a fraction of the far clipping distance
+_IMAGE_MARGIN, _SHADOW_MARGIN = 2, 3  # px and texels around a geom, for rounding and for averaging to the final size
+
+# Arrays of the model that decide how geoms and lights look. Poses come from `MjData`.
+_APPEARANCE = (
+    "geom_rgba", "geom_matid", "geom_group", "geom_size", "geom_dataid", "geom_aabb", "mat_rgba", "mat_emission",
+    "mat_specular", "mat_shininess", "mat_reflectance", "mat_texid", "mat_texrepeat", "mat_texuniform", "flex_rgba",
+    "flex_matid", "light_type", "light_castshadow", "light_active", "light_ambient", "light_diffuse", "light_specular",
+    "light_cutoff", "light_exponent", "light_attenuation",
+)  # fmt: skip
+
+
+@dataclass
+class _Poses:
+    """Poses of the scene's geoms, and the points of its cloths, in the single precision in which they are drawn.
+
+    Attributes:
+        matrices: rotations (n, 4, 4) by columns, as OpenGL multiplies them.
+        positions: positions (n, 3), m.
+        points: points of all cloths (m, 3), m.
+        lights: positions and directions of the lights (k, 6).
+    """
+
+    matrices: _Floats
+    positions: _Floats
+    points: _Floats
+    lights: _Floats
+
+    def moved(self, before: _Poses) -> NDArray[np.bool_]:
+        """Return whether each geom's own pose differs from the pose before (n,)."""
+        turned = (self.matrices != before.matrices).any(axis=(1, 2))
+        return np.asarray((self.positions != before.positions).any(axis=1) | turned)
+
+
+@dataclass
+class _View:
+    """What a camera's image, or the shadow map, shows: its own pose, the poses of the geoms, and their corners."""
+
+    camera: bytes
+    poses: _Poses
+    corners: Array
+
+
+@dataclass
+class _Layout:
+    """The geoms of a scene, which stay the same until the appearance changes.
+
+    Attributes:
+        ids: id of each geom, or of each flex for cloths (n,).
+        is_flex: whether a geom is a cloth (n,).
+        casts: whether a geom casts a shadow (n,).
+        unbounded: whether a geom is a plane (n,).
+        aabb: bounding box of each geom in its frame (n, 6), m.
+        tables: indices of standing boxes that cast shadows.
+    """
+
+    ids: NDArray[np.int_]
+    is_flex: NDArray[np.bool_]
+    casts: NDArray[np.bool_]
+    unbounded: NDArray[np.bool_]
+    aabb: Array
+    tables: NDArray[np.int_]
+
+
+class IncrementalRenderer:
+    """Draws the changed rectangle of a camera's image.
+
+    Args:
+        model: the scene's model.
+        scene, context: MuJoCo's scene and context; the context must be current in all methods.
+        size: width and height of drawn images, px.
+
+    Raises:
+        AttributeError: the platform's OpenGL library lacks a function.
+        RuntimeError: OpenGL cannot map depths to 0..1, so MuJoCo draws with other matrices.
+    """
+
+    def __init__(
+        self, model: mujoco.MjModel, scene: mujoco.MjvScene, context: mujoco.MjrContext, size: tuple[int, int]
+    ) -> None:
+        from OpenGL import GL
+
+        self._gl, self._constants = OpenGlFunctions(), GL
+        if b"GL_ARB_clip_control" not in (GL.glGetString(GL.GL_EXTENSIONS) or b""):
+            raise RuntimeError("OpenGL lacks GL_ARB_clip_control")
+        self._model, self._scene, self._context, self._size = model, scene, context, size
+        self._lists: GeomDisplayLists | None = None
+        self._layout: _Layout | None = None
+        self._appearance = b""
+        self._views: dict[str, _View] = {}
+        self._shadow_view: _View | None = None
+
+    def forget(self) -> None:
+        """Draw everything again at the next call, for example after a texture has changed."""
+        self._views.clear()
+        self._shadow_view = None
+
+    def draw(self, data: mujoco.MjData, camera: str) -> Box | None:
+        """Draw the changed part of the image of a camera into the offscreen buffer.
+
+        The scene must have been updated with `data` and this camera.
+
+        Returns:
+            The rectangle that was drawn; the rest of the image is as at the last call for this camera. None if the
+            scene has something that only `mjr_render` draws.
+        """
+        appearance = self._read_appearance()
+        if appearance != self._appearance or (self._layout and len(self._layout.ids) != self._scene.ngeom):
+            self.forget()
+            self._appearance, self._layout = appearance, self._read_layout()
+            self._set_up_image()  # sets the states that the shadow map needs too
+        if self._layout is None or self._sees_back_of_plane(data):
+            self.forget()
+            return None
+        poses = self._poses(data)
+        view = _View(self._camera_pose(), poses, self._corners(poses))
+        light = next((k for k in range(self._scene.nlight) if self._scene.lights[k].castshadow), None)
+        if light is not None and not (self._scene.flags[_SHADOW] and self._context.shadowFBO):
+            light = None
+        projection = self._image_projection()
+        boxes, bounded = projection.boxes(view.corners)
+        box = self._changed_box(self._views.get(camera), view, projection, boxes, light)
+        if not box.is_empty:
+            if light is not None:
+                self._update_shadow_map(light, view)
+            drawn = np.flatnonzero(overlaps(boxes, box) | ~bounded | self._layout.unbounded)
+            self._draw_image(view, box, drawn, light)
+        self._views[camera] = view
+        return box
+
+    # What there is to draw
+
+    def _read_appearance(self) -> bytes:
+        """Return everything but poses that decides how geoms look."""
+        headlight = self._model.vis.headlight
+        lights = floats(*headlight.ambient, *headlight.diffuse, *headlight.specular, headlight.active)
+        arrays = [getattr(self._model, name) for name in _APPEARANCE]
+        return b"".join(array.tobytes() for array in (*arrays, lights, self._scene.flags))
+
+    def _read_layout(self) -> _Layout | None:
+        """Return the scene's geoms, or None if `mjr_render` has to draw them."""
+        scene, model = self._scene, self._model
+        geoms = scene.geoms[: scene.ngeom]
+        if self._lists is not None:
+            self._lists.free()
+            self._lists = None
+        if not self._is_supported(geoms):
+            return None
+        self._lists = GeomDisplayLists(self._gl, self._context, geoms)
+        ids = np.array([geom.objid for geom in geoms], np.int_)
+        is_flex = np.array([geom.objtype == _FLEX for geom in geoms], np.bool_)
+        decoration = int(mujoco.mjtCatBit.mjCAT_DECOR)
+        casts = np.array([bool(geom.castshadow) and geom.category != decoration for geom in geoms], np.bool_)
+        aabb = model.geom_aabb[np.where(is_flex, 0, ids)]
+        planes = np.array([geom.type == _PLANE for geom in geoms], np.bool_)
+        standing = ~is_flex & (model.body_weldid[model.geom_bodyid[np.where(is_flex, 0, ids)]] == 0)
+        boxes = standing & casts & np.array([geom.type == _BOX for geom in geoms], np.bool_)
+        return _Layout(ids, is_flex, casts, planes, aabb, np.flatnonzero(boxes))
+
+    def _is_supported(self, geoms: Sequence[mujoco.MjvGeom]) -> bool:
+        scene = self._scene
+        lights = scene.lights[: scene.nlight]
+        if self._context.offSamples or scene.nskin or sum(bool(light.castshadow) for light in lights) > 1:
+            return False
+        if any(light.type != _DIRECTIONAL for light in lights):
+            return False
+        if scene.nflex and (scene.flexvertopt or scene.flexedgeopt) and not scene.flexskinopt:
+            return False
+        return all(
+            geom.type in _DRAWN_TYPES
+            and geom.objtype in (_GEOM, _FLEX)
+            and geom.rgba[3] >= _OPAQUE
+            and not (geom.reflectance > 0 and scene.flags[_REFLECTION])
+            and not geom.label
+            for geom in geoms
+        )
+
+    def _sees_back_of_plane(self, data: mujoco.MjData) -> bool:
+        """Return whether the camera is behind a plane, which MuJoCo then draws transparent."""
+        assert self._layout is not None
+        ids = self._layout.ids[self._layout.unbounded]
+        head = np.array(self._camera().pos, np.float64)
+        normals = data.geom_xmat[ids].reshape(-1, 3, 3)[:, :, 2]
+        return bool((((head - data.geom_xpos[ids]) * normals).sum(axis=1) < 1e-6).any())
+
+    def _poses(self, data: mujoco.MjData) -> _Poses:
+        assert self._layout is not None
+        geoms = np.where(self._layout.is_flex, 0, self._layout.ids)
+        matrices = np.zeros((len(geoms), 4, 4), np.float32)
+        matrices[:, :3, :3] = data.geom_xmat[geoms].reshape(-1, 3, 3).transpose(0, 2, 1)
+        matrices[:, 3, 3] = 1
+        positions = data.geom_xpos[geoms].astype(np.float32)
+        matrices[self._layout.is_flex] = np.eye(4)
+        positions[self._layout.is_flex] = 0
+        lights = np.concatenate([data.light_xpos, data.light_xdir], axis=1).astype(np.float32)
+        return _Poses(matrices, positions, data.flexvert_xpos.astype(np.float32), lights)
+
+    def _corners(self, poses: _Poses) -> Array:
+        """Return the corners (n, 8, 3) of the boxes around all geoms, m."""
+        assert self._layout is not None
+        rotations = poses.matrices[:, :3, :3].transpose(0, 2, 1).astype(np.float64)
+        corners = box_corners(self._layout.aabb, poses.positions.astype(np.float64), rotations)
+        for geom in np.flatnonzero(self._layout.is_flex):
+            flex = self._layout.ids[geom]
+            first, count = self._model.flex_vertadr[flex], self._model.flex_vertnum[flex]
+            points, radius = poses.points[first : first + count], self._model.flex_radius[flex]
+            low, high = points.min(axis=0) - radius, points.max(axis=0) + radius
+            corners[geom] = box_corners(
+                np.concatenate([(low + high) / 2, (high - low) / 2])[None], np.zeros((1, 3)), np.eye(3)[None]
+            )[0]
+        return corners
+
+    def _camera_pose(self) -> bytes:
+        view = self._camera()
+        lens = (view.frustum_center, view.frustum_width, view.frustum_bottom, view.frustum_top, view.frustum_near)
+        return floats(*view.pos, *view.forward, *view.up, *lens, view.frustum_far).tobytes()
+
+    def _camera(self) -> mujoco.MjvGLCamera:
+        """Return the camera between the two eyes, which `mjr_render` draws."""
+        return mujoco.mjv_averageCamera(*self._scene.camera)
+
+    # What has changed
+
+    def _image_projection(self) -> Projection:
+        view = self._camera()
+        forward, up = np.array(view.forward, np.float64), np.array(view.up, np.float64)
+        R = np.array([np.cross(forward, up), up, -forward])
+        T = np.eye(4)
+        T[:3, :3], T[:3, 3] = R, -R @ np.array(view.pos, np.float64)
+        half_height = (view.frustum_top - view.frustum_bottom) / 2
+        middle = (view.frustum_top + view.frustum_bottom) / 2
+        near = view.frustum_near
+        lens = np.array(
+            [
+                [near / view.frustum_width, 0, view.frustum_center / view.frustum_width, 0],
+                [0, near / half_height, middle / half_height, 0],
+                [0, 0, 0, 0],
+                [0, 0, -1, 0],
+            ]
+        )
+        return Projection(lens @ T, 0, self._size, self._size, _IMAGE_MARGIN)
+
+    def _changed_box(
+        self, before: _View | None, view: _View, projection: Projection, boxes: NDArray[np.int_], light: int | None
+    ) -> Box:
+        """Return the pixels in which a geom or a shadow has moved since the last image of the camera."""
+        everything = Box(0, 0, *self._size)
+        if before is None or before.camera != view.camera or (before.poses.lights != view.poses.lights).any():
+            return everything
+        changed = self._changed(before, view)
+        if not changed.any():
+            return Box(0, 0, 0, 0)
+        assert self._layout is not None
+        if (changed & self._layout.unbounded).any():
+            return everything
+        found = [boxes[changed], projection.boxes(before.corners[changed])[0]]
+        casting = changed & self._layout.casts
+        if light is not None and casting.any():
+            volumes = self._shadow_volumes(light, view)
+            if not volumes.is_bounded:
+                return everything
+            corners = np.concatenate([before.corners[casting], view.corners[casting]])
+            found.append(projection.boxes(volumes.corners(corners))[0])
+        return union(np.concatenate(found))
+
+    def _changed(self, before: _View, view: _View) -> NDArray[np.bool_]:
+        """Return whether each geom has moved (n,)."""
+        assert self._layout is not None
+        moved = view.poses.moved(before.poses)
+        if (view.poses.points != before.poses.points).any():
+            moved |= self._layout.is_flex
+        return moved
+
+    def _shadow_volumes(self, light: int, view: _View) -> ShadowVolumes:
+        assert self._layout is not None
+        texel = 2 * self._context.shadowClip / self._context.shadowSize
+        bounded = view.corners[~self._layout.unbounded][..., 2]
+        lowest = min([float(bounded.min(initial=0)), *view.poses.positions[self._layout.unbounded, 2].tolist()])
+        tables = tuple(
+            ShadowTable(
+                pose(view.poses.positions[k], view.poses.matrices[k, :3, :3].T.astype(np.float64)),
+                self._layout.aabb[k, 3:],
+            )
+            for k in self._layout.tables
+        )
+        direction = np.array(self._scene.lights[light].dir, np.float64)
+        return ShadowVolumes(direction / np.linalg.norm(direction), lowest, tables, _SHADOW_MARGIN * texel)
+
+    # How it is drawn
+
+    def _update_shadow_map(self, light: int, view: _View) -> None:
+        """Draw the changed part of the shadow map, and keep the texture's projection in `_shadow_matrix`."""
+        gl, GL, context = self._gl, self._constants, self._context
+        assert self._layout is not None
+        projection, modelview = self._set_light_view(light)
+        side = context.shadowSize
+        # Columns of OpenGL's matrices are rows of NumPy's.
+        matrix = projection.reshape(4, 4).T.astype(np.float64) @ modelview.reshape(4, 4).T
+        texels = Projection(matrix, 1, (side - 2, side - 2), (side, side), _SHADOW_MARGIN)
+        boxes, _ = texels.boxes(view.corners)
+        before, box = self._shadow_view, Box(0, 0, side, side)
+        if before is not None and (before.poses.lights == view.poses.lights).all():
+            changed = self._changed(before, view) & self._layout.casts
+            box = union(np.concatenate([boxes[changed], texels.boxes(before.corners[changed])[0]]))
+        self._shadow_view = view
+        self._shadow_matrix = _texture_matrix(projection, modelview)
+        if box.is_empty:
+            return
+        gl.glBindFramebuffer(GL.GL_FRAMEBUFFER, context.shadowFBO)
+        gl.glDrawBuffer(GL.GL_NONE)
+        gl.glEnable(GL.GL_DEPTH_TEST)
+        gl.glEnable(GL.GL_SCISSOR_TEST)
+        gl.glScissor(*box)
+        gl.glClear(GL.GL_DEPTH_BUFFER_BIT)
+        gl.glViewport(1, 1, side - 2, side - 2)
+        gl.glShadeModel(GL.GL_FLAT)
+        gl.glDisable(GL.GL_LIGHTING)
+        gl.glColorMask(0, 0, 0, 0)
+        gl.glDisable(GL.GL_CULL_FACE)
+        gl.glEnable(GL.GL_POLYGON_OFFSET_FILL)
+        gl.glPolygonOffset(*_POLYGON_OFFSET)
+        self._draw_geoms(
+            view, np.flatnonzero((overlaps(boxes, box) | self._layout.unbounded) & self._layout.casts), Mode.SHAPE
+        )
+        gl.glDisable(GL.GL_POLYGON_OFFSET_FILL)
+        gl.glDisable(GL.GL_SCISSOR_TEST)
+        gl.glColorMask(1, 1, 1, 1)
+        gl.glEnable(GL.GL_LIGHTING)
+        gl.glShadeModel(GL.GL_SMOOTH)
+        gl.glBindFramebuffer(GL.GL_FRAMEBUFFER, context.offFBO)
+        gl.glDrawBuffer(GL.GL_COLOR_ATTACHMENT0)
+
+    def _set_light_view(self, light: int) -> tuple[_Floats, _Floats]:
+        """Set OpenGL's matrices to the view of a directional light, and return projection and modelview (16,)."""
+        gl, GL = self._gl, self._constants
+        source, clip = self._scene.lights[light], self._context.shadowClip
+        view = self._camera()
+        gl.glMatrixMode(GL.GL_PROJECTION)
+        gl.glLoadIdentity()
+        gl.glTranslatef(0, 0, 0.5)
+        gl.glScalef(1, 1, -0.5)
+        gl.glOrtho(-clip, clip, -clip, clip, view.frustum_near, view.frustum_far)
+        projection, modelview = np.empty(16, np.float32), np.empty(16, np.float32)
+        gl.glGetFloatv(GL.GL_PROJECTION_MATRIX, address(projection))
+        gl.glMatrixMode(GL.GL_MODELVIEW)
+        gl.glLoadIdentity()
+        look = _look_along(np.array(source.pos, np.float32), np.array(source.dir, np.float32))
+        gl.glMultMatrixf(address(look))
+        gl.glGetFloatv(GL.GL_MODELVIEW_MATRIX, address(modelview))
+        return projection, modelview
+
+    def _draw_image(self, view: _View, box: Box, drawn: NDArray[np.int_], light: int | None) -> None:
+        """Draw the geoms `drawn` and the sky into a rectangle of the image. `light` is the light that casts shadows."""
+        gl, GL = self._gl, self._constants
+        self._set_up_image()
+        gl.glViewport(0, 0, *self._size)
+        gl.glEnable(GL.GL_SCISSOR_TEST)
+        gl.glScissor(*box)
+        gl.glClear(GL.GL_COLOR_BUFFER_BIT | GL.GL_DEPTH_BUFFER_BIT)
+        lights = [GL.GL_LIGHT0 + k for k in range(self._scene.nlight) if k != light]
+        for number in lights:
+            gl.glEnable(number)
+        self._draw_geoms(view, drawn, Mode.LIT)
+        for number in lights:
+            gl.glDisable(number)
+        if light is not None:
+            self._add_shadow_light(view, drawn, GL.GL_LIGHT0 + light)
+        if self._scene.flags[_SKYBOX]:
+            self._draw_sky()
+        gl.glDisable(GL.GL_SCISSOR_TEST)
+
+    def _set_up_image(self) -> None:
+        """Let `mjr_render` set OpenGL's matrices, lights and states, by drawing no geom into one pixel."""
+        scene = self._scene
+        count, flags = scene.ngeom, scene.flags.copy()
+        scene.ngeom = 0
+        scene.flags[[_SHADOW, _SKYBOX]] = 0
+        try:
+            mujoco.mjr_render(mujoco.MjrRect(0, 0, 1, 1), scene, self._context)
+        finally:
+            scene.ngeom = count
+            scene.flags[:] = flags
+
+    def _add_shadow_light(self, view: _View, drawn: NDArray[np.int_], light: int) -> None:
+        """Add the light of `light` where the shadow map shows no caster."""
+        gl, GL = self._gl, self._constants
+        states = (GL.GL_TEXTURE_2D, GL.GL_TEXTURE_GEN_S, GL.GL_TEXTURE_GEN_T, GL.GL_TEXTURE_GEN_R, GL.GL_TEXTURE_GEN_Q)
+        gl.glActiveTexture(GL.GL_TEXTURE1)
+        for state in states:
+            gl.glEnable(state)
+        gl.glBindTexture(GL.GL_TEXTURE_2D, self._context.shadowTex)
+        for axis, row in zip((GL.GL_S, GL.GL_T, GL.GL_R, GL.GL_Q), self._shadow_matrix, strict=True):
+            gl.glTexGenfv(axis, GL.GL_EYE_PLANE, address(row))
+        for state in (GL.GL_ALPHA_TEST, GL.GL_BLEND, light):
+            gl.glEnable(state)
+        gl.glBlendFunc(GL.GL_ONE, GL.GL_ONE)
+        self._draw_geoms(view, drawn, Mode.SHADOWED)
+        for state in (light, GL.GL_BLEND, GL.GL_ALPHA_TEST):
+            gl.glDisable(state)
+        gl.glActiveTexture(GL.GL_TEXTURE1)
+        for state in states:
+            gl.glDisable(state)
+
+    def _draw_sky(self) -> None:
+        gl, GL, context = self._gl, self._constants, self._context
+        kind = int(mujoco.mjtTexture.mjTEXTURE_SKYBOX)
+        texture = next((context.texture[k] for k in range(context.ntexture) if context.textureType[k] == kind), None)
+        if texture is None:
+            return
+        view = self._camera()
+        distance = np.float32(view.frustum_far) * _SKY_DISTANCE
+        states = (GL.GL_TEXTURE_CUBE_MAP, GL.GL_TEXTURE_GEN_S, GL.GL_TEXTURE_GEN_T, GL.GL_TEXTURE_GEN_R)
+        gl.glDisable(GL.GL_LIGHTING)
+        gl.glDisable(GL.GL_COLOR_MATERIAL)
+        gl.glCullFace(GL.GL_FRONT)
+        gl.glPushMatrix()
+        gl.glTranslatef(*view.pos)
+        gl.glScalef(distance, distance, distance)
+        gl.glActiveTexture(GL.GL_TEXTURE0)
+        for state in states:
+            gl.glEnable(state)
+        gl.glBindTexture(GL.GL_TEXTURE_CUBE_MAP, int(texture))
+        for axis, plane in ((GL.GL_S, (1, 0, 0, 0)), (GL.GL_T, (0, 0, 1, 0)), (GL.GL_R, (0, -1, 0, 0))):
+            row = floats(*plane)
+            gl.glTexGenfv(axis, GL.GL_OBJECT_PLANE, address(row))
+        gl.glColor4f(1, 1, 1, 1)
+        gl.glCallList(context.baseBuiltin + Builtin.CYLINDER)
+        for state in states:
+            gl.glDisable(state)
+        gl.glPopMatrix()
+        gl.glEnable(GL.GL_LIGHTING)
+        gl.glEnable(GL.GL_COLOR_MATERIAL)
+        gl.glCullFace(GL.GL_BACK)
+
+    def _draw_geoms(self, view: _View, geoms: NDArray[np.int_], mode: Mode) -> None:
+        assert self._lists is not None
+        assert self._layout is not None
+        gl, matrices = self._gl, address(view.poses.matrices)
+        stride = view.poses.matrices.strides[0]
+        for geom, position in zip(geoms.tolist(), view.poses.positions[geoms].tolist(), strict=True):
+            if self._layout.is_flex[geom]:
+                self._draw_flex(geom, mode)
+                continue
+            gl.glPushMatrix()
+            gl.glTranslatef(*position)
+            gl.glMultMatrixf(matrices + stride * geom)
+            gl.glCallList(self._lists.name(geom, mode))
+            gl.glPopMatrix()
+
+    def _draw_flex(self, number: int, mode: Mode) -> None:
+        """Draw the faces of a cloth."""
+        gl, GL, scene = self._gl, self._constants, self._scene
+        assert self._lists is not None
+        geom = scene.geoms[number]
+        faces, first = int(scene.flexfaceused[geom.objid]), int(scene.flexfaceadr[geom.objid])
+        gl.glCallList(self._lists.name(number, mode))
+        textured = bool(geom.texcoord) and geom.matid >= 0
+        arrays = [GL.GL_VERTEX_ARRAY, GL.GL_NORMAL_ARRAY] + [GL.GL_TEXTURE_COORD_ARRAY] * textured
+        for array in arrays:
+            gl.glEnableClientState(array)
+        single = np.dtype(np.float32).itemsize
+        gl.glVertexPointer(3, GL.GL_FLOAT, 0, address(scene.flexface) + 9 * single * first)
+        gl.glNormalPointer(GL.GL_FLOAT, 0, address(scene.flexnormal) + 9 * single * first)
+        if textured:
+            gl.glTexCoordPointer(2, GL.GL_FLOAT, 0, address(scene.flextexcoord) + 6 * single * first)
+        gl.glDrawArrays(GL.GL_TRIANGLES, 0, 3 * faces)
+        for array in arrays:
+            gl.glDisableClientState(array)
+        if mode is not Mode.SHAPE:
+            self._lists.end_flex(geom)
+
+
+def _texture_matrix(projection: _Floats, modelview: _Floats) -> _Floats:
+    """Return the rows (4, 4) that map points in `world` to coordinates in the shadow map, as MuJoCo multiplies them."""
+    bias = floats(0.5, 0, 0, 0, 0, 0.5, 0, 0, 0, 0, 1, 0, 0.5, 0.5, 0, 1)
+    return np.ascontiguousarray(_product(bias, _product(projection, modelview)).reshape(4, 4).T)
+
+
+def _product(left: _Floats, right: _Floats) -> _Floats:
+    """Return the product (16,) of two matrices by columns (16,). Sums are in the order of MuJoCo's `mjr_mulMat44`."""
+    a, b = left.reshape(4, 4).T, right.reshape(4, 4).T
+    total = np.zeros((4, 4), np.float32)
+    for k in range(4):
+        total += a[:, k, None] * b[None, k]
+    return np.ascontiguousarray(total.T).ravel()
+
+
+def _look_along(eye: _Floats, direction: _Floats) -> _Floats:
+    """Return the view matrix (16,) by columns from `eye` along `direction`, in the order of MuJoCo's `mjr_lookAt`."""
+    up = _cross(direction, floats(-1, 0, 0))
+    up = _unit(up if _dot(up, up) > 0.01 else _cross(direction, floats(0, 1, 0)))
+    forward = _unit(direction)
+    side = _unit(_cross(forward, up))
+    up = _unit(_cross(side, forward))
+    rows = np.array([side, up, -forward], np.float32)
+    look = np.eye(4, dtype=np.float32)
+    look[:3, :3] = rows.T
+    look[3, :3] = -_dot(side, eye), -_dot(up, eye), _dot(forward, eye)
+    return look.ravel()
+
+
+def _cross(a: _Floats, b: _Floats) -> _Floats:
+    return floats(a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
+
+
+def _dot(a: _Floats, b: _Floats) -> np.float32:
+    return np.float32(a[0] * b[0] + a[1] * b[1] + a[2] * b[2])
+
+
+def _unit(vector: _Floats) -> _Floats:
+    return np.asarray(vector * (np.float32(1) / np.sqrt(_dot(vector, vector))))

@@ -1,0 +1,149 @@
+"""Rectangles of pixels that contain geoms and their shadows."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import product
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..geometry.se3 import Array
+
+_SIGNS = np.array(list(product((-1.0, 1.0), repeat=3)))  # (8, 3), corners of a box
+_LEVEL = 0.05  # smallest downward part of a light's unit direction for which shadows are bounded
+
+
+class Box(NamedTuple):
+    """A rectangle of pixels as for `glScissor`; the origin is the lower left corner."""
+
+    left: int
+    bottom: int
+    width: int
+    height: int
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether the box contains no pixel."""
+        return self.width <= 0 or self.height <= 0
+
+
+def box_corners(aabb: Array, positions: Array, rotations: Array) -> Array:
+    """Return the corners (n, 8, 3) of boxes in `world`, m.
+
+    Args:
+        aabb: centre and half size (n, 6) of each box in the frame of its geom, as in `MjModel.geom_aabb`, m.
+        positions, rotations: poses (n, 3) and (n, 3, 3) of the geoms in `world`.
+    """
+    local = aabb[:, None, :3] + _SIGNS * aabb[:, None, 3:]
+    return np.asarray(local @ rotations.transpose(0, 2, 1) + positions[:, None])
+
+
+@dataclass(frozen=True)
+class Projection:
+    """Maps points in `world` to pixels.
+
+    Attributes:
+        matrix: projection times view (4, 4), for clip coordinates of OpenGL.
+        origin, size: lower left corner and size of the viewport, px.
+        width, height: size of the whole framebuffer, px.
+        margin: pixels that are added on each side of a box.
+    """
+
+    matrix: Array
+    origin: int
+    size: tuple[int, int]
+    framebuffer: tuple[int, int]
+    margin: int
+
+    def boxes(self, points: Array) -> tuple[NDArray[np.int_], NDArray[np.bool_]]:
+        """Return the rectangles (n, 4) around sets of points (n, k, 3): left, bottom, right, top.
+
+        Also returns whether each rectangle is bounded (n,). A set with a point behind the camera is not: it gets the
+        whole framebuffer.
+        """
+        clip = points @ self.matrix[:, :3].T + self.matrix[:, 3]
+        depth = clip[..., 3]
+        bounded = np.asarray((depth > 1e-6).all(axis=1))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            pixels = self.origin + (clip[..., :2] / depth[..., None] + 1) / 2 * np.array(self.size)
+        limits = np.array(self.framebuffer)
+        pixels = np.clip(np.nan_to_num(pixels), -1e6, 1e6)
+        low = np.clip(np.floor(pixels.min(axis=1)) - self.margin, 0, limits)
+        high = np.clip(np.ceil(pixels.max(axis=1)) + self.margin, 0, limits)
+        found = np.concatenate([low, high], axis=1).astype(np.int_)
+        found[~bounded] = (0, 0, *self.framebuffer)
+        return found, bounded
+
+
+def union(boxes: NDArray[np.int_]) -> Box:
+    """Return the smallest rectangle that contains rectangles (n, 4) of `Projection.boxes`."""
+    boxes = boxes[(boxes[:, 2] > boxes[:, 0]) & (boxes[:, 3] > boxes[:, 1])]
+    if not len(boxes):
+        return Box(0, 0, 0, 0)
+    left, bottom = boxes[:, :2].min(axis=0)
+    right, top = boxes[:, 2:].max(axis=0)
+    return Box(int(left), int(bottom), int(right - left), int(top - bottom))
+
+
+def overlaps(boxes: NDArray[np.int_], box: Box) -> NDArray[np.bool_]:
+    """Return whether each rectangle (n, 4) of `Projection.boxes` shares a pixel with `box` (n,)."""
+    right, top = box.left + box.width, box.bottom + box.height
+    across = (boxes[:, 0] < right) & (boxes[:, 2] > box.left)
+    return np.asarray(across & (boxes[:, 1] < top) & (boxes[:, 3] > box.bottom))
+
+
+@dataclass(frozen=True)
+class ShadowTable:
+    """A standing box whose top is in the light: below the top, its own shadow hides all shadows of things above it.
+
+    Attributes:
+        T_in_world: pose (4, 4).
+        half_size: half size (3,), m.
+    """
+
+    T_in_world: Array
+    half_size: Array
+
+
+@dataclass(frozen=True)
+class ShadowVolumes:
+    """Bounds the space in which geoms cast shadows in a directional light.
+
+    Attributes:
+        direction: unit vector (3,) in which the light travels, in `world`.
+        lowest: height of the lowest surface of the scene, m.
+        tables: boxes that stop shadows.
+        margin: growth of a geom on each side, m, for the texels of the shadow map.
+    """
+
+    direction: Array
+    lowest: float
+    tables: tuple[ShadowTable, ...]
+    margin: float
+
+    @property
+    def is_bounded(self) -> bool:
+        """Whether shadows end on the floor nearby."""
+        return bool(self.direction[2] < -_LEVEL)
+
+    def corners(self, corners: Array) -> Array:
+        """Return the corners (n, 16, 3) of the shadows of boxes with the corners (n, 8, 3), m."""
+        middle = corners.mean(axis=1, keepdims=True)
+        grown = corners + self.margin * np.sign(corners - middle) * np.sqrt(3)
+        reach = np.maximum(grown[..., 2] - self.lowest, 0) / -self.direction[2]
+        for table in self.tables:
+            reach = np.minimum(reach, self._reach_of_table(table, grown))
+        return np.concatenate([grown, grown + reach[..., None] * self.direction], axis=1)
+
+    def _reach_of_table(self, table: ShadowTable, corners: Array) -> Array:
+        """Return the distance (n, 8) to the top of a table; infinite unless the whole shadow of a box falls on it."""
+        R, p = table.T_in_world[:3, :3], table.T_in_world[:3, 3]
+        local, direction = (corners - p) @ R, self.direction @ R
+        if direction[2] > -_LEVEL:
+            return np.full(corners.shape[:2], np.inf)
+        reach = (local[..., 2] - table.half_size[2]) / -direction[2]
+        there = local + reach[..., None] * direction
+        inside = (np.abs(there[..., :2]) < table.half_size[:2] - 2 * self.margin).all(axis=-1) & (reach >= 0)
+        return np.asarray(np.where(inside.all(axis=1, keepdims=True), reach, np.inf))
