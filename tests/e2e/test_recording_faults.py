@@ -178,7 +178,7 @@ def test_a_disk_that_is_too_small_is_refused_before_anything_is_made(tmp_path: P
 def test_a_limit_on_file_sizes_loses_nothing(tmp_path: Path) -> None:
     path = tmp_path / "limited"
     script = (
-        "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (8000, 8000))\n"
+        "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (12000, 12000))\n"
         "import signal; signal.signal(signal.SIGXFSZ, signal.SIG_IGN)\n"
         f"import sys; sys.argv = ['yamsim', 'record', '--n', '1', '--out', {str(path)!r}, *{SMALL!r}]\n"
         "from yamsim_cli.main import main; main()"

@@ -5,13 +5,14 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
-from mujoco import minimize
 
 from ..core.config.objects.primitives import Box, Capsule, Cylinder, Primitive, Ring, Sphere
 from ..core.geometry.closed_surface import sphere_directions
+from ..core.geometry.least_squares import LeastSquares, solve_least_squares
 from ..core.geometry.se3 import Array
 from ..core.geometry.shape_generators.generated_shape import simplify_polyline
 from ..core.geometry.stl import Faces, decode_stl
@@ -26,8 +27,7 @@ _TANGENT_PLANES = 600  # number of tangent planes around the points, in directio
 _GROUND_REACH = 0.004  # m; a capsule's end with less clearance from the ground is moved to the ground
 _MAX_STEPS = 30  # iterations of a fit
 _DIFFERENCE_STEP = 1e-5  # step of the finite differences in each parameter, m or rad
-_TOLERANCE = 1e-4  # length of a step over that of the parameters, below which a fit stops
-_DAMPING_FACTOR = 8.0  # factor of the damping after a rejected step; MuJoCo's default of 1.26 takes half as long again
+_MIN_GAIN = 1e-6  # relative reduction of the cost below which a fit stops
 
 _MIN_DEPTH_SHARE = 0.3  # depth of a vessel's inside over its height
 _MAX_OUT_OF_ROUND = 0.004  # m, a vessel's radius from the middle of its range
@@ -102,32 +102,15 @@ def fit_solid(points: Array) -> SolidFit:
     points = _without_dimples(points)
     best: tuple[float, SolidFit] | None = None
     for make, start in _solid_candidates(points):
-        parts = _extend_to_ground(make(_fit_parameters(make, start, points)), float(points[:, 2].min()))
+        fitted = solve_least_squares(_ShapeProblem(make, points), start, _MAX_STEPS)
+        assert fitted is not None  # the distances are defined everywhere
+        parts = _extend_to_ground(make(fitted[0]), float(points[:, 2].min()))
         fit = evaluate_fit(parts, points)
         cost = fit.rms + fit.p99 / 4 + _PARAMETER_COST * len(start)
         if best is None or cost < best[0]:
             best = cost, fit
     assert best is not None
     return best[1]
-
-
-def _fit_parameters(make: MakeParts, start: Array, points: Array) -> Array:
-    """Return the parameters (k,) near `start` with the least squares of distances of points (n, 3), m, from a shape."""
-
-    def distances(columns: Array) -> Array:
-        return np.column_stack([signed_distance(make(column), points) for column in columns.T])
-
-    found, _ = minimize.least_squares(
-        start,
-        distances,
-        eps=_DIFFERENCE_STEP,
-        mu_factor=_DAMPING_FACTOR,
-        xtol=_TOLERANCE,
-        max_iter=_MAX_STEPS,
-        verbose=minimize.Verbosity.SILENT,
-    )
-    fitted: Array = found
-    return fitted
 
 
 def _without_dimples(points: Array) -> Array:
@@ -211,6 +194,54 @@ def _initial_capsules(points: Array, count: int) -> Array:
         joints.append(horizontal_point(start, (w0 + w1) / 2, (z0 + z1) / 2))
         last = horizontal_point(max(start + 1e-3, edges[-1] - radii[k]), (w0 + w1) / 2, (z0 + z1) / 2)
     return np.concatenate([*joints, last, radii])
+
+
+@dataclass(frozen=True)
+class _LinearizedShape:
+    """A shape with the parameters `numbers`, and signed distances (n,) of points from it."""
+
+    make: MakeParts
+    points: Array
+    numbers: Array
+
+    @cached_property
+    def distance(self) -> Array:
+        return signed_distance(self.make(self.numbers), self.points)
+
+    @property
+    def cost(self) -> float:
+        return float(self.distance @ self.distance)
+
+    @cached_property
+    def _jacobian(self) -> Array:
+        """Derivatives (n, k) of the distances by the parameters, by finite differences."""
+        steps = _DIFFERENCE_STEP * np.eye(len(self.numbers))
+        nudged = (replace(self, numbers=self.numbers + step).distance for step in steps)
+        return np.column_stack([(distance - self.distance) / _DIFFERENCE_STEP for distance in nudged])
+
+    @property
+    def normal_matrix(self) -> Array:
+        return self._jacobian.T @ self._jacobian
+
+    @property
+    def gradient(self) -> Array:
+        return -self._jacobian.T @ self.distance
+
+
+class _ShapeProblem(LeastSquares[Array, _LinearizedShape]):
+    """Least squares of points' distances from a shape, over the shape's parameters."""
+
+    def __init__(self, make: MakeParts, points: Array) -> None:
+        self._make, self._points = make, points
+
+    def linearize(self, state: Array, before: _LinearizedShape | None) -> _LinearizedShape:
+        return _LinearizedShape(self._make, self._points, state)
+
+    def apply_step(self, state: Array, step: Array) -> Array:
+        return state + step
+
+    def is_converged(self, state: Array, known: _LinearizedShape, step: Array, gain: Array) -> bool:
+        return bool(0 < gain < _MIN_GAIN * known.cost)
 
 
 def _extend_to_ground(parts: Parts, ground: float) -> Parts:

@@ -83,7 +83,7 @@ class _Cluster(Generic[J, R]):
 
     def start(self, number: int) -> Worker[J]:
         handle = self._actors.remote()
-        return _Actor[J](self._ray, handle, f"ray-worker-{number}", handle.open.remote(self._factory))
+        return _Actor[J](self._ray, handle, f"ray-worker-{number}", handle.create_runner.remote(self._factory))
 
     def wait(self, workers: Sequence[Worker[J]], timeout: float) -> list[tuple[Worker[J], Event[R]]]:
         actors = [worker for worker in workers if isinstance(worker, _Actor)]

@@ -254,12 +254,12 @@ def test_a_place_out_of_reach_is_told(tmp_path: Path) -> None:
         (
             {("goal",): {"on": {"thing": "cube", "surface": "table"}}},
             "task.goal",
-            "the goal holds already at the start, in each of 20 draws; none of the first 3 attempts of seed 0 has",
+            "the goal holds already at the start, in each of 20 samples; none of the first 3 attempts of seed 0 has",
         ),
         (
             {("starts", "cube", "x"): [0.40, 0.40], ("starts", "cube", "y"): [-0.15, -0.15]},
             "task.starts.cube",
-            "the cube in its start region",
+            "no free place for the cube in its start region",
         ),
     ],
 )

@@ -126,12 +126,12 @@ def test_without_names_all_is_fetched_that_a_shipped_rig_task_or_thing_shows(com
     shown = {f"rigs/{name}": rig_mesh_sets(rig) for name, rig in rigs.items()}
     shown |= {f"objects/{name}": item.mesh_sets for name, item in things.items()}
     shown |= {f"tasks/{name}": visual_mesh_sets(recording_blueprint(config)) for name, config in tasks.items()}
-    fetched = {assets.name for assets in committed.select([])}
+    fetched = {assets.name for assets in committed.select_sets([])}
     assert {place: lacks for place, names in shown.items() if (lacks := set(names) - fetched)} == {}
     on_demand = {"i2rt_arm_yam_ultra", "i2rt_arm_big_yam", "i2rt_gripper_flexible_4310"}
     assert fetched == committed.sets.keys() - on_demand
     assert sum(committed.sets[name].size for name in fetched) < 40e6
-    assert [assets.name for assets in committed.select(["i2rt_arm_big_yam"])] == ["i2rt_arm_big_yam"]
+    assert [assets.name for assets in committed.select_sets(["i2rt_arm_big_yam"])] == ["i2rt_arm_big_yam"]
 
 
 @given(st.text(alphabet="a./", max_size=12))
