@@ -130,7 +130,7 @@ def test_without_names_all_is_fetched_that_a_shipped_rig_task_or_thing_shows(com
     assert {place: lacks for place, names in shown.items() if (lacks := set(names) - fetched)} == {}
     on_demand = {"i2rt_arm_yam_ultra", "i2rt_arm_big_yam", "i2rt_gripper_flexible_4310"}
     assert fetched == committed.sets.keys() - on_demand
-    assert sum(committed.sets[name].size for name in fetched) < 40e6
+    assert sum(committed.sets[name].total_bytes for name in fetched) < 40e6
     assert [assets.name for assets in committed.select_sets(["i2rt_arm_big_yam"])] == ["i2rt_arm_big_yam"]
 
 
