@@ -38,7 +38,7 @@ def measure_parts(episodes: int) -> dict[str, float]:
             [state.qpos[simulator.scene.first_arm.joint_qpos] for state in states]
         )
     for quality, repetitions in _QUALITIES.items():
-        figures |= _rendering(quality, states[20].qpos, repetitions)
+        figures |= _rendering(quality, [state.qpos for state in states], repetitions)
     figures["locate a board in a photo at 0.8 m"] = _locate_seconds()
     return figures
 
@@ -51,12 +51,12 @@ def _ik_seconds(joints: list[Array]) -> float:
     return median_seconds(lambda k: solver.solve(targets[k], joints[k - 5], 100), len(targets) - 1)
 
 
-def _rendering(quality: str, qpos: Array, repetitions: int) -> dict[str, float]:
+def _rendering(quality: str, states: list[Array], repetitions: int) -> dict[str, float]:
     using = setting(quality)
     with Simulator(using) as simulator:
         cameras, attempt = simulator.scene.cameras[:1], Attempt(AttemptJob(0, 0))
-        (image,) = render_cameras(simulator, attempt, qpos, cameras).values()
-        seconds = median_seconds(lambda _: render_cameras(simulator, attempt, qpos, cameras), repetitions)
+        (image,) = render_cameras(simulator, attempt, states[0], cameras).values()
+        seconds = median_seconds(lambda k: render_cameras(simulator, attempt, states[k + 20], cameras), repetitions)
         figures = {f"draw a frame, {quality}": seconds}
     if quality == "balanced":
         figures["encode a frame"] = median_seconds(lambda _: encode_jpeg(image, using.config.image.jpeg_quality), 50)
