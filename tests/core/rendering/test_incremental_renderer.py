@@ -63,7 +63,7 @@ def test_the_pixels_are_those_of_whole_images(settings: dict[str, Any], monkeypa
     with SimulatorCache(open_session(**settings)) as simulators:
         job = AttemptJob(settings.get("seed", 0), 0)
         simulator = simulators.get(job)
-        states = [s.qpos for s in simulate_expert(simulator, sample_attempt(simulator, job)).recorded_states[::4]]
+        states = [s.qpos for s in simulate_expert(simulator, sample_attempt(simulator, job)).recorded_states[::10]]
         model, cameras = simulator.scene.model, simulator.scene.cameras
         fine = simulator.config.render.fine_size(SIZE)
         images = []
