@@ -45,7 +45,7 @@ class Mode(IntEnum):
     """What a display list draws."""
 
     LIT = 0  # with material, texture and emission
-    SHADOWED = 1  # the same without emission, to be added in the light that casts shadows
+    SHADOW_LIGHT = 1  # the same without emission, for the second pass, which adds the light that casts shadows
     SHAPE = 2  # without material, into a shadow map
 
 

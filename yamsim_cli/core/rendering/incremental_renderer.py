@@ -24,41 +24,37 @@ _Floats = NDArray[np.float32]
 _GEOM, _FLEX = int(mujoco.mjtObj.mjOBJ_GEOM), int(mujoco.mjtObj.mjOBJ_FLEX)
 _SHADOW, _SKYBOX = int(mujoco.mjtRndFlag.mjRND_SHADOW), int(mujoco.mjtRndFlag.mjRND_SKYBOX)
 _REFLECTION = int(mujoco.mjtRndFlag.mjRND_REFLECTION)
+_EFFECTS = ("FOG", "WIREFRAME", "ADDITIVE", "SEGMENT")  # of MuJoCo's renderer, which this one lacks
+_OTHER_EFFECTS = [int(getattr(mujoco.mjtRndFlag, f"mjRND_{name}")) for name in _EFFECTS]
 _PLANE, _BOX = int(mujoco.mjtGeom.mjGEOM_PLANE), int(mujoco.mjtGeom.mjGEOM_BOX)
 _DIRECTIONAL = int(mujoco.mjtLightType.mjLIGHT_DIRECTIONAL)
 _DRAWN_TYPES = {
     int(getattr(mujoco.mjtGeom, f"mjGEOM_{name}"))
     for name in ("PLANE", "SPHERE", "CAPSULE", "ELLIPSOID", "CYLINDER", "BOX", "MESH", "SDF", "FLEX")
 }
+_UPRIGHT = 0.999  # least vertical part of a plane's normal; shadows end on the lowest plane
 _OPAQUE = 0.995  # smallest alpha of a geom that MuJoCo draws as opaque
 _POLYGON_OFFSET = (-1.5, -4.0)  # factor and units that MuJoCo uses for shadow maps
 _SKY_DISTANCE = np.float32(0.70)  # distance of the sky from the camera, as a fraction of the far clipping distance
-_IMAGE_MARGIN, _SHADOW_MARGIN = 2, 3  # px and texels around a geom, for rounding and for averaging to the final size
+_IMAGE_MARGIN, _SHADOW_MARGIN = 2, 3  # px and texels around a geom, for rounding
 
 # Arrays of the model that decide how geoms and lights look. Poses come from `MjData`.
 _APPEARANCE = (
     "geom_rgba", "geom_matid", "geom_group", "geom_size", "geom_dataid", "geom_aabb", "mat_rgba", "mat_emission",
     "mat_specular", "mat_shininess", "mat_reflectance", "mat_texid", "mat_texrepeat", "mat_texuniform", "flex_rgba",
-    "flex_matid", "light_type", "light_castshadow", "light_active", "light_ambient", "light_diffuse", "light_specular",
-    "light_cutoff", "light_exponent", "light_attenuation",
+    "flex_matid", "flex_radius", "light_type", "light_castshadow", "light_active", "light_ambient", "light_diffuse",
+    "light_specular", "light_cutoff", "light_exponent", "light_attenuation",
 )  # fmt: skip
 
 
 @dataclass
 class _Poses:
-    """Poses of the scene's geoms, and the points of its cloths, in the single precision in which they are drawn.
+    """Poses of the scene's geoms, and the points of its cloths, in the single precision in which they are drawn."""
 
-    Attributes:
-        matrices: rotations (n, 4, 4) by columns, as OpenGL multiplies them.
-        positions: positions (n, 3), m.
-        points: points of all cloths (m, 3), m.
-        lights: positions and directions of the lights (k, 6).
-    """
-
-    matrices: _Floats
-    positions: _Floats
-    points: _Floats
-    lights: _Floats
+    matrices: _Floats  # (n, 4, 4), rotations by columns, as OpenGL multiplies them
+    positions: _Floats  # (n, 3), m
+    points: _Floats  # (m, 3), m, of all cloths
+    lights: _Floats  # (k, 6), positions, m, and directions
 
     def moved(self, before: _Poses) -> NDArray[np.bool_]:
         """Return whether each geom's own pose differs from the pose before (n,)."""
@@ -77,23 +73,14 @@ class _View:
 
 @dataclass
 class _Layout:
-    """The geoms of a scene, which stay the same until the appearance changes.
+    """The geoms of a scene, which stay the same until the appearance changes."""
 
-    Attributes:
-        ids: id of each geom, or of each flex for cloths (n,).
-        is_flex: whether a geom is a cloth (n,).
-        casts: whether a geom casts a shadow (n,).
-        unbounded: whether a geom is a plane (n,).
-        aabb: bounding box of each geom in its frame (n, 6), m.
-        tables: indices of standing boxes that cast shadows.
-    """
-
-    ids: NDArray[np.int_]
-    is_flex: NDArray[np.bool_]
-    casts: NDArray[np.bool_]
-    unbounded: NDArray[np.bool_]
-    aabb: Array
-    tables: NDArray[np.int_]
+    ids: NDArray[np.int_]  # (n,), id of each geom, or of the flex of a cloth
+    is_flex: NDArray[np.bool_]  # (n,), whether a geom is a cloth
+    casts: NDArray[np.bool_]  # (n,), whether a geom casts a shadow
+    unbounded: NDArray[np.bool_]  # (n,), whether a geom is a plane
+    aabb: Array  # (n, 6), m, bounding box in the geom's frame; without meaning for cloths
+    tables: NDArray[np.int_]  # indices of standing boxes that cast shadows
 
 
 class IncrementalRenderer:
@@ -122,7 +109,8 @@ class IncrementalRenderer:
         self._layout: _Layout | None = None
         self._appearance = b""
         self._views: dict[str, _View] = {}
-        self._shadow_view: _View | None = None
+        self._shadow_view: _View | None = None  # what the shadow map shows
+        self._shadow_matrix = np.empty((4, 4), np.float32)
 
     def forget(self) -> None:
         """Draw everything again at the next call, for example after a texture has changed."""
@@ -132,17 +120,25 @@ class IncrementalRenderer:
     def draw(self, data: mujoco.MjData, camera: str) -> Box | None:
         """Draw the changed part of the image of a camera into the offscreen buffer.
 
-        The scene must have been updated with `data` and this camera.
+        The scene must have been updated with `data` and this camera, and its frustum must have a width.
 
         Returns:
-            The rectangle that was drawn; the rest of the image is as at the last call for this camera. None if the
-            scene has something that only `mjr_render` draws.
+            The rectangle that was drawn, which the caller copies; the rest of the image is as at the last call for this
+            camera. None if the scene has something that only `mjr_render` draws.
         """
+        try:
+            return self._draw_changes(data, camera)
+        except BaseException:
+            self.forget()
+            self._appearance, self._layout = b"", None
+            raise
+
+    def _draw_changes(self, data: mujoco.MjData, camera: str) -> Box | None:
         appearance = self._read_appearance()
-        if appearance != self._appearance or (self._layout and len(self._layout.ids) != self._scene.ngeom):
+        if appearance != self._appearance or (self._layout is not None and len(self._layout.ids) != self._scene.ngeom):
             self.forget()
             self._appearance, self._layout = appearance, self._read_layout()
-            self._set_up_image()  # sets the states that the shadow map needs too
+            self._set_up_image()  # the shadow map relies on the depth function, clear depth and clip control
         if self._layout is None or self._sees_back_of_plane(data):
             self.forget()
             return None
@@ -162,14 +158,13 @@ class IncrementalRenderer:
         self._views[camera] = view
         return box
 
-    # What there is to draw
-
     def _read_appearance(self) -> bytes:
         """Return everything but poses that decides how geoms look."""
         headlight = self._model.vis.headlight
         lights = floats(*headlight.ambient, *headlight.diffuse, *headlight.specular, headlight.active)
+        depths = floats(self._model.vis.map.znear, self._model.vis.map.zfar, self._model.stat.extent)
         arrays = [getattr(self._model, name) for name in _APPEARANCE]
-        return b"".join(array.tobytes() for array in (*arrays, lights, self._scene.flags))
+        return b"".join(array.tobytes() for array in (*arrays, lights, depths, self._scene.flags))
 
     def _read_layout(self) -> _Layout | None:
         """Return the scene's geoms, or None if `mjr_render` has to draw them."""
@@ -194,7 +189,12 @@ class IncrementalRenderer:
     def _is_supported(self, geoms: Sequence[mujoco.MjvGeom]) -> bool:
         scene = self._scene
         lights = scene.lights[: scene.nlight]
-        if self._context.offSamples or scene.nskin or sum(bool(light.castshadow) for light in lights) > 1:
+        if (
+            scene.flags[_OTHER_EFFECTS].any()
+            or self._context.offSamples
+            or scene.nskin
+            or sum(bool(light.castshadow) for light in lights) > 1
+        ):
             return False
         if any(light.type != _DIRECTIONAL for light in lights):
             return False
@@ -206,6 +206,7 @@ class IncrementalRenderer:
             and geom.rgba[3] >= _OPAQUE
             and not (geom.reflectance > 0 and scene.flags[_REFLECTION])
             and not geom.label
+            and (geom.type != _PLANE or (geom.size[:2].all() and geom.mat[2, 2] > _UPRIGHT))
             for geom in geoms
         )
 
@@ -252,8 +253,6 @@ class IncrementalRenderer:
     def _camera(self) -> mujoco.MjvGLCamera:
         """Return the camera between the two eyes, which `mjr_render` draws."""
         return mujoco.mjv_averageCamera(*self._scene.camera)
-
-    # What has changed
 
     def _image_projection(self) -> Projection:
         view = self._camera()
@@ -319,8 +318,6 @@ class IncrementalRenderer:
         )
         direction = np.array(self._scene.lights[light].dir, np.float64)
         return ShadowVolumes(direction / np.linalg.norm(direction), lowest, tables, _SHADOW_MARGIN * texel)
-
-    # How it is drawn
 
     def _update_shadow_map(self, light: int, view: _View) -> None:
         """Draw the changed part of the shadow map, and keep the texture's projection in `_shadow_matrix`."""
@@ -416,7 +413,7 @@ class IncrementalRenderer:
             scene.flags[:] = flags
 
     def _add_shadow_light(self, view: _View, drawn: NDArray[np.int_], light: int) -> None:
-        """Add the light of `light` where the shadow map shows no caster."""
+        """Add the light with OpenGL's number `light` where the shadow map shows no caster."""
         gl, GL = self._gl, self._constants
         states = (GL.GL_TEXTURE_2D, GL.GL_TEXTURE_GEN_S, GL.GL_TEXTURE_GEN_T, GL.GL_TEXTURE_GEN_R, GL.GL_TEXTURE_GEN_Q)
         gl.glActiveTexture(GL.GL_TEXTURE1)
@@ -428,7 +425,7 @@ class IncrementalRenderer:
         for state in (GL.GL_ALPHA_TEST, GL.GL_BLEND, light):
             gl.glEnable(state)
         gl.glBlendFunc(GL.GL_ONE, GL.GL_ONE)
-        self._draw_geoms(view, drawn, Mode.SHADOWED)
+        self._draw_geoms(view, drawn, Mode.SHADOW_LIGHT)
         for state in (light, GL.GL_BLEND, GL.GL_ALPHA_TEST):
             gl.glDisable(state)
         gl.glActiveTexture(GL.GL_TEXTURE1)
@@ -483,8 +480,8 @@ class IncrementalRenderer:
 
     def _draw_flex(self, number: int, mode: Mode) -> None:
         """Draw the faces of a cloth."""
-        gl, GL, scene = self._gl, self._constants, self._scene
         assert self._lists is not None
+        gl, GL, scene = self._gl, self._constants, self._scene
         geom = scene.geoms[number]
         faces, first = int(scene.flexfaceused[geom.objid]), int(scene.flexfaceadr[geom.objid])
         gl.glCallList(self._lists.name(number, mode))
@@ -492,11 +489,10 @@ class IncrementalRenderer:
         arrays = [GL.GL_VERTEX_ARRAY, GL.GL_NORMAL_ARRAY] + [GL.GL_TEXTURE_COORD_ARRAY] * textured
         for array in arrays:
             gl.glEnableClientState(array)
-        single = np.dtype(np.float32).itemsize
-        gl.glVertexPointer(3, GL.GL_FLOAT, 0, address(scene.flexface) + 9 * single * first)
-        gl.glNormalPointer(GL.GL_FLOAT, 0, address(scene.flexnormal) + 9 * single * first)
+        gl.glVertexPointer(3, GL.GL_FLOAT, 0, address(scene.flexface[9 * first :]))
+        gl.glNormalPointer(GL.GL_FLOAT, 0, address(scene.flexnormal[9 * first :]))
         if textured:
-            gl.glTexCoordPointer(2, GL.GL_FLOAT, 0, address(scene.flextexcoord) + 6 * single * first)
+            gl.glTexCoordPointer(2, GL.GL_FLOAT, 0, address(scene.flextexcoord[6 * first :]))
         gl.glDrawArrays(GL.GL_TRIANGLES, 0, 3 * faces)
         for array in arrays:
             gl.glDisableClientState(array)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ..geometry.se3 import Array
 
 _SIGNS = np.array(list(product((-1.0, 1.0), repeat=3)))  # (8, 3), corners of a box
-_LEVEL = 0.05  # smallest downward part of a light's unit direction for which shadows are bounded
+_MIN_DESCENT = 0.05  # smallest downward part of a light's unit direction for which shadows are bounded
 
 
 class Box(NamedTuple):
@@ -47,8 +47,8 @@ class Projection:
     Attributes:
         matrix: projection times view (4, 4), for clip coordinates of OpenGL.
         origin, size: lower left corner and size of the viewport, px.
-        width, height: size of the whole framebuffer, px.
-        margin: pixels that are added on each side of a box.
+        framebuffer: width and height of the whole framebuffer, px, which limit rectangles.
+        margin: pixels that are added on each side of a rectangle.
     """
 
     matrix: Array
@@ -96,7 +96,7 @@ def overlaps(boxes: NDArray[np.int_], box: Box) -> NDArray[np.bool_]:
 
 @dataclass(frozen=True)
 class ShadowTable:
-    """A standing box whose top is in the light: below the top, its own shadow hides all shadows of things above it.
+    """A standing opaque box. A shadow that falls wholly on its top changes nothing below, which the box shades already.
 
     Attributes:
         T_in_world: pose (4, 4).
@@ -125,23 +125,22 @@ class ShadowVolumes:
 
     @property
     def is_bounded(self) -> bool:
-        """Whether shadows end on the floor nearby."""
-        return bool(self.direction[2] < -_LEVEL)
+        """Whether the light falls so steeply that shadows stay short."""
+        return bool(self.direction[2] < -_MIN_DESCENT)
 
     def corners(self, corners: Array) -> Array:
-        """Return the corners (n, 16, 3) of the shadows of boxes with the corners (n, 8, 3), m."""
-        middle = corners.mean(axis=1, keepdims=True)
-        grown = corners + self.margin * np.sign(corners - middle) * np.sqrt(3)
+        """Return points (n, 128, 3) whose hull contains the shadows of boxes with the corners (n, 8, 3), m."""
+        grown = (corners[:, :, None] + self.margin * _SIGNS).reshape(len(corners), -1, 3)
         reach = np.maximum(grown[..., 2] - self.lowest, 0) / -self.direction[2]
         for table in self.tables:
             reach = np.minimum(reach, self._reach_of_table(table, grown))
         return np.concatenate([grown, grown + reach[..., None] * self.direction], axis=1)
 
     def _reach_of_table(self, table: ShadowTable, corners: Array) -> Array:
-        """Return the distance (n, 8) to the top of a table; infinite unless the whole shadow of a box falls on it."""
+        """Return the distance (n, k) to the top of a table; infinite unless the whole shadow of a box falls on it."""
         R, p = table.T_in_world[:3, :3], table.T_in_world[:3, 3]
         local, direction = (corners - p) @ R, self.direction @ R
-        if direction[2] > -_LEVEL:
+        if direction[2] > -_MIN_DESCENT:
             return np.full(corners.shape[:2], np.inf)
         reach = (local[..., 2] - table.half_size[2]) / -direction[2]
         there = local + reach[..., None] * direction

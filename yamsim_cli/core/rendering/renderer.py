@@ -66,6 +66,7 @@ _FONT = mujoco.mjtFontScale.mjFONTSCALE_150.value
 # Plain integers, because NumPy does not accept enums as indices.
 _GEOM, _FLEX = int(mujoco.mjtObj.mjOBJ_GEOM), int(mujoco.mjtObj.mjOBJ_FLEX)
 _SOFTWARE_RENDERERS = ("llvmpipe", "softpipe", "swrast")  # parts of the names of OpenGL implementations without a GPU
+_SHADOW = int(mujoco.mjtRndFlag.mjRND_SHADOW)
 _SEGMENTATION_FLAGS = [int(mujoco.mjtRndFlag.mjRND_SEGMENT), int(mujoco.mjtRndFlag.mjRND_IDCOLOR)]
 
 
@@ -98,7 +99,7 @@ class _Contexts:
 class SceneRenderer(Closable):
     """Renders images of a scene's cameras. Close the renderer, or use it as a context manager.
 
-    Except for the returned images, all memory is allocated once.
+    Each camera keeps the memory of its last image.
 
     Attributes:
         description: name of the OpenGL implementation.
@@ -253,14 +254,20 @@ class SceneRenderer(Closable):
         """Return the camera's image in the fine size, bottom row first; None if only `mjr_render` can draw it."""
         assert self._incremental is not None
         context = self._make_context_current()
+        if camera not in self._images:
+            self._images[camera] = np.empty_like(self._pixels)
+        image = self._images[camera]
         box = self._incremental.draw(data, camera)
         if box is None:
             return None
-        image = self._images.setdefault(camera, np.empty_like(self._pixels))
         if not box.is_empty:
-            part = np.empty((box.height, box.width, 3), np.uint8)
-            mujoco.mjr_readPixels(part, None, mujoco.MjrRect(*box), context)
-            image[box.bottom : box.bottom + box.height, box.left : box.left + box.width] = part
+            try:
+                part = np.empty((box.height, box.width, 3), np.uint8)
+                mujoco.mjr_readPixels(part, None, mujoco.MjrRect(*box), context)
+                image[box.bottom : box.bottom + box.height, box.left : box.left + box.width] = part
+            except BaseException:
+                self._incremental.forget()
+                raise
         return image
 
     def _render_whole_image(self) -> Image:
@@ -284,6 +291,7 @@ class SceneRenderer(Closable):
         context = self._make_context_current()
         flags = self._scene.flags.copy()
         self._scene.flags[_SEGMENTATION_FLAGS] = 1
+        self._scene.flags[_SHADOW] = 0  # keeps the shadow map
         try:
             mujoco.mjr_render(self._rect, self._scene, context)
             mujoco.mjr_readPixels(colours, depth, self._rect, context)
