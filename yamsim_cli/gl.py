@@ -6,18 +6,16 @@ Each backend is tried in a separate process, because a driver can hang or crash.
 from __future__ import annotations
 
 import importlib
-import re
 import subprocess
 import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
 
 from .core.errors import ResourceError
+from .core.rendering.software_renderers import is_software_renderer
 
 LINUX_BACKENDS = ("egl", "osmesa")  # EGL finds a GPU or Mesa's software renderer; newer Mesa has no OSMesa
 PROBE_SECONDS = 60.0  # s, time limit of the test of a backend
-# Renderer names of OpenGL implementations that use no GPU: Mesa's llvmpipe, softpipe, lavapipe and swrast, and others.
-_SOFTWARE_RENDERER = re.compile("llvmpipe|softpipe|lavapipe|swrast|software|swiftshader", re.IGNORECASE)
 # Python program that tests a backend. It reads a rendered image back, since some backends render nothing.
 PROBE = """
 import mujoco
@@ -54,7 +52,7 @@ class GlBackend:
     @property
     def is_software(self) -> bool:
         """Whether the backend is known to render without a GPU."""
-        return _SOFTWARE_RENDERER.search(self.renderer) is not None
+        return is_software_renderer(self.renderer)
 
 
 def find_backend(environ: Mapping[str, str], platform: str = sys.platform) -> GlBackend:

@@ -45,7 +45,7 @@ def yamsim(
     """Run `yamsim ARGS`, and return its output and exit code.
 
     Args:
-        fresh: whether to start a new Python process, instead of a fork of one that has imported yamsim.
+        fresh: whether to start a new Python process. By default, a process that has imported yamsim is forked.
     """
     words = [str(arg) for arg in args]
     environ = {**os.environ, "PYTHONPATH": str(REPOSITORY), **(env or {})}

@@ -100,7 +100,7 @@ def test_other_units_are_refused_before_anything_is_simulated(
 def test_what_was_imported_has_the_gap_that_it_had_before(logs: Path, tmp_path: Path) -> None:
     real = tmp_path / "real"
     assert yamsim("import", logs / "late.csv", "--rig", "single", "--out", real).code == 0
-    # The rig is that of the dataset.
+    # The command uses the dataset's rig.
     before, after, one = (yamsim("gap", path, "--json").json for path in (logs / "late.csv", real, real / "ep_000000"))
     assert after["rms_rad"] == pytest.approx(before["rms_rad"], rel=1e-4)
     assert one["recordings"][0]["rms_rad"] == after["rms_rad"]

@@ -1,4 +1,4 @@
-"""`yamsim tasks`, and errors of commands for one of the two kinds of tasks."""
+"""`yamsim tasks`, and errors of commands that take a task."""
 
 from __future__ import annotations
 

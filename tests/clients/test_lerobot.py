@@ -70,7 +70,7 @@ class LeRobot:
     home: Path
 
     def program(self, name: str, *arguments: str) -> str:
-        """Run one of its programs, which must succeed, and return the output."""
+        """Run a program of LeRobot, which must succeed, and return the output."""
         path = self.interpreter.python.with_name(name)
         done = self.interpreter.call([str(path), *arguments], timeout_s=PATIENCE, cwd=self.home)
         assert done.returncode == 0, f"{name} {' '.join(arguments)}:\n{done.stdout[-2000:]}\n{done.stderr[-3000:]}"

@@ -41,7 +41,7 @@ class LeRobot:
     programs: Path
 
     def run(self, name: str, home: Path, *arguments: str) -> str:
-        """Run one of its programs, which must succeed, and return output and log."""
+        """Run a program of LeRobot, which must succeed, and return output and log."""
         environ = {"HF_LEROBOT_HOME": str(home), "HF_HOME": str(home / "hf"), "SLURM_JOB_ID": "no bars, please"}
         asked = Interpreter(self.interpreter.python, environ)
         done = asked.call([str(self.programs / name), *arguments], timeout_s=PATIENCE, cwd=home)

@@ -2,7 +2,7 @@
 
 `mjr_render` draws the whole image, and the shadow map again for each camera. Here OpenGL's scissor test limits drawing
 to a rectangle of the image and of the shadow map. It leaves rasterization as it is, so each pixel in the rectangle has
-exactly the value that `mjr_render` gives it. Framebuffers, textures, meshes and primitives are those of `MjrContext`.
+exactly the value that `mjr_render` gives it. Framebuffers, textures, meshes and primitives belong to `MjrContext`.
 Source of the passes and of OpenGL's states: `mjr_render` in MuJoCo's `render_gl3.c`.
 """
 
@@ -21,8 +21,8 @@ from .opengl import OpenGlFunctions, address, floats
 from .pixel_boxes import Box, Projection, ShadowTable, ShadowVolumes, box_corners, overlaps, union
 
 _Floats = NDArray[np.float32]
-_GEOM, _FLEX = int(mujoco.mjtObj.mjOBJ_GEOM), int(mujoco.mjtObj.mjOBJ_FLEX)
-_SHADOW, _SKYBOX = int(mujoco.mjtRndFlag.mjRND_SHADOW), int(mujoco.mjtRndFlag.mjRND_SKYBOX)
+GEOM, FLEX = int(mujoco.mjtObj.mjOBJ_GEOM), int(mujoco.mjtObj.mjOBJ_FLEX)
+SHADOW, _SKYBOX = int(mujoco.mjtRndFlag.mjRND_SHADOW), int(mujoco.mjtRndFlag.mjRND_SKYBOX)
 _REFLECTION = int(mujoco.mjtRndFlag.mjRND_REFLECTION)
 _EFFECTS = ("FOG", "WIREFRAME", "ADDITIVE", "SEGMENT")  # of MuJoCo's renderer, which this one lacks
 _OTHER_EFFECTS = [int(getattr(mujoco.mjtRndFlag, f"mjRND_{name}")) for name in _EFFECTS]
@@ -56,11 +56,6 @@ class _Poses:
     points: _Floats  # (m, 3), m, of all cloths
     lights: _Floats  # (k, 6), positions, m, and directions
 
-    def moved(self, before: _Poses) -> NDArray[np.bool_]:
-        """Return whether each geom's own pose differs from the pose before (n,)."""
-        turned = (self.matrices != before.matrices).any(axis=(1, 2))
-        return np.asarray((self.positions != before.positions).any(axis=1) | turned)
-
 
 @dataclass
 class _View:
@@ -76,11 +71,13 @@ class _Layout:
     """The geoms of a scene, which stay the same until the appearance changes."""
 
     ids: NDArray[np.int_]  # (n,), id of each geom, or of the flex of a cloth
+    geoms: NDArray[np.int_]  # (n,), the same, but 0 for cloths
     is_flex: NDArray[np.bool_]  # (n,), whether a geom is a cloth
     casts: NDArray[np.bool_]  # (n,), whether a geom casts a shadow
     unbounded: NDArray[np.bool_]  # (n,), whether a geom is a plane
     aabb: Array  # (n, 6), m, bounding box in the geom's frame; without meaning for cloths
     tables: NDArray[np.int_]  # indices of standing boxes that cast shadows
+    light: int | None  # index of the light that casts shadows
 
 
 class IncrementalRenderer:
@@ -138,15 +135,14 @@ class IncrementalRenderer:
         if appearance != self._appearance or (self._layout is not None and len(self._layout.ids) != self._scene.ngeom):
             self.forget()
             self._appearance, self._layout = appearance, self._read_layout()
-            self._set_up_image()  # the shadow map relies on the depth function, clear depth and clip control
+            if self._layout is not None:
+                self._set_up_image()  # the shadow map relies on the depth function, clear depth and clip control
         if self._layout is None or self._sees_back_of_plane(data):
             self.forget()
             return None
         poses = self._poses(data)
         view = _View(self._camera_pose(), poses, self._corners(poses))
-        light = next((k for k in range(self._scene.nlight) if self._scene.lights[k].castshadow), None)
-        if light is not None and not (self._scene.flags[_SHADOW] and self._context.shadowFBO):
-            light = None
+        light = self._layout.light
         projection = self._image_projection()
         boxes, bounded = projection.boxes(view.corners)
         box = self._changed_box(self._views.get(camera), view, projection, boxes, light)
@@ -177,14 +173,17 @@ class IncrementalRenderer:
             return None
         self._lists = GeomDisplayLists(self._gl, self._context, geoms)
         ids = np.array([geom.objid for geom in geoms], np.int_)
-        is_flex = np.array([geom.objtype == _FLEX for geom in geoms], np.bool_)
+        is_flex = np.array([geom.objtype == FLEX for geom in geoms], np.bool_)
         decoration = int(mujoco.mjtCatBit.mjCAT_DECOR)
         casts = np.array([bool(geom.castshadow) and geom.category != decoration for geom in geoms], np.bool_)
-        aabb = model.geom_aabb[np.where(is_flex, 0, ids)]
+        geom_ids = np.where(is_flex, 0, ids)
         planes = np.array([geom.type == _PLANE for geom in geoms], np.bool_)
-        standing = ~is_flex & (model.body_weldid[model.geom_bodyid[np.where(is_flex, 0, ids)]] == 0)
+        standing = ~is_flex & (model.body_weldid[model.geom_bodyid[geom_ids]] == 0)
         boxes = standing & casts & np.array([geom.type == _BOX for geom in geoms], np.bool_)
-        return _Layout(ids, is_flex, casts, planes, aabb, np.flatnonzero(boxes))
+        shadows = scene.flags[SHADOW] and self._context.shadowFBO
+        light = next((k for k in range(scene.nlight) if shadows and scene.lights[k].castshadow), None)
+        aabb = model.geom_aabb[geom_ids]
+        return _Layout(ids, geom_ids, is_flex, casts, planes, aabb, np.flatnonzero(boxes), light)
 
     def _is_supported(self, geoms: Sequence[mujoco.MjvGeom]) -> bool:
         scene = self._scene
@@ -194,15 +193,13 @@ class IncrementalRenderer:
             or self._context.offSamples
             or scene.nskin
             or sum(bool(light.castshadow) for light in lights) > 1
+            or any(light.type != _DIRECTIONAL for light in lights)
+            or (scene.nflex and (scene.flexvertopt or scene.flexedgeopt) and not scene.flexskinopt)
         ):
-            return False
-        if any(light.type != _DIRECTIONAL for light in lights):
-            return False
-        if scene.nflex and (scene.flexvertopt or scene.flexedgeopt) and not scene.flexskinopt:
             return False
         return all(
             geom.type in _DRAWN_TYPES
-            and geom.objtype in (_GEOM, _FLEX)
+            and geom.objtype in (GEOM, FLEX)
             and geom.rgba[3] >= _OPAQUE
             and not (geom.reflectance > 0 and scene.flags[_REFLECTION])
             and not geom.label
@@ -220,7 +217,7 @@ class IncrementalRenderer:
 
     def _poses(self, data: mujoco.MjData) -> _Poses:
         assert self._layout is not None
-        geoms = np.where(self._layout.is_flex, 0, self._layout.ids)
+        geoms = self._layout.geoms
         matrices = np.zeros((len(geoms), 4, 4), np.float32)
         matrices[:, :3, :3] = data.geom_xmat[geoms].reshape(-1, 3, 3).transpose(0, 2, 1)
         matrices[:, 3, 3] = 1
@@ -233,17 +230,15 @@ class IncrementalRenderer:
     def _corners(self, poses: _Poses) -> Array:
         """Return the corners (n, 8, 3) of the boxes around all geoms, m."""
         assert self._layout is not None
-        rotations = poses.matrices[:, :3, :3].transpose(0, 2, 1).astype(np.float64)
-        corners = box_corners(self._layout.aabb, poses.positions.astype(np.float64), rotations)
+        aabb = self._layout.aabb.copy()
         for geom in np.flatnonzero(self._layout.is_flex):
             flex = self._layout.ids[geom]
             first, count = self._model.flex_vertadr[flex], self._model.flex_vertnum[flex]
             points, radius = poses.points[first : first + count], self._model.flex_radius[flex]
             low, high = points.min(axis=0) - radius, points.max(axis=0) + radius
-            corners[geom] = box_corners(
-                np.concatenate([(low + high) / 2, (high - low) / 2])[None], np.zeros((1, 3)), np.eye(3)[None]
-            )[0]
-        return corners
+            aabb[geom] = *((low + high) / 2), *((high - low) / 2)
+        rotations = poses.matrices[:, :3, :3].transpose(0, 2, 1).astype(np.float64)
+        return box_corners(aabb, poses.positions.astype(np.float64), rotations)
 
     def _camera_pose(self) -> bytes:
         view = self._camera()
@@ -299,10 +294,9 @@ class IncrementalRenderer:
     def _changed(self, before: _View, view: _View) -> NDArray[np.bool_]:
         """Return whether each geom has moved (n,)."""
         assert self._layout is not None
-        moved = view.poses.moved(before.poses)
-        if (view.poses.points != before.poses.points).any():
-            moved |= self._layout.is_flex
-        return moved
+        old, new = before.poses, view.poses
+        moved = (new.positions != old.positions).any(axis=1) | (new.matrices != old.matrices).any(axis=(1, 2))
+        return np.asarray(moved | (self._layout.is_flex & (new.points != old.points).any()))
 
     def _shadow_volumes(self, light: int, view: _View) -> ShadowVolumes:
         assert self._layout is not None
@@ -405,7 +399,7 @@ class IncrementalRenderer:
         scene = self._scene
         count, flags = scene.ngeom, scene.flags.copy()
         scene.ngeom = 0
-        scene.flags[[_SHADOW, _SKYBOX]] = 0
+        scene.flags[[SHADOW, _SKYBOX]] = 0
         try:
             mujoco.mjr_render(mujoco.MjrRect(0, 0, 1, 1), scene, self._context)
         finally:

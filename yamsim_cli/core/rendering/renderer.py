@@ -18,7 +18,8 @@ from ..closable import Closable
 from ..errors import ResourceError
 from ..geometry.camera import Intrinsics
 from ..images.image import Image
-from .incremental_renderer import IncrementalRenderer
+from .incremental_renderer import FLEX, GEOM, SHADOW, IncrementalRenderer
+from .software_renderers import is_software_renderer
 
 # Id of the process that first used OpenGL; None if none has. Forked processes inherit it, spawned ones do not.
 _opengl_pid: int | None = None
@@ -64,9 +65,6 @@ GeomIds = NDArray[np.int32]
 _MAX_GEOMS = 10_000  # geoms that can be rendered; no scene has as many
 _FONT = mujoco.mjtFontScale.mjFONTSCALE_150.value
 # Plain integers, because NumPy does not accept enums as indices.
-_GEOM, _FLEX = int(mujoco.mjtObj.mjOBJ_GEOM), int(mujoco.mjtObj.mjOBJ_FLEX)
-_SOFTWARE_RENDERERS = ("llvmpipe", "softpipe", "swrast")  # parts of the names of OpenGL implementations without a GPU
-_SHADOW = int(mujoco.mjtRndFlag.mjRND_SHADOW)
 _SEGMENTATION_FLAGS = [int(mujoco.mjtRndFlag.mjRND_SEGMENT), int(mujoco.mjtRndFlag.mjRND_IDCOLOR)]
 
 
@@ -147,9 +145,9 @@ class SceneRenderer(Closable):
         self._camera.type = mujoco.mjtCamera.mjCAMERA_FIXED
         self.description = _opengl_name()
         # A GPU draws a whole image in less time than the changed part takes to be found.
-        software = any(name in self.description.lower() for name in _SOFTWARE_RENDERERS)
+        incremental = incremental and is_software_renderer(self.description)
         self._images: dict[str, Image] = {}
-        self._incremental = self._make_incremental_renderer(fine) if incremental and software else None
+        self._incremental = self._make_incremental_renderer(fine) if incremental else None
 
     def _make_incremental_renderer(self, size: tuple[int, int]) -> IncrementalRenderer | None:
         try:
@@ -194,7 +192,7 @@ class SceneRenderer(Closable):
         number = colours.astype(np.int32) @ np.array([1, 1 << 8, 1 << 16], np.int32)
         ids = np.full(self._scene.ngeom + 1, -1, np.int32)
         for geom in self._scene.geoms[: self._scene.ngeom]:
-            if geom.objtype == _GEOM and geom.segid >= 0:
+            if geom.objtype == GEOM and geom.segid >= 0:
                 ids[geom.segid + 1] = geom.objid
         seen: GeomIds = ids[number[::-1]]
         return seen
@@ -219,7 +217,7 @@ class SceneRenderer(Closable):
             Labels and z in m. Both are 0 where the camera sees no surface.
         """
         self._update_scene(data, camera)
-        label_of = {_GEOM: label_of_geom, _FLEX: label_of_flex}
+        label_of = {GEOM: label_of_geom, FLEX: label_of_flex}
         for geom in self._scene.geoms[: self._scene.ngeom]:
             # Objects of other types get 0 and are not rendered, so they hide nothing.
             geom.segid = label_of[geom.objtype][geom.objid] if geom.objtype in label_of else 0
@@ -291,7 +289,7 @@ class SceneRenderer(Closable):
         context = self._make_context_current()
         flags = self._scene.flags.copy()
         self._scene.flags[_SEGMENTATION_FLAGS] = 1
-        self._scene.flags[_SHADOW] = 0  # keeps the shadow map
+        self._scene.flags[SHADOW] = 0  # keeps the shadow map
         try:
             mujoco.mjr_render(self._rect, self._scene, context)
             mujoco.mjr_readPixels(colours, depth, self._rect, context)
