@@ -458,8 +458,7 @@ class IncrementalRenderer:
         gl.glCullFace(GL.GL_BACK)
 
     def _draw_geoms(self, view: _View, geoms: NDArray[np.int_], mode: Mode) -> None:
-        assert self._lists is not None
-        assert self._layout is not None
+        assert self._lists is not None and self._layout is not None
         gl, matrices = self._gl, address(view.poses.matrices)
         stride = view.poses.matrices.strides[0]
         for geom, position in zip(geoms.tolist(), view.poses.positions[geoms].tolist(), strict=True):
