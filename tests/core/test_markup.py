@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from yamsim_cli.core.markup import Markup, html_tag, join_markup, percent
-from yamsim_cli.core.plots import PixelScale, format_number
+from yamsim_cli.plots import PixelScale, format_number
 
 EVIL = "<script>alert(1)</script>\"' onload=x --> ]]> &amp;"
 

@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from ..core import plots
+from .. import plots
 from ..core.errors import file_size
 from ..core.markup import (
     Child,
@@ -22,7 +22,7 @@ from ..core.markup import (
     table_rows,
     verdict_sentence,
 )
-from ..core.plots import ObjectPlaces, Point, plot_workspace
+from ..plots import ObjectPlaces, Point, plot_workspace
 from .check_summary import CheckResults, is_within_threshold, workspace_coverage
 from .checks.episode_facts import EpisodeFacts
 

@@ -3,7 +3,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from ..core import plots
+from .. import plots
 from ..core.config.goals.world import TABLE
 from ..core.config.recording import RecordConfig
 from ..core.markup import (
@@ -19,8 +19,8 @@ from ..core.markup import (
     plot_legend,
     table_rows,
 )
-from ..core.plots import ObjectPlaces, Point, plot_workspace
 from ..core.statistics import compute_coverage, compute_histogram
+from ..plots import ObjectPlaces, Point, plot_workspace
 from .check_summary import CELL_M
 
 Box = tuple[Point, Point]

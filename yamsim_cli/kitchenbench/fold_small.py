@@ -18,13 +18,13 @@ from ..core.config.objects.cloth import Cloth
 from ..core.expert.skills.cloth.cloth_motions import carry_points
 from ..core.expert.skills.cloth.flatten import flatten_cloth
 from ..core.expert.skills.cloth.point_grasps import PointGrasp, PointPlacement, reachable_grasps, target_at_place
-from ..core.expert.skills.cloth.slide_grasps import SLIDE_SPEED, slide_grasps
 from ..core.expert.skills.common_motions import open_and_park_hands, unparked_hands
 from ..core.expert.skills.planning_context import MotionSegment, PlanningContext, SkillFailedError
 from ..core.expert.skills.skill import Skill
 from ..core.geometry.cloth_flattening import Point
 from ..core.geometry.se3 import Array
 from .object_poses import T_in_world
+from .slide_grasps import SLIDE_SPEED, slide_grasps
 
 _AREA_MARGIN = 0.96  # predicted area as a share of the required one, at which a fold suffices
 

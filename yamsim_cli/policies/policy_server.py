@@ -23,8 +23,8 @@ from typing import Any
 from yamsim_cli.core.extras import require_library
 
 from ..core.errors import ResourceError
-from ..core.http_origin import refusal_reason
 from ..core.workers.job_server import kill_forks_at_exit
+from ..http_origin import refusal_reason
 from .policy_faults import describe_fault
 from .policy_loading import check_policy, reset_policy, wanted_images, wanted_state
 from .remote_policy import PROTOCOL, MessageError, UnsendableError, pack_message, require_sendable, unpack_message

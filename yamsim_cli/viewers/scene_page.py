@@ -17,7 +17,7 @@ import viser
 import websockets.asyncio.server
 
 from ..core.errors import ResourceError, UsageError
-from ..core.http_origin import refusal_reason
+from ..http_origin import refusal_reason
 from .page_address import PageAddress
 from .scene_nodes import ClothNodes, add_bodies
 from .viewed_scene import ViewedScene

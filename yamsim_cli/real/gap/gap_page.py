@@ -20,7 +20,7 @@ from yamsim_cli.core.markup import (
     percent,
     plot_legend,
 )
-from yamsim_cli.core.plots import Values, plot_curves
+from yamsim_cli.plots import Values, plot_curves
 
 _UNKNOWN = "\N{EM DASH}"  # figures that the recordings do not determine
 _MIN_ERROR_SPAN = 0.2  # mrad, vertical range of an error plot

@@ -17,7 +17,7 @@ import numpy as np
 
 from yamsim_cli.core.extras import require_library
 from yamsim_cli.core.geometry.se3 import Array
-from yamsim_cli.core.http_origin import refusal_reason
+from yamsim_cli.http_origin import refusal_reason
 
 from .policy_robot import PolicyRobot, RobotObservation
 from .socket_servers import ClientConnection, TcpServer

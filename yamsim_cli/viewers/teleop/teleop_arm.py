@@ -6,11 +6,12 @@ import numpy as np
 from yamsim_cli.core.attempt_data import ArmPosture
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.expert.planning.ik import IkSolver
-from yamsim_cli.core.expert.planning.joint_tracker import JointTracker
 from yamsim_cli.core.geometry.se3 import Array, invert_pose, pose
 from yamsim_cli.core.scene.arm_model import kinematic_model
 from yamsim_cli.core.scene.compiled import CompiledScene
 from yamsim_cli.core.sim.placement import ArmCollisionCheck
+
+from .joint_tracker import JointTracker
 
 _IK_ITERATIONS = 12  # in a control tick
 _REACH_TOLERANCE = 0.003  # m, position error up to which a target counts as reachable

@@ -10,9 +10,9 @@ import pytest
 from tests.programs import FOLD, bench_at_start, session_of
 from yamsim_cli.core.episode.simulator import SimulatorCache
 from yamsim_cli.core.expert.skills.cloth.cloth_motions import predict_cloth_points
-from yamsim_cli.core.expert.skills.cloth.slide_grasps import SLIDE_SPEED, slide_grasps
 from yamsim_cli.core.geometry.cloth_flattening import height_range
 from yamsim_cli.core.geometry.se3 import Array
+from yamsim_cli.kitchenbench.slide_grasps import SLIDE_SPEED, slide_grasps
 
 
 def _turned(points: Array) -> float:

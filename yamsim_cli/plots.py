@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from .markup import Markup, html_tag, join_markup, percent
-from .statistics import Coverage
+from .core.markup import Markup, html_tag, join_markup, percent
+from .core.statistics import Coverage
 
 _WIDTH = 460.0  # px, except the workspace plot
 _PLAN_WIDTH, _PLAN_MAX_HEIGHT = 300.0, 330.0  # px, of the workspace plot

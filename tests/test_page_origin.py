@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from yamsim_cli.core.http_origin import refusal_reason
+from yamsim_cli.http_origin import refusal_reason
 from yamsim_cli.policies.policy_server import PolicyServer
 from yamsim_cli.policies.remote_policy import pack_message
 from yamsim_cli.viewers.page_address import PageAddress

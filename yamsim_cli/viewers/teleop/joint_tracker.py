@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...geometry.se3 import Array
+from yamsim_cli.core.geometry.se3 import Array
 
 _MAX_SPEED_SHARE = 0.5  # of the motors' no-load speed; the rest overcomes load and friction
 _MAX_ACCELERATION = 12.0  # rad/s^2, of each joint
