@@ -16,6 +16,7 @@ from typer.exceptions import TyperException
 from . import __version__
 from .commands import assets, config, export, robots, tasks
 from .commands.boards import boards
+from .commands.calibrate import calibrate
 from .commands.compose_xml import compose_xml
 from .commands.doctor import doctor
 from .commands.evaluate import evaluate
@@ -55,6 +56,7 @@ app.command("can-run")(can_run)
 app.command("compose-xml")(compose_xml)
 app.command("render-views")(render_views)
 app.command()(overlay)
+app.command()(calibrate)
 app.command()(identify)
 app.command()(excite)
 app.command()(gap)

@@ -92,8 +92,11 @@ def mask_outline(mask: Mask, others: Mask | None = None) -> MaskOutline:
     return MaskOutline(at[clear] + 0.5 * normals, normals)
 
 
-def edge_offsets(grey: Grey, line: MaskOutline, reach: float = DEFAULT_REACH) -> EdgeOffsets:
-    """Return the offsets of edges of the photo `grey` (height, width) within `reach` (grains) of an outline."""
+def edge_offsets(grey: Grey, line: MaskOutline, reach: float = DEFAULT_REACH, falling: bool = False) -> EdgeOffsets:
+    """Return the offsets of edges of the photo `grey` (height, width) within `reach` (grains) of an outline.
+
+    With `falling`, only edges count whose outer side is darker.
+    """
     grain = grain_px(grey.shape)
     if len(line.points) == 0:
         return EdgeOffsets(np.zeros(0), reach * grain)
@@ -107,7 +110,8 @@ def edge_offsets(grey: Grey, line: MaskOutline, reach: float = DEFAULT_REACH) ->
         cv2.INTER_LINEAR,
         borderMode=cv2.BORDER_REPLICATE,
     )
-    slope = np.abs(profile[:, 2:] - profile[:, :-2]) * _SAMPLES_PER_GRAIN / 2
+    slope: NDArray[np.float32] = (profile[:, :-2] - profile[:, 2:]) * np.float32(_SAMPLES_PER_GRAIN / 2)
+    slope = np.maximum(slope, np.float32(0)) if falling else np.abs(slope)
     inner = steps[1:-1]
     peak = np.zeros_like(slope, dtype=bool)
     peak[:, 1:-1] = (slope[:, 1:-1] >= slope[:, :-2]) & (slope[:, 1:-1] > slope[:, 2:])

@@ -1,0 +1,402 @@
+"""Fit cameras, bases, joint offsets and delays together to the outlines of the arms in all chosen pictures."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ..core.attempt_data import ArmPosture
+from ..core.config.rig import RigConfig
+from ..core.geometry.se3 import Array, invert_pose, pose, rotation_from_vector
+from ..photos.edge_alignment import EdgeOffsets, MaskOutline, edge_offsets, grain_px, mask_outline
+from ..photos.overlay.body_views import BodyPicture, BodyRenderer, JointAxes
+from .chosen_frames import ChosenFrame
+from .episode_pictures import EpisodePictures
+
+_REACHES = (16.0, 10.0, 7.0, 5.0, 3.5, 2.5, 2.5, 2.5, 2.5, 2.5)  # grains, search distance for edges by round
+FINAL_REACH = _REACHES[-1]
+_TUKEY_CUTOFF = 4.685  # standard deviations, beyond which Tukey's biweight is 0 (95 % efficiency)
+_EDGE_SIGMA = 0.3  # grains, least standard deviation of an edge's position
+_INDEPENDENT_POINTS = 60.0  # outline points of a picture that count as independent
+_CONVERGED = 2e-5  # m, movement of the arms in a round, below which the fit ends
+_ARM_REACH = 0.4  # m, from the middle of the arms to their ends, about
+MOVING, STILL, UNCLEAR = 1, 2, 3  # kinds of bodies in a picture
+_MIN_LINE = 10  # outline points; a shorter outline is not used
+
+# Parameters of a camera: the turn and shift of its pose, the logarithm of its focal length, its delay (s), and the
+# distance (px) between edges and rendered outlines that all pictures share: blur, light and reduced meshes move edges.
+CAMERA_SIZE = 9
+FOCAL, DELAY, MARGIN = 6, 7, 8
+
+
+@dataclass(frozen=True)
+class FitPriors:
+    """Standard deviations of what is known before the fit.
+
+    Attributes:
+        focal: of the logarithm of each camera's focal length.
+        delay: s.
+        offset: of a joint, rad.
+        base_shift, base_turn: of the second base in the first one, m and rad.
+        margin: of the common distance between edges and outlines, px.
+    """
+
+    focal: tuple[float, ...]
+    delay: float = 0.06
+    offset: float = math.radians(1.0)
+    base_shift: float = 0.03
+    base_turn: float = math.radians(3.0)
+    margin: float = 0.5
+
+
+# rad; a turn of a base about its first joint's axis looks like an offset of that joint, which is therefore 0.
+_HELD = 1e-7
+
+
+@dataclass(frozen=True)
+class StationState:
+    """The estimated values.
+
+    Attributes:
+        T_base_in_cam: pose (4, 4) of the reference arm's base in each camera.
+        log_focal: logarithm of each camera's focal length over the given one.
+        delays: of each camera, s: its pictures show the arms as they were this much earlier than stamped.
+        margins: px, of each camera.
+        offsets: of each arm's joints (dof,), rad: measured minus true.
+        T_arm_in_base: pose (4, 4) of each arm's base in the reference arm's base.
+    """
+
+    T_base_in_cam: tuple[Array, ...]
+    log_focal: tuple[float, ...]
+    delays: tuple[float, ...]
+    margins: tuple[float, ...]
+    offsets: tuple[Array, ...]
+    T_arm_in_base: tuple[Array, ...]
+
+    def postures(self, episode: EpisodePictures, time: float, camera: int) -> tuple[ArmPosture, ...]:
+        """Return the true postures in a camera's picture with a time stamp, s."""
+        return episode.postures_at(time - self.delays[camera], self.offsets)
+
+    def base_poses(self, camera: int) -> dict[int, Array]:
+        """Return the pose (4, 4) of each arm's base in a camera."""
+        return {arm: self.T_base_in_cam[camera] @ T for arm, T in enumerate(self.T_arm_in_base)}
+
+
+@dataclass(frozen=True)
+class CameraView:
+    """A camera's pictures.
+
+    Attributes:
+        frames: the chosen pictures.
+        kinds: `MOVING`, `STILL` or `UNCLEAR` of each body in each picture (frames, nbody).
+    """
+
+    name: str
+    renderer: BodyRenderer
+    frames: tuple[ChosenFrame, ...]
+    kinds: NDArray[np.uint8]
+
+    def set_state(self, state: StationState, camera: int, episodes: Sequence[EpisodePictures], frame: int) -> None:
+        """Pose the renderer's arms as in a picture."""
+        shown = self.frames[frame]
+        self.renderer.set_focal_scale(math.exp(state.log_focal[camera]))
+        self.renderer.set_poses(state.base_poses(camera), state.postures(episodes[shown.episode], shown.time, camera))
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Places of parameters in the vector of all."""
+
+    cameras: int
+    dofs: tuple[int, ...]
+    reference: int
+
+    @property
+    def size(self) -> int:
+        """Number of parameters."""
+        return CAMERA_SIZE * self.cameras + sum(self.dofs) + 6 * (len(self.dofs) - 1)
+
+    def camera(self, number: int) -> slice:
+        """Place of a camera's parameters."""
+        return slice(CAMERA_SIZE * number, CAMERA_SIZE * (number + 1))
+
+    def offsets(self, arm: int) -> slice:
+        """Place of an arm's joint offsets."""
+        start = CAMERA_SIZE * self.cameras + sum(self.dofs[:arm])
+        return slice(start, start + self.dofs[arm])
+
+    def base(self, arm: int) -> slice | None:
+        """Place of the turn and shift of an arm's base; None for the reference arm."""
+        if arm == self.reference:
+            return None
+        others = [k for k in range(len(self.dofs)) if k != self.reference]
+        start = CAMERA_SIZE * self.cameras + sum(self.dofs) + 6 * others.index(arm)
+        return slice(start, start + 6)
+
+
+@dataclass(frozen=True)
+class FrameEquations:
+    """The weighted equations of one picture.
+
+    Attributes:
+        normal, gradient: (k, k) and (k,) of all parameters.
+        points: outline points, `found` of which have an edge within reach; `median` is their median distance, px.
+    """
+
+    camera: int
+    frame: int
+    normal: Array
+    gradient: Array
+    points: int
+    found: int
+    median: float
+
+
+@dataclass(frozen=True)
+class StationFit:
+    """The result: values, the equations of each picture at these values, and the prior's matrix (k, k)."""
+
+    layout: Layout
+    state: StationState
+    equations: tuple[FrameEquations, ...]
+    prior: Array
+    centres: tuple[Array, ...] = field(default=())
+
+
+class StationProblem:
+    """The fit of a station to its pictures."""
+
+    def __init__(
+        self, rig: RigConfig, views: Sequence[CameraView], episodes: Sequence[EpisodePictures], priors: FitPriors
+    ) -> None:
+        self.views, self.episodes = views, episodes
+        self._rig, self._priors = rig, priors
+        self.layout = Layout(len(views), tuple(arm.robot.dof for arm in rig.arms), rig.recording_order[0])
+        sigma = np.full(self.layout.size, np.inf)
+        for number in range(len(views)):
+            start = self.layout.camera(number).start
+            sigma[start + FOCAL] = max(priors.focal[number], _HELD)
+            sigma[start + DELAY], sigma[start + MARGIN] = max(priors.delay, _HELD), priors.margin
+        for arm in range(len(rig.arms)):
+            sigma[self.layout.offsets(arm)] = max(priors.offset, _HELD)
+            sigma[self.layout.offsets(arm).start] = _HELD
+            if (place := self.layout.base(arm)) is not None:
+                sigma[place] = [priors.base_turn] * 3 + [priors.base_shift] * 3
+        self.sigma = sigma
+        self.prior = np.diag(sigma**-2.0)
+
+    def fit(self, state: StationState, reaches: Sequence[float] = _REACHES) -> StationFit:
+        """Return the fit that starts at a state."""
+        moved = np.zeros(self.layout.size)
+        for number, reach in enumerate(reaches):
+            equations, centres = self.linearize(state, reach)
+            normal = self.prior + sum(one.normal for one in equations)
+            gradient = sum(one.gradient for one in equations) - self.prior @ moved
+            damped = normal + 1e-9 * np.diag(np.diag(normal) + 1e-12)
+            step: Array = np.linalg.solve(damped, gradient).astype(np.float64)
+            state = self.apply(state, step, centres)
+            free = ~np.isfinite(self.sigma)
+            moved += np.where(free, 0.0, step)
+            if number >= len(reaches) - 3 and self._displacement(step) < _CONVERGED:
+                break
+        equations, centres = self.linearize(state, reaches[-1])
+        return StationFit(self.layout, state, tuple(equations), self.prior, tuple(centres))
+
+    def with_views(self, views: Sequence[CameraView]) -> StationProblem:
+        """Return the same problem with other pictures of its cameras."""
+        return StationProblem(self._rig, views, self.episodes, self._priors)
+
+    def _displacement(self, step: Array) -> float:
+        cameras = [step[self.layout.camera(k)] for k in range(self.layout.cameras)]
+        return max(float(np.linalg.norm(one[3:6]) + _ARM_REACH * np.linalg.norm(one[:3])) for one in cameras)
+
+    def apply(self, state: StationState, step: Array, centres: Sequence[Array]) -> StationState:
+        """Return the state after a step (k,)."""
+        poses, focal, delays, margins = [], [], [], []
+        for number, centre in enumerate(centres):
+            own = step[self.layout.camera(number)]
+            poses.append(_moved(state.T_base_in_cam[number], own[:6], centre))
+            focal.append(state.log_focal[number] + float(np.clip(own[FOCAL], -0.1, 0.1)))
+            delays.append(state.delays[number] + float(own[DELAY]))
+            margins.append(state.margins[number] + float(own[MARGIN]))
+        bases = list(state.T_arm_in_base)
+        for arm in range(len(bases)):
+            if (place := self.layout.base(arm)) is not None:
+                bases[arm] = _moved(bases[arm], step[place], bases[arm][:3, 3])
+        offsets = tuple(rows + step[self.layout.offsets(arm)] for arm, rows in enumerate(state.offsets))
+        return StationState(tuple(poses), tuple(focal), tuple(delays), tuple(margins), offsets, tuple(bases))
+
+    def linearize(self, state: StationState, reach: float) -> tuple[list[FrameEquations], list[Array]]:
+        """Return the equations of each picture, and the points about which the cameras' poses turn."""
+        rows: list[_FrameRows] = []
+        centres = []
+        for number, view in enumerate(self.views):
+            # The middle of the base: turns about it are about those of the camera.
+            centre = state.T_base_in_cam[number] @ np.array([0.2, 0.0, 0.2, 1.0])
+            centres.append(centre[:3])
+            rows += [self._frame_rows(state, number, k, centre[:3], reach) for k in range(len(view.frames))]
+        return list(_weighted(rows, self.layout.size)), centres
+
+    def _frame_rows(self, state: StationState, camera: int, frame: int, centre: Array, reach: float) -> _FrameRows:
+        view = self.views[camera]
+        view.set_state(state, camera, self.episodes, frame)
+        picture, shown = view.renderer.body_picture(), view.frames[frame]
+        K = view.renderer.intrinsics.K
+        K[[0, 1], [0, 1]] *= math.exp(state.log_focal[camera])
+        parts = [
+            (line, offsets, kind)
+            for line, offsets, kind in outlines_and_edges(picture, shown, view.kinds[frame], reach)
+            if len(line.points) >= _MIN_LINE
+        ]
+        axes = view.renderer.joint_axes()
+        velocities = self.episodes[shown.episode].velocities_at(shown.time)
+        jacobians, residuals, points = [], [], 0
+        for line, offsets, _ in parts:
+            points += len(line.points)
+            inside = np.round(line.points - 1.5 * line.normals).astype(int)
+            bodies = picture.bodies[inside[:, 1], inside[:, 0]].astype(int)
+            depth = picture.depth[inside[:, 1], inside[:, 0]].astype(np.float64)
+            use = np.isfinite(offsets.offsets) & (bodies > 0) & (depth > 0)
+            outline = _OutlinePoints(line.points[use], line.normals[use], bodies[use], depth[use])
+            jacobians.append(self._jacobian(outline, K, centre, state, camera, view.renderer, axes, velocities))
+            residuals.append(offsets.offsets[use] - state.margins[camera])
+        if not jacobians:
+            return _FrameRows(camera, frame, np.zeros((0, self.layout.size)), np.zeros(0), 0, 1.0)
+        grain = grain_px(shown.grey.shape)
+        return _FrameRows(camera, frame, np.concatenate(jacobians), np.concatenate(residuals), points, grain)
+
+    def _jacobian(
+        self,
+        outline: _OutlinePoints,
+        K: Array,
+        centre: Array,
+        state: StationState,
+        camera: int,
+        renderer: BodyRenderer,
+        axes: Sequence[JointAxes],
+        velocities: Sequence[Array],
+    ) -> Array:
+        """Return how far (px) outline points (n, k) move along their normals with each parameter."""
+        points, across = outline.in_camera(K)
+        J = np.zeros((len(points), self.layout.size))
+        place = self.layout.camera(camera)
+        own = J[:, place]
+        own[:, :3], own[:, 3:6] = np.cross(points - centre, across), across
+        own[:, FOCAL] = ((outline.pixels - K[:2, 2]) * outline.normals).sum(axis=1)
+        own[:, MARGIN] = 1.0
+        arms = renderer.arm_of_body[outline.bodies]
+        for arm, joints in enumerate(axes):
+            mine = arms == arm
+            # Offsets are measured minus true, and later pictures show later joints.
+            turned = np.cross(joints.axes[None], points[mine, None] - joints.anchors[None])
+            by_joint = np.einsum("njk,nk->nj", turned, across[mine])
+            by_joint *= renderer.moved_by[arm][:, outline.bodies[mine]].T
+            J[mine, self.layout.offsets(arm)] = -by_joint
+            own[mine, DELAY] = -by_joint @ velocities[arm]
+            if (base := self.layout.base(arm)) is not None:
+                R = state.T_base_in_cam[camera][:3, :3]
+                origin = (state.T_base_in_cam[camera] @ state.T_arm_in_base[arm])[:3, 3]
+                J[mine, base.start : base.start + 3] = np.cross(points[mine] - origin, across[mine]) @ R
+                J[mine, base.start + 3 : base.stop] = across[mine] @ R
+        return J
+
+
+def _moved(T: Array, step: Array, centre: Array) -> Array:
+    turn = rotation_from_vector(step[:3])
+    return pose(centre + step[3:6] + turn @ (T[:3, 3] - centre), turn @ T[:3, :3])
+
+
+@dataclass(frozen=True)
+class _OutlinePoints:
+    """Outline points with an edge: `pixels` and `normals` (n, 2), `bodies` (n,) and `depth` (n,), m."""
+
+    pixels: Array
+    normals: Array
+    bodies: NDArray[np.int64]
+    depth: Array
+
+    def in_camera(self, K: Array) -> tuple[Array, Array]:
+        """Return points (n, 3) in the camera frame, and px along the normal by m of movement (n, 3)."""
+        ray = (self.pixels - K[:2, 2]) / K[[0, 1], [0, 1]]
+        points = np.column_stack([ray * self.depth[:, None], self.depth])
+        across = self.normals * K[[0, 1], [0, 1]] / self.depth[:, None]
+        return points, np.column_stack([across, -(across * ray).sum(axis=1)])
+
+
+@dataclass(frozen=True)
+class _FrameRows:
+    camera: int
+    frame: int
+    jacobian: Array
+    residuals: Array
+    points: int
+    grain: float
+
+
+def outlines_and_edges(
+    picture: BodyPicture, shown: ChosenFrame, kinds: NDArray[np.uint8], reach: float
+) -> Iterator[tuple[MaskOutline, EdgeOffsets, int]]:
+    """Yield the outlines of the moving and of the still bodies with the picture's edges within `reach` (grains)."""
+    kind_of = np.where(picture.bodies > 0, kinds[picture.bodies], 0).astype(np.uint8)
+    moving = kind_of == MOVING
+    if moving.any():
+        # The moving arm is where the picture differs from the background: towards its outline, the difference ends.
+        line = mask_outline(moving, (kind_of > 0) & ~moving)
+        yield line, edge_offsets(shown.change, line, reach, falling=True), MOVING
+    still = kind_of == STILL
+    if still.any():
+        line = mask_outline(still, ((kind_of > 0) & ~still) | _grown(shown.changed & ~still))
+        yield line, edge_offsets(shown.grey, line, reach), STILL
+
+
+def _grown(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    return np.asarray(cv2.dilate(mask.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0)
+
+
+def _weighted(rows: Sequence[_FrameRows], size: int) -> Iterator[FrameEquations]:
+    """Yield each picture's equations, with robust weights by each camera's spread of residuals."""
+    by_camera: dict[int, list[Array]] = {}
+    for one in rows:
+        by_camera.setdefault(one.camera, []).append(one.residuals)
+    scales = {
+        camera: 1.4826 * float(np.median(np.abs(np.concatenate(parts)))) if sum(map(len, parts)) else 1.0
+        for camera, parts in by_camera.items()
+    }
+    for one in rows:
+        sigma = max(_EDGE_SIGMA * one.grain, scales[one.camera])
+        weight = np.clip(1 - (one.residuals / (_TUKEY_CUTOFF * sigma)) ** 2, 0, None) ** 2
+        weight *= min(1.0, _INDEPENDENT_POINTS / max(len(weight), 1)) / sigma**2
+        weighted = one.jacobian * weight[:, None]
+        median = float(np.median(np.abs(one.residuals))) if len(weight) else float("nan")
+        yield FrameEquations(
+            one.camera,
+            one.frame,
+            weighted.T @ one.jacobian,
+            weighted.T @ one.residuals,
+            one.points,
+            len(one.residuals),
+            median,
+        )
+
+
+def start_state(
+    rig: RigConfig, T_base_in_cam: Sequence[Array], log_focal: Sequence[float], state: StationState | None = None
+) -> StationState:
+    """Return the state before the fit: the rig's bases, no offsets and no delays."""
+    reference = rig.recording_order[0]
+    to_reference = invert_pose(rig.T_base_in_world(reference))
+    cameras = len(T_base_in_cam)
+    fresh = StationState(
+        tuple(T_base_in_cam),
+        tuple(log_focal),
+        (0.0,) * cameras,
+        (0.0,) * cameras,
+        tuple(np.zeros(arm.robot.dof) for arm in rig.arms),
+        tuple(to_reference @ rig.T_base_in_world(k) for k in range(len(rig.arms))),
+    )
+    return fresh if state is None else replace(fresh, offsets=state.offsets, T_arm_in_base=state.T_arm_in_base)
