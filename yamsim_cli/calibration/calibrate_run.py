@@ -18,7 +18,7 @@ from ..core.geometry.se3 import Array, invert_pose
 from ..core.progress import Progress
 from ..photos.overlay.body_views import BodyRenderer
 from .calibration_file import Calibration
-from .camera_views import PreparedCamera, prepare_camera
+from .camera_views import PreparedCamera, prepare_camera, with_clean_backgrounds
 from .episode_pictures import EpisodePictures
 from .pose_search import Hypothesis, mask_overlap, search_poses
 from .station_fit import CameraView, FitPriors, StationFit, StationProblem, StationState, start_state
@@ -195,7 +195,8 @@ class StationCalibrator:
             if found_share(fits[-1]) > _MIN_FOUND and one.overlap > 1.15 * hypotheses[-1].overlap:
                 break
         fits.sort(key=found_share, reverse=True)
-        best = fits[0]
+        prepared = with_clean_backgrounds(prepared, fits[0].state, 0, self._episodes)
+        best = problem.with_views([prepared.view]).fit(fits[0].state, _SHARED_REACHES)
         share = found_share(best)
         figures = {**figures, "found_share": share, "outline_px": outline_px(best, 0)}
         refusal = None
@@ -205,7 +206,7 @@ class StationCalibrator:
                 f"{_MIN_FOUND:.0%} are needed: is the rig's arm and gripper the one in the pictures, and is the "
                 "camera's calibration correct?"
             )
-        elif len(fits) > 1 and found_share(fits[1]) > share - _RIVAL and _is_other_pose(*fits):
+        elif len(fits) > 1 and found_share(fits[1]) > found_share(fits[0]) - _RIVAL and _is_other_pose(*fits):
             refusal = (
                 "two different poses explain the pictures about as well: give episodes in which the arm reaches "
                 "farther to the sides"

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -15,35 +16,38 @@ from ..core.geometry.se3 import Array, invert_pose
 from ..core.images.image import Image
 from ..photos.overlay.body_views import BodyRenderer
 from .chosen_frames import (
+    BackgroundPicture,
     ChosenFrame,
     background_pictures,
     choose_pictures,
     compare_with_background,
     is_enough_background,
-    median_image,
+    median_background,
+    uncovered_background,
 )
 from .episode_pictures import EpisodePictures
 from .pose_search import MaskView
-from .station_fit import MOVING, STILL, UNCLEAR, CameraView
+from .station_fit import MOVING, STILL, UNCLEAR, CameraView, StationState
 
 _POINT_SPACING = 0.008  # m between the surface points of a body
 _SAME_PLACE = 0.01  # m; a body that moved less has the same place in two pictures, about
 _MOVING_SHARE = 0.7  # share of the background's pictures in which a moving body is elsewhere
 _STILL_SHARE = 0.1  # the same, at most, for a still body
+_ARM_EDGE = 7  # px, by which arms are widened when they are removed from a background
 
 
 @dataclass(frozen=True)
 class PreparedCamera:
-    """A camera's pictures, and what the search for its pose needs."""
+    """A camera's pictures, and what the search for its pose needs.
+
+    Attributes:
+        masks: what has changed in each picture.
+        backgrounds: the pictures of each background.
+    """
 
     view: CameraView
     masks: tuple[MaskView, ...]
-
-
-@dataclass(frozen=True)
-class _Background:
-    image: Image
-    times: tuple[tuple[int, float], ...]  # episode and time of each picture
+    backgrounds: tuple[tuple[BackgroundPicture, ...], ...]
 
 
 def prepare_camera(
@@ -60,39 +64,61 @@ def prepare_camera(
         DatasetError: a picture is damaged, or has another size than the camera.
     """
     chosen = choose_pictures(episodes, name, count)
-    backgrounds: list[_Background | None] = []
-    images: dict[tuple[int, int], Image] = {}
-    spare: list[Image] = []
-    spare_times: list[tuple[int, float]] = []
+    images: list[tuple[tuple[int, int, float], Image]] = []
+    own: list[tuple[BackgroundPicture, ...]] = [()]  # the first background is that of all short episodes
+    background_of: dict[int, int] = {}
     for number, episode in enumerate(episodes):
-        backgrounds.append(None)
         if name not in episode.cameras:
             continue
-        pictures = episode.cameras[name]
+        times = episode.cameras[name].times
         behind = background_pictures(episode, name)
         wanted = sorted({*behind, *chosen[number]})
         flat = dict(zip(wanted, _flat_images(episode, name, wanted, renderer, camera), strict=True))
-        images.update({(number, k): flat[k] for k in chosen[number]})
-        times = [(number, float(pictures.times[k])) for k in behind]
+        images += [((number, k, float(times[k])), flat[k]) for k in chosen[number]]
+        pictures = tuple(BackgroundPicture(number, float(times[k]), flat[k]) for k in behind)
         if is_enough_background(behind):
-            backgrounds[number] = _Background(median_image([flat[k] for k in behind]), tuple(times))
+            background_of[number] = len(own)
+            own.append(pictures)
         else:
-            spare += [flat[k] for k in behind]
-            spare_times += times
-    shared = _Background(median_image(spare), tuple(spare_times)) if spare else None
-    frames, behind_frames = [], []
-    for (number, k), image in sorted(images.items(), key=lambda item: item[0]):
-        background = backgrounds[number] or shared
-        assert background is not None  # each picture is in one of the two
-        time = float(episodes[number].cameras[name].times[k])
-        frames.append(compare_with_background(number, k, time, image, background.image))
-        behind_frames.append(background)
-    places = _BodyPlaces(rig, renderer, episodes)
-    kinds = np.array([places.kinds(frame, b.times) for frame, b in zip(frames, behind_frames, strict=True)])
+            background_of[number] = 0
+            own[0] += pictures
+    medians = [median_background(pictures) if pictures else None for pictures in own]
+    frames, places, kinds = [], _BodyPlaces(rig, renderer, episodes), []
+    for frame, image in images:
+        group = background_of[frame[0]]
+        background = medians[group]
+        assert background is not None  # each episode has pictures in its background
+        frames.append(compare_with_background(frame, image, group, background))
+        kinds.append(places.kinds(frames[-1], [(one.episode, one.time) for one in own[group]]))
     masks = tuple(
-        MaskView(frame.changed, places.points(frame, own == MOVING)) for frame, own in zip(frames, kinds, strict=True)
+        MaskView(frame.changed, places.points(frame, kind == MOVING)) for frame, kind in zip(frames, kinds, strict=True)
     )
-    return PreparedCamera(CameraView(name, renderer, tuple(frames), kinds), masks)
+    return PreparedCamera(CameraView(name, renderer, tuple(frames), np.array(kinds)), masks, tuple(own))
+
+
+def with_clean_backgrounds(
+    prepared: PreparedCamera, state: StationState, camera: int, episodes: Sequence[EpisodePictures]
+) -> PreparedCamera:
+    """Return the pictures compared with backgrounds from which the arms are removed, by an estimate of their places."""
+    view = prepared.view
+    moving = ((view.kinds == MOVING) | (view.kinds == UNCLEAR)).any(axis=0)
+    backgrounds = []
+    for pictures in prepared.backgrounds:
+        covered = []
+        for one in pictures:
+            view.show(state, camera, episodes[one.episode], one.time)
+            arms = moving[view.renderer.body_picture().bodies]
+            covered.append(cv2.dilate(arms.astype(np.uint8), np.ones((_ARM_EDGE, _ARM_EDGE), np.uint8)) > 0)
+        backgrounds.append(uncovered_background(pictures, covered) if pictures else None)
+    frames = []
+    for frame in view.frames:
+        background = backgrounds[frame.background]
+        assert background is not None  # each frame has a background
+        place = (frame.episode, frame.picture, frame.time)
+        frames.append(compare_with_background(place, frame.image, frame.background, background))
+    # Behind bodies that stay near their places, the background is now known too.
+    kinds = np.where(view.kinds == UNCLEAR, MOVING, view.kinds).astype(np.uint8)
+    return replace(prepared, view=replace(view, frames=tuple(frames), kinds=kinds))
 
 
 def _flat_images(

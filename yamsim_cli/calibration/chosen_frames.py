@@ -18,6 +18,7 @@ _SLOW_SHARE = 0.3  # share of the slowest pictures that count as slow in any cas
 _JOINT_WEIGHTS = (1.0, 1.0, 1.0, 0.5, 0.5, 0.25)  # of a joint's angle in the distance of poses: its reach, about
 _BACKGROUND_FRAMES = 24  # pictures of an episode whose median is the background
 _MIN_BACKGROUND_FRAMES = 6  # with fewer, an episode has the background of all
+_MIN_UNCOVERED = 3  # pictures in which a pixel is uncovered, for a known background
 _BLUR = 0.8  # px, sigma before the difference to the background
 _MASK_THRESHOLD = 20.0  # grey levels; shadows and noise are mostly below
 _NOISE_FACTOR = 6.0  # times the picture's noise, for the same
@@ -37,6 +38,8 @@ class ChosenFrame:
         image: RGB (height, width, 3).
         grey: (height, width).
         change: difference to the background (height, width), grey levels.
+        background: number of the background.
+        known: mask (height, width) of the pixels whose background is known.
         changed: mask (height, width) of the pixels that differ from the background, without shadows.
     """
 
@@ -45,6 +48,8 @@ class ChosenFrame:
     time: float
     image: Image
     grey: Image
+    background: int
+    known: NDArray[np.bool_]
     change: Image
     changed: NDArray[np.bool_]
 
@@ -95,12 +100,20 @@ def choose_pictures(episodes: Sequence[EpisodePictures], camera: str, count: int
 
 
 @dataclass(frozen=True)
-class EpisodeBackground:
-    """The median (height, width, 3) of an episode's pictures, and the times of these pictures, s."""
+class BackgroundPicture:
+    """A picture (height, width, 3) of which a background is the median, with its episode and time, s."""
 
-    median: Image
-    episodes: tuple[int, ...]
-    times: tuple[Array, ...]
+    episode: int
+    time: float
+    image: Image
+
+
+@dataclass(frozen=True)
+class Background:
+    """A background (height, width, 3), and a mask (height, width) of the pixels at which it is known."""
+
+    image: Image
+    known: NDArray[np.bool_]
 
 
 def background_pictures(episode: EpisodePictures, camera: str) -> list[int]:
@@ -114,14 +127,26 @@ def is_enough_background(pictures: Sequence[int]) -> bool:
     return len(pictures) >= _MIN_BACKGROUND_FRAMES
 
 
-def median_image(images: Sequence[Image]) -> Image:
-    """Return the median (height, width, 3) of each pixel."""
-    return np.asarray(np.median(np.stack(images), axis=0), dtype=np.uint8)
+def median_background(pictures: Sequence[BackgroundPicture]) -> Background:
+    """Return the median of each pixel."""
+    image = np.median(np.stack([one.image for one in pictures]), axis=0).astype(np.uint8)
+    return Background(image, np.ones(image.shape[:2], dtype=bool))
 
 
-def compare_with_background(episode: int, picture: int, time: float, image: Image, background: Image) -> ChosenFrame:
-    """Return a picture with its difference to the background."""
-    own, behind = (cv2.GaussianBlur(one, (0, 0), _BLUR).astype(np.float32) for one in (image, background))
+def uncovered_background(pictures: Sequence[BackgroundPicture], covered: Sequence[NDArray[np.bool_]]) -> Background:
+    """Return the median of each pixel over the pictures in which nothing covers it, by masks (height, width)."""
+    stack = np.ma.masked_array(
+        np.stack([one.image for one in pictures]), np.repeat(np.stack(covered)[..., None], 3, axis=-1)
+    )
+    known = (~np.stack(covered)).sum(axis=0) >= _MIN_UNCOVERED
+    return Background(np.ma.median(stack, axis=0).filled(0).astype(np.uint8), known)
+
+
+def compare_with_background(
+    frame: tuple[int, int, float], image: Image, number: int, background: Background
+) -> ChosenFrame:
+    """Return a picture, `frame` being its episode, number and time, with its difference to a background."""
+    own, behind = (cv2.GaussianBlur(one, (0, 0), _BLUR).astype(np.float32) for one in (image, background.image))
     signed = own - behind
     # The exposure may have changed: its level is that of most pixels.
     signed -= np.median(signed, axis=(0, 1), keepdims=True)
@@ -133,7 +158,13 @@ def compare_with_background(episode: int, picture: int, time: float, image: Imag
     changed = cv2.morphologyEx(cv2.morphologyEx(changed, cv2.MORPH_OPEN, kernel), cv2.MORPH_CLOSE, kernel)
     grey = np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), dtype=np.uint8)
     return ChosenFrame(
-        episode, picture, time, image, grey, np.minimum(change, 255).astype(np.uint8), changed.astype(bool)
+        *frame,
+        image=image,
+        grey=grey,
+        background=number,
+        known=background.known,
+        change=np.minimum(change, 255).astype(np.uint8),
+        changed=changed.astype(bool),
     )
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -23,15 +23,18 @@ FINAL_REACH = _REACHES[-1]
 _TUKEY_CUTOFF = 4.685  # standard deviations, beyond which Tukey's biweight is 0 (95 % efficiency)
 _EDGE_SIGMA = 0.3  # grains, least standard deviation of an edge's position
 _INDEPENDENT_POINTS = 60.0  # outline points of a picture that count as independent
+_STILL_PICTURES = 3.0  # pictures that count as independent for the outlines of bodies that stand still
 _CONVERGED = 2e-5  # m, movement of the arms in a round, below which the fit ends
 _ARM_REACH = 0.4  # m, from the middle of the arms to their ends, about
 MOVING, STILL, UNCLEAR = 1, 2, 3  # kinds of bodies in a picture
 _MIN_LINE = 10  # outline points; a shorter outline is not used
 
-# Parameters of a camera: the turn and shift of its pose, the logarithm of its focal length, its delay (s), and the
-# distance (px) between edges and rendered outlines that all pictures share: blur, light and reduced meshes move edges.
-CAMERA_SIZE = 9
-FOCAL, DELAY, MARGIN = 6, 7, 8
+# Parameters of a camera: the turn and shift of its pose, the logarithm of its focal length, its delay (s), the distance
+# (px) of edges from outlines that all bodies share, and for each body three biases (px) of its edges that all pictures
+# share: outwards, to the right and down. Light, shadows and reduced meshes cause them. The fit holds biases at 0, since
+# they look like other parameters; the intervals include them.
+FOCAL, DELAY, MARGIN, BIASES = 6, 7, 8, 9
+_BIASES = 3  # of each body
 
 
 @dataclass(frozen=True)
@@ -43,7 +46,8 @@ class FitPriors:
         delay: s.
         offset: of a joint, rad.
         base_shift, base_turn: of the second base in the first one, m and rad.
-        margin: of the common distance between edges and outlines, px.
+        margin: of the common distance of edges from outlines, px.
+        biases: of a body's edges outwards, and to the right and down, px.
     """
 
     focal: tuple[float, ...]
@@ -52,6 +56,7 @@ class FitPriors:
     base_shift: float = 0.03
     base_turn: float = math.radians(3.0)
     margin: float = 0.5
+    biases: tuple[float, float, float] = (0.12, 0.1, 0.1)
 
 
 # rad; a turn of a base about its first joint's axis looks like an offset of that joint, which is therefore 0.
@@ -66,7 +71,7 @@ class StationState:
         T_base_in_cam: pose (4, 4) of the reference arm's base in each camera.
         log_focal: logarithm of each camera's focal length over the given one.
         delays: of each camera, s: its pictures show the arms as they were this much earlier than stamped.
-        margins: px, of each camera.
+        margins: of each camera, px.
         offsets: of each arm's joints (dof,), rad: measured minus true.
         T_arm_in_base: pose (4, 4) of each arm's base in the reference arm's base.
     """
@@ -104,8 +109,12 @@ class CameraView:
     def set_state(self, state: StationState, camera: int, episodes: Sequence[EpisodePictures], frame: int) -> None:
         """Pose the renderer's arms as in a picture."""
         shown = self.frames[frame]
+        self.show(state, camera, episodes[shown.episode], shown.time)
+
+    def show(self, state: StationState, camera: int, episode: EpisodePictures, time: float) -> None:
+        """Pose the renderer's arms as in a picture with a time stamp, s."""
         self.renderer.set_focal_scale(math.exp(state.log_focal[camera]))
-        self.renderer.set_poses(state.base_poses(camera), state.postures(episodes[shown.episode], shown.time, camera))
+        self.renderer.set_poses(state.base_poses(camera), state.postures(episode, time, camera))
 
 
 @dataclass(frozen=True)
@@ -113,21 +122,27 @@ class Layout:
     """Places of parameters in the vector of all."""
 
     cameras: int
+    bodies: int
     dofs: tuple[int, ...]
     reference: int
 
     @property
+    def camera_size(self) -> int:
+        """Number of a camera's parameters."""
+        return BIASES + _BIASES * self.bodies
+
+    @property
     def size(self) -> int:
         """Number of parameters."""
-        return CAMERA_SIZE * self.cameras + sum(self.dofs) + 6 * (len(self.dofs) - 1)
+        return self.camera_size * self.cameras + sum(self.dofs) + 6 * (len(self.dofs) - 1)
 
     def camera(self, number: int) -> slice:
         """Place of a camera's parameters."""
-        return slice(CAMERA_SIZE * number, CAMERA_SIZE * (number + 1))
+        return slice(self.camera_size * number, self.camera_size * (number + 1))
 
     def offsets(self, arm: int) -> slice:
         """Place of an arm's joint offsets."""
-        start = CAMERA_SIZE * self.cameras + sum(self.dofs[:arm])
+        start = self.camera_size * self.cameras + sum(self.dofs[:arm])
         return slice(start, start + self.dofs[arm])
 
     def base(self, arm: int) -> slice | None:
@@ -135,7 +150,7 @@ class Layout:
         if arm == self.reference:
             return None
         others = [k for k in range(len(self.dofs)) if k != self.reference]
-        start = CAMERA_SIZE * self.cameras + sum(self.dofs) + 6 * others.index(arm)
+        start = self.camera_size * self.cameras + sum(self.dofs) + 6 * others.index(arm)
         return slice(start, start + 6)
 
 
@@ -159,13 +174,20 @@ class FrameEquations:
 
 @dataclass(frozen=True)
 class StationFit:
-    """The result: values, the equations of each picture at these values, and the prior's matrix (k, k)."""
+    """The result: values, and the equations of each picture at these values.
+
+    Attributes:
+        prior: inverse covariance (k, k) of what was known before.
+        biases: standard deviations (k,) of the biases that the fit holds at 0; 0 for other parameters.
+        centres: points (3,) in the cameras' frames about which poses turn.
+    """
 
     layout: Layout
     state: StationState
     equations: tuple[FrameEquations, ...]
     prior: Array
-    centres: tuple[Array, ...] = field(default=())
+    biases: Array
+    centres: tuple[Array, ...]
 
 
 class StationProblem:
@@ -176,18 +198,22 @@ class StationProblem:
     ) -> None:
         self.views, self.episodes = views, episodes
         self._rig, self._priors = rig, priors
-        self.layout = Layout(len(views), tuple(arm.robot.dof for arm in rig.arms), rig.recording_order[0])
-        sigma = np.full(self.layout.size, np.inf)
+        bodies = len(views[0].renderer.arm_of_body)
+        self.layout = Layout(len(views), bodies, tuple(arm.robot.dof for arm in rig.arms), rig.recording_order[0])
+        sigma, biases = np.full(self.layout.size, np.inf), np.zeros(self.layout.size)
         for number in range(len(views)):
             start = self.layout.camera(number).start
             sigma[start + FOCAL] = max(priors.focal[number], _HELD)
-            sigma[start + DELAY], sigma[start + MARGIN] = max(priors.delay, _HELD), priors.margin
+            sigma[start + DELAY] = max(priors.delay, _HELD)
+            sigma[start + MARGIN] = priors.margin
+            place = slice(start + BIASES, self.layout.camera(number).stop)
+            sigma[place], biases[place] = _HELD, priors.biases * bodies
         for arm in range(len(rig.arms)):
             sigma[self.layout.offsets(arm)] = max(priors.offset, _HELD)
             sigma[self.layout.offsets(arm).start] = _HELD
             if (place := self.layout.base(arm)) is not None:
                 sigma[place] = [priors.base_turn] * 3 + [priors.base_shift] * 3
-        self.sigma = sigma
+        self.sigma, self._biases = sigma, biases
         self.prior = np.diag(sigma**-2.0)
 
     def fit(self, state: StationState, reaches: Sequence[float] = _REACHES) -> StationFit:
@@ -205,7 +231,7 @@ class StationProblem:
             if number >= len(reaches) - 3 and self._displacement(step) < _CONVERGED:
                 break
         equations, centres = self.linearize(state, reaches[-1])
-        return StationFit(self.layout, state, tuple(equations), self.prior, tuple(centres))
+        return StationFit(self.layout, state, tuple(equations), self.prior, self._biases, tuple(centres))
 
     def with_views(self, views: Sequence[CameraView]) -> StationProblem:
         """Return the same problem with other pictures of its cameras."""
@@ -255,8 +281,8 @@ class StationProblem:
         ]
         axes = view.renderer.joint_axes()
         velocities = self.episodes[shown.episode].velocities_at(shown.time)
-        jacobians, residuals, points = [], [], 0
-        for line, offsets, _ in parts:
+        jacobians, residuals, still, points = [], [], [], 0
+        for line, offsets, kind in parts:
             points += len(line.points)
             inside = np.round(line.points - 1.5 * line.normals).astype(int)
             bodies = picture.bodies[inside[:, 1], inside[:, 0]].astype(int)
@@ -265,10 +291,13 @@ class StationProblem:
             outline = _OutlinePoints(line.points[use], line.normals[use], bodies[use], depth[use])
             jacobians.append(self._jacobian(outline, K, centre, state, camera, view.renderer, axes, velocities))
             residuals.append(offsets.offsets[use] - state.margins[camera])
+            still.append(np.full(int(use.sum()), kind == STILL))
         if not jacobians:
-            return _FrameRows(camera, frame, np.zeros((0, self.layout.size)), np.zeros(0), 0, 1.0)
+            return _FrameRows(camera, frame, np.zeros((0, self.layout.size)), np.zeros(0), np.zeros(0, bool), 0, 1.0)
         grain = grain_px(shown.grey.shape)
-        return _FrameRows(camera, frame, np.concatenate(jacobians), np.concatenate(residuals), points, grain)
+        return _FrameRows(
+            camera, frame, np.concatenate(jacobians), np.concatenate(residuals), np.concatenate(still), points, grain
+        )
 
     def _jacobian(
         self,
@@ -289,6 +318,8 @@ class StationProblem:
         own[:, :3], own[:, 3:6] = np.cross(points - centre, across), across
         own[:, FOCAL] = ((outline.pixels - K[:2, 2]) * outline.normals).sum(axis=1)
         own[:, MARGIN] = 1.0
+        at = BIASES + _BIASES * outline.bodies[:, None] + np.arange(_BIASES)
+        np.put_along_axis(own, at, outline.bias_jacobian(), axis=1)
         arms = renderer.arm_of_body[outline.bodies]
         for arm, joints in enumerate(axes):
             mine = arms == arm
@@ -320,6 +351,10 @@ class _OutlinePoints:
     bodies: NDArray[np.int64]
     depth: Array
 
+    def bias_jacobian(self) -> Array:
+        """Return how far (px) edges move along the normals with their body's biases (n, 3)."""
+        return np.column_stack([np.ones(len(self.normals)), self.normals])
+
     def in_camera(self, K: Array) -> tuple[Array, Array]:
         """Return points (n, 3) in the camera frame, and px along the normal by m of movement (n, 3)."""
         ray = (self.pixels - K[:2, 2]) / K[[0, 1], [0, 1]]
@@ -334,6 +369,7 @@ class _FrameRows:
     frame: int
     jacobian: Array
     residuals: Array
+    still: NDArray[np.bool_]
     points: int
     grain: float
 
@@ -346,7 +382,7 @@ def outlines_and_edges(
     moving = kind_of == MOVING
     if moving.any():
         # The moving arm is where the picture differs from the background: towards its outline, the difference ends.
-        line = mask_outline(moving, (kind_of > 0) & ~moving)
+        line = mask_outline(moving, ((kind_of > 0) & ~moving) | ~shown.known)
         yield line, edge_offsets(shown.change, line, reach, falling=True), MOVING
     still = kind_of == STILL
     if still.any():
@@ -371,6 +407,8 @@ def _weighted(rows: Sequence[_FrameRows], size: int) -> Iterator[FrameEquations]
         sigma = max(_EDGE_SIGMA * one.grain, scales[one.camera])
         weight = np.clip(1 - (one.residuals / (_TUKEY_CUTOFF * sigma)) ** 2, 0, None) ** 2
         weight *= min(1.0, _INDEPENDENT_POINTS / max(len(weight), 1)) / sigma**2
+        # All pictures show the same edges of what stands still, with the same errors.
+        weight[one.still] *= min(1.0, _STILL_PICTURES / len(by_camera[one.camera]))
         weighted = one.jacobian * weight[:, None]
         median = float(np.median(np.abs(one.residuals))) if len(weight) else float("nan")
         yield FrameEquations(
@@ -385,13 +423,13 @@ def _weighted(rows: Sequence[_FrameRows], size: int) -> Iterator[FrameEquations]
 
 
 def start_state(
-    rig: RigConfig, T_base_in_cam: Sequence[Array], log_focal: Sequence[float], state: StationState | None = None
+    rig: RigConfig, T_base_in_cam: Sequence[Array], log_focal: Sequence[float]
 ) -> StationState:
     """Return the state before the fit: the rig's bases, no offsets and no delays."""
     reference = rig.recording_order[0]
     to_reference = invert_pose(rig.T_base_in_world(reference))
     cameras = len(T_base_in_cam)
-    fresh = StationState(
+    return StationState(
         tuple(T_base_in_cam),
         tuple(log_focal),
         (0.0,) * cameras,
@@ -399,4 +437,3 @@ def start_state(
         tuple(np.zeros(arm.robot.dof) for arm in rig.arms),
         tuple(to_reference @ rig.T_base_in_world(k) for k in range(len(rig.arms))),
     )
-    return fresh if state is None else replace(fresh, offsets=state.offsets, T_arm_in_base=state.T_arm_in_base)

@@ -15,6 +15,7 @@ from .station_fit import DELAY, FOCAL, CameraView, StationFit, StationProblem, S
 Z95 = 1.959963984540054  # two-sided 95 % quantile of the normal distribution
 _BLOCKS = 6  # groups of pictures, if there are fewer episodes than `_MIN_EPISODES`
 _MIN_EPISODES = 4
+_EXPOSURE = 0.005  # s; a picture shows some time, and its stamp is from its beginning, middle or end
 _HALF_REACHES = (3.5, 2.5, 2.5, 2.5)  # grains, rounds of the fit of a half
 
 
@@ -90,7 +91,7 @@ def estimate_intervals(problem: StationProblem, fit: StationFit) -> StationInter
             for s, a, b in zip(starts, one.log_focal, other.log_focal, strict=True)
         ),
         tuple(
-            max(float(widths[s + DELAY]), abs(a - b) / 2)
+            max(float(widths[s + DELAY]), abs(a - b) / 2, _EXPOSURE)
             for s, a, b in zip(starts, one.delays, other.delays, strict=True)
         ),
         tuple(
@@ -104,7 +105,7 @@ def estimate_intervals(problem: StationProblem, fit: StationFit) -> StationInter
 
 
 def _covariance(fit: StationFit, groups: Sequence[Groups]) -> Array:
-    """Return the covariance (k, k): of the fit's equations, and of their scatter between groups of pictures."""
+    """Return the covariance (k, k): of the fit's equations, their scatter between groups, and of biases."""
     information = fit.prior + sum(one.normal for one in fit.equations)
     inverse = np.linalg.inv(information)
     by_group: dict[int, Array] = {}
@@ -118,7 +119,10 @@ def _covariance(fit: StationFit, groups: Sequence[Groups]) -> Array:
         gradients -= gradients.mean(axis=0)
         scatter = gradients.T @ gradients * count / (count - 1)
         scatter *= (student_t_quantile_95(count - 1) / Z95) ** 2
-    both: Array = inverse @ (information + scatter) @ inverse
+    normal = sum(one.normal for one in fit.equations)
+    by_bias = inverse @ (normal * fit.biases)
+    by_bias[:, fit.biases == 0] = 0.0
+    both: Array = inverse @ (information + scatter) @ inverse + by_bias @ by_bias.T
     return both
 
 
