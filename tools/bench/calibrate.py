@@ -163,7 +163,9 @@ def _yamsim(*arguments: object, codes: tuple[int, ...] = (0,)) -> str:
     return run.stdout
 
 
-def calibrate_station(folder: Path, planted: Planted, frames: int, known_focal: bool, limits: tuple[float, float]) -> dict[str, Any]:
+def calibrate_station(
+    folder: Path, planted: Planted, frames: int, known_focal: bool, limits: tuple[float, float]
+) -> dict[str, Any]:
     """Return errors and intervals of a station's calibration, or its refusal."""
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     camera = f"{CAMERA}={folder / 'camera.yaml'}" if known_focal else CAMERA

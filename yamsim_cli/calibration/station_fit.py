@@ -56,7 +56,7 @@ class FitPriors:
     base_shift: float = 0.03
     base_turn: float = math.radians(3.0)
     margin: float = 0.5
-    biases: tuple[float, float, float] = (0.12, 0.1, 0.1)
+    biases: tuple[float, float, float] = (0.25, 0.2, 0.2)
 
 
 # rad; a turn of a base about its first joint's axis looks like an offset of that joint, which is therefore 0.
@@ -422,9 +422,7 @@ def _weighted(rows: Sequence[_FrameRows], size: int) -> Iterator[FrameEquations]
         )
 
 
-def start_state(
-    rig: RigConfig, T_base_in_cam: Sequence[Array], log_focal: Sequence[float]
-) -> StationState:
+def start_state(rig: RigConfig, T_base_in_cam: Sequence[Array], log_focal: Sequence[float]) -> StationState:
     """Return the state before the fit: the rig's bases, no offsets and no delays."""
     reference = rig.recording_order[0]
     to_reference = invert_pose(rig.T_base_in_world(reference))
