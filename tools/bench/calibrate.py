@@ -27,6 +27,7 @@ from rich.console import Console
 from yamsim_cli.core.dataset.lowdim import dump_frame, load_frame
 from yamsim_cli.core.files.writing import scratch_directory
 from yamsim_cli.core.geometry.se3 import Array, pose, pose_from_quat, rotation_vector, rotation_z
+from yamsim_cli.core.images.image_files import read_image
 
 RIG, CAMERA = "yam_v1+linear_4310", "scene_camera"
 EPISODES = 4
@@ -149,7 +150,7 @@ def _spoil(clean: Path, out: Path, offsets: Array, delay: float, rng: np.random.
         data = {"joints": row.astype(np.float32), "timestamp": float(times[k])}
         (out / "lowdim" / f"{k:06d}.pkl").write_bytes(dump_frame(data))
     for file in sorted((clean / "rgb" / CAMERA).glob("*.jpg")):
-        image = cv2.GaussianBlur(cv2.imread(str(file)), (0, 0), BLUR).astype(np.float64)
+        image = cv2.GaussianBlur(read_image(file)[..., ::-1], (0, 0), BLUR).astype(np.float64)
         image += rng.normal(0, NOISE, image.shape)
         spoilt = np.clip(np.round(image), 0, 255).astype(np.uint8)
         cv2.imwrite(str(out / "rgb" / CAMERA / file.name), spoilt, [cv2.IMWRITE_JPEG_QUALITY, JPEG])

@@ -138,8 +138,9 @@ def uncovered_background(pictures: Sequence[BackgroundPicture], covered: Sequenc
     stack = np.ma.masked_array(
         np.stack([one.image for one in pictures]), np.repeat(np.stack(covered)[..., None], 3, axis=-1)
     )
+    middle = np.ma.median(stack, axis=0)  # type: ignore[no-untyped-call]
     known = (~np.stack(covered)).sum(axis=0) >= _MIN_UNCOVERED
-    return Background(np.ma.median(stack, axis=0).filled(0).astype(np.uint8), known)
+    return Background(middle.filled(0).astype(np.uint8), known)
 
 
 def compare_with_background(

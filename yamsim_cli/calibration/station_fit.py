@@ -206,8 +206,8 @@ class StationProblem:
             sigma[start + FOCAL] = max(priors.focal[number], _HELD)
             sigma[start + DELAY] = max(priors.delay, _HELD)
             sigma[start + MARGIN] = priors.margin
-            place = slice(start + BIASES, self.layout.camera(number).stop)
-            sigma[place], biases[place] = _HELD, priors.biases * bodies
+            held = slice(start + BIASES, self.layout.camera(number).stop)
+            sigma[held], biases[held] = _HELD, priors.biases * bodies
         for arm in range(len(rig.arms)):
             sigma[self.layout.offsets(arm)] = max(priors.offset, _HELD)
             sigma[self.layout.offsets(arm).start] = _HELD
