@@ -46,4 +46,4 @@ def test_a_recorded_camera_is_found_and_checked(tmp_path: Path) -> None:
     moved["cameras"][0]["position"][1] += 0.08
     (tmp_path / "moved.yaml").write_text(yaml.safe_dump(moved))
     check = yamsim("calibrate", "data", "--rig", RIG, *limits, "--check", "moved.yaml", "--out", "c", cwd=tmp_path)
-    assert (check.code, "contradict the calibration" in check.message) == (5, True)
+    assert (check.code, "contradict the calibration" in check.err) == (5, True)
