@@ -87,7 +87,7 @@ class Kinematics:
             self._forward.T_site_in_base(self._home, name) for name in ("pinch_site", site)
         )
         for solver in self._solvers:
-            solver.set_held_frame(invert_pose(T_pinch_in_base) @ T_site_in_base)
+            solver.set_held_object_frame(invert_pose(T_pinch_in_base) @ T_site_in_base)
 
     @property
     def T_base_in_world(self) -> Array:

@@ -27,7 +27,7 @@ from .commands.record import record
 from .commands.render_views import render_views
 from .commands.replay import replay
 from .commands.serve_policy import serve_policy
-from .commands.serve_robot import can_run, serve_robot
+from .commands.serve_robot import run_can_program, serve_robot
 from .commands.summarize import summarize
 from .commands.teleop import teleop
 from .commands.trials import pickplace, trials
@@ -51,7 +51,7 @@ app.command()(replay)
 app.command("eval")(evaluate)
 app.command("serve-policy")(serve_policy)
 app.command("serve-robot")(serve_robot)
-app.command("can-run")(can_run)
+app.command("can-run")(run_can_program)
 app.command("compose-xml")(compose_xml)
 app.command("render-views")(render_views)
 app.command()(overlay)

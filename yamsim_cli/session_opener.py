@@ -200,7 +200,7 @@ class SessionOpener:
     def _rig_named_by_task(self, task: str | dict[str, Any], locations: Locations) -> tuple[str, str] | None:
         """Return file position and name of the rig in a task's config, if any."""
         from .core.config.loader import config_model
-        from .core.config.program_task import PROGRAM
+        from .core.config.program_task import PROGRAM_KIND
         from .core.files.documents.yaml_document import Document
 
         try:
@@ -208,7 +208,7 @@ class SessionOpener:
             document = read(locations.config_file("tasks", task)) if isinstance(task, str) else Document(task, "task")
         except ConfigError:
             return None  # `load_config` reports the error
-        rig = document.data.get("rig") if document.data.get("kind") == PROGRAM else None
+        rig = document.data.get("rig") if document.data.get("kind") == PROGRAM_KIND else None
         return (document.place_of(("rig",)), rig) if isinstance(rig, str) else None
 
     def load_rig(
@@ -259,13 +259,13 @@ class SessionOpener:
 
         Sets that the config records as primitives stay primitives.
         """
-        from .core.config.mesh_provenance import PRIMITIVES
+        from .core.config.mesh_provenance import PRIMITIVES_ONLY
         from .core.scene.blueprint import recording_blueprint
         from .core.scene.compose import visual_mesh_sets
 
         names = visual_mesh_sets(recording_blueprint(session.config))
         recorded = session.config.meshes or {}
-        kept = [name for name in names if recorded.get(name) == PRIMITIVES]
+        kept = [name for name in names if recorded.get(name) == PRIMITIVES_ONLY]
         where = self.with_mesh_folders(session.locations, set(names).difference(kept), session.config.render)
         return replace(session, locations=replace(where, meshes={**where.meshes, **dict.fromkeys(kept)}))
 

@@ -15,7 +15,7 @@ from tests.unrendered import SIZE, change_frame, change_record, frame_count, rea
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.session import Session
 from yamsim_cli.core.dataset.reader import read_recording_config, select_episodes
-from yamsim_cli.core.episode.attempt_payload import APPEARANCE_REVISION, ENGINE
+from yamsim_cli.core.episode.attempt_payload import APPEARANCE_REVISION, SIMULATION_REVISION
 from yamsim_cli.core.errors import DatasetError, UsageError
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.datasets.verify import ACTIONS, IMAGES, SEED, EpisodeVerdict, EpisodeVerifier, Tolerances
@@ -226,7 +226,9 @@ def failing(dataset: Path, *args: str) -> Run:
 def test_the_command_tells_what_differs_in_one_line_with_the_versions_that_changed(dataset: Path) -> None:
     after = read_frame(dataset / "ep_000001", 20)["joints"] + np.float32(1e-3)
     change_frame(dataset / "ep_000001", 20, rehash=True, joints=after)
-    change_record(dataset / "ep_000001", versions={"mujoco": "3.9.9", "looks": APPEARANCE_REVISION, "engine": ENGINE})
+    change_record(
+        dataset / "ep_000001", versions={"mujoco": "3.9.9", "looks": APPEARANCE_REVISION, "engine": SIMULATION_REVISION}
+    )
     run = failing(dataset)
     assert run.json["first_divergence"]["episode"] == 1
     assert run.json["first_divergence"]["frame"] == 20
@@ -271,9 +273,9 @@ def test_an_episode_of_an_earlier_engine_is_repeated_by_its_actions_alone(datase
     assert set(found.checks) == {ACTIONS}
     reason = found.skipped[SEED]
     assert reason.startswith("it was made by engine revision 1 of yamsim ")
-    assert f"this version's revision {ENGINE} makes other episodes" in reason
+    assert f"this version's revision {SIMULATION_REVISION} makes other episodes" in reason
     assert found.skipped[IMAGES] == found.skipped[SEED]
-    assert found.changed["engine"] == ("1", ENGINE)
+    assert found.changed["engine"] == ("1", SIMULATION_REVISION)
 
 
 def test_the_command_names_an_altered_file_though_no_value_differs_enough(dataset: Path) -> None:

@@ -105,7 +105,7 @@ def test_only_what_waits_is_still(expert_bench: PlanningContext) -> None:
     hand = expert_bench.hands[0]
     assert is_still(expert_bench.wait_segment(4))
     closing = {hand: FingerTarget(0.0, 10.0)}
-    assert not is_still(expert_bench.make_segment({hand: expert_bench.still_motion(hand, 10)}, closing))
+    assert not is_still(expert_bench.make_segment({hand: expert_bench.hold_still_motion(hand, 10)}, closing))
 
 
 def test_cutlery_has_places_in_its_compartment_and_beside_the_tray() -> None:
@@ -196,7 +196,7 @@ def test_a_grip_that_slipped_is_not_tried_again(expert_bench: PlanningContext, m
                 expert_bench, hand, thing, ReachableGrasp(grip, hand.ready_joints, hand.ready_joints, grip.opening)
             )
         )
-    assert hand.has_failed_with(thing, grip.T_pinch_in_thing)
+    assert hand.is_similar_to_failed_grasp(thing, grip.T_pinch_in_thing)
     assert grab.find_reachable_grasp(expert_bench, hand, thing, grip) is None
 
 

@@ -22,7 +22,7 @@ from yamsim_cli.core.config.loader import parse_config
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.session import Session
 from yamsim_cli.core.dataset.reader import open_episodes
-from yamsim_cli.core.dataset.writing.directory_claim import OpenMode
+from yamsim_cli.core.dataset.writing.directory_claim import ExistingDatasetMode
 from yamsim_cli.core.episode.runner import AttemptRunner
 from yamsim_cli.core.errors import ConfigError, ResourceError
 from yamsim_cli.core.files.documents.yaml_document import load_yaml
@@ -46,7 +46,7 @@ def meshes(locations: Locations, tmp_path: Path) -> Meshes:
     return stand_ins(tmp_path / "meshes", locations, ARM, YCB, SMALL)
 
 
-def go_on(recording: Recording, meshes: Meshes, mode: OpenMode = OpenMode.RESUME) -> None:
+def go_on(recording: Recording, meshes: Meshes, mode: ExistingDatasetMode = ExistingDatasetMode.RESUME) -> None:
     """Record more, with these meshes."""
     recording.meshes = meshes
     recording.config = recording.config.model_copy(update={"episodes": recording.config.episodes + 1})
@@ -206,7 +206,7 @@ def test_a_worker_that_would_draw_otherwise_is_refused_at_the_start(recording: R
         str(caught.value),
     )
     assert json.loads((recording.path / "manifest.json").read_text())["episodes"] == []
-    recording.run(Inline(), OpenMode.RESUME)
+    recording.run(Inline(), ExistingDatasetMode.RESUME)
 
 
 FRUIT = {

@@ -27,7 +27,7 @@ app = typer.Typer(
     help="List and fetch the robot and object meshes, and import and certify objects.", no_args_is_help=True
 )
 
-_VERDICTS = {True: "passed", False: "FAILED", None: "not checked"}
+_CHECK_RESULT_LABELS = {True: "passed", False: "FAILED", None: "not checked"}
 
 
 @app.command("list")
@@ -38,14 +38,14 @@ def list_assets(json: Json = False) -> None:
     """
     from yamsim_cli.terminal.console import print_table
 
-    lock, store = _open_store()
+    lock, store = _load_lock_and_open_store()
     items = [item for assets in lock.sets.values() for item in _file_entries(assets, store)]
     things = _certificate_entries(lock)
     if json:
         print_json({"items": items, "things": things})
     else:
-        print_table(_entry_table(items, ("name", "set", "status", "size"), 3))
-        print_table(_entry_table(things, ("name", "certificate", "failed"), 3))
+        print_table(_print_entry_table(items, ("name", "set", "status", "size"), 3))
+        print_table(_print_entry_table(things, ("name", "certificate", "failed"), 3))
         for assets in lock.sets.values():
             print_line(f"{assets.name} ({assets.license}): {store.file_states(assets)[0].path.parent}")
 
@@ -66,7 +66,7 @@ def fetch(
     """
     from yamsim_cli.terminal.console import print_table
 
-    lock, store = _open_store()
+    lock, store = _load_lock_and_open_store()
     report, reduced = _fetch_with_progress(lock, store, names or [])
     items = [
         {
@@ -86,12 +86,12 @@ def fetch(
     if json:
         print_json({"items": items})
     else:
-        print_table(_entry_table(items, ("name", "source", "files", "size", "faces", "reduced_faces"), 2))
+        print_table(_print_entry_table(items, ("name", "source", "files", "size", "faces", "reduced_faces"), 2))
         for item in items:
             print_line(f"{item['name']}: {item['path']}")
 
 
-def _open_store() -> tuple[AssetLock, AssetStore]:
+def _load_lock_and_open_store() -> tuple[AssetLock, AssetStore]:
     from yamsim_cli.core.scene.assets import AssetStore, load_lock
 
     locations = opener.find_locations()
@@ -146,17 +146,19 @@ def _fetch_with_progress(
         for fetched in report.sets:
             assets = lock.sets[fetched.name]
 
-            def made(done: int, total: int, label: str = f"{assets.name}: reducing") -> None:
+            def show_reduction_progress(done: int, total: int, label: str = f"{assets.name}: reducing") -> None:
                 advance(label, done, total, f"{done} of {total} files")
 
             try:
-                reduced[assets.name] = make_reduced(store, assets, fetched.directory, lock.notices[assets.notice], made)
+                reduced[assets.name] = make_reduced(
+                    store, assets, fetched.directory, lock.notices[assets.notice], show_reduction_progress
+                )
             except ResourceError as error:
                 print_note(f"No reduced meshes of {assets.name}: {error}")
     return report, reduced
 
 
-def _entry_table(items: Sequence[Mapping[str, Any]], columns: tuple[str, ...], numbers_from: int) -> ItemTable:
+def _print_entry_table(items: Sequence[Mapping[str, Any]], columns: tuple[str, ...], numbers_from: int) -> ItemTable:
     table = ItemTable([column.replace("_", " ") for column in columns], numbers_from=numbers_from)
     for item in items:
         table.add_row(*(_cell_text(column, item[column]) for column in columns))
@@ -208,7 +210,9 @@ def _certificate_table(checks: Sequence[Mapping[str, Any]]) -> ItemTable:
     table = ItemTable(["check", "", "figures"], numbers_from=3)
     for check in checks:
         figures = ", ".join(f"{name} {value}" for name, value in check["figures"].items())
-        table.add_row(check["code"], _VERDICTS[check["ok"]], "; ".join(filter(None, (check["note"], figures))))
+        table.add_row(
+            check["code"], _CHECK_RESULT_LABELS[check["ok"]], "; ".join(filter(None, (check["note"], figures)))
+        )
     return table
 
 

@@ -14,7 +14,7 @@ from yamsim_cli.terminal.tables import FactTable
 
 app = typer.Typer(help="List, show and check configs.", no_args_is_help=True)
 
-Kind = Annotated[
+ConfigKindArgument = Annotated[
     str, typer.Argument(help="rigs, scenes, tasks, objects, cameras, quality or record.", show_default=False)
 ]
 
@@ -55,7 +55,7 @@ def _require_config_name(context: typer.Context, name: str) -> str:
 
 @app.command()
 def show(
-    kind: Kind,
+    kind: ConfigKindArgument,
     name: Annotated[
         str, typer.Argument(help="A config's name or a YAML file.", show_default=False, callback=_require_config_name)
     ] = "",
@@ -106,7 +106,7 @@ def validate(
 
 
 @app.command()
-def schema(kind: Kind, json: Json = False) -> None:
+def schema(kind: ConfigKindArgument, json: Json = False) -> None:
     """Print the JSON schema of a kind of config, for editors that complete and check YAML. The output is always JSON.
 
     Example: yamsim config schema rigs > rig.schema.json

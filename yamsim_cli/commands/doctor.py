@@ -14,7 +14,7 @@ from yamsim_cli.terminal.console import print_json, print_line, print_text
 if TYPE_CHECKING:
     from yamsim_cli.doctor import HealthCheck
 
-_STYLES = {"ok": "green", "warning": "yellow", "fault": "bold red"}
+_HEALTH_STYLES = {"ok": "green", "warning": "yellow", "fault": "bold red"}
 
 
 def doctor(
@@ -42,6 +42,6 @@ def doctor(
 
 
 def _print(check: HealthCheck) -> None:
-    print_text(f"{check.health:8}", f"{check.name}: {check.detail}", _STYLES[check.health])
+    print_text(f"{check.health:8}", f"{check.name}: {check.detail}", _HEALTH_STYLES[check.health])
     if check.fix:
         print_line(f"{'':8}  -> {check.fix}")

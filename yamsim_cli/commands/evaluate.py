@@ -170,12 +170,12 @@ def _read_reports(names: list[str], session: Session) -> dict[str, dict[str, Any
     """Return name -> report of an earlier evaluation, for names that end in .json. Its trials must equal this
     session's.
     """
-    from yamsim_cli.core.episode.trials import describe_run
+    from yamsim_cli.core.episode.trials import trial_settings
     from yamsim_cli.policies.evaluate.compare import read_report, require_same_trials
 
     reports = {name: read_report(Path(name)) for name in names if name.endswith(".json")}
     for report in reports.values():
-        require_same_trials(describe_run(session.config), report)
+        require_same_trials(trial_settings(session.config), report)
     return reports
 
 

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from yamsim_cli.recording.executor_factories import ExecutorFactory
     from yamsim_cli.recording.recorder import RecordReport
 
-_STOPPING_NOTE = (
+_STOP_SIGNAL_NOTE = (
     "Stopping once the attempts in progress are done. Another signal stops at once; nothing is lost either way."
 )
 
@@ -90,7 +90,7 @@ def record(
     from yamsim_cli.recording.recording_output import RecordingOutput
 
     executors = _make_executor_factory(executor, address, attempt_timeout)
-    with progress_bar("recording", "episodes") as advance, stop_on_signal(_STOPPING_NOTE) as stop:
+    with progress_bar("recording", "episodes") as advance, stop_on_signal(_STOP_SIGNAL_NOTE) as stop:
         callbacks = RecordCallbacks(
             lambda done, wanted, attempts: advance(done, wanted, f"{attempts} attempts"), print_note
         )

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from yamsim_cli.viewers.page_address import PageAddress
 
 # For an episode whose actions cannot be simulated again.
-_NO_PHYSICS: dict[str, Any] = {"max_error": None, "first_divergence": None}
+_UNREPRODUCIBLE_RESULT: dict[str, Any] = {"max_error": None, "first_divergence": None}
 
 
 def replay(
@@ -68,7 +68,7 @@ def replay(
         return
     pixels = parse_size(size) if size else None
     report = _film_episode(stored, where, video, camera or [], render, pixels, speed, overwrite)
-    report |= _repeat_in_physics(stored, where) if isinstance(stored, StoredEpisode) else _NO_PHYSICS
+    report |= _repeat_in_physics(stored, where) if isinstance(stored, StoredEpisode) else _UNREPRODUCIBLE_RESULT
     if json:
         print_json(report)
         return
@@ -122,7 +122,7 @@ def play_episode(
     from yamsim_cli.core.dataset.reader import StoredEpisode
     from yamsim_cli.viewers.show.replay import play_real, play_simulated
 
-    physics = _NO_PHYSICS
+    physics = _UNREPRODUCIBLE_RESULT
 
     def announce_ready(url: str | None) -> None:
         line = f"{url}  (Ctrl-C ends)" if url else "MuJoCo's window: space pauses"
@@ -172,7 +172,7 @@ def _repeat_in_physics(stored: StoredEpisode, locations: Locations) -> dict[str,
         print_note(f"Its actions were not repeated: {error}.")
         found = None
     if found is None:
-        return dict(_NO_PHYSICS)
+        return dict(_UNREPRODUCIBLE_RESULT)
     return {"max_error": found.max_error, "first_divergence": found.first_difference and asdict(found.first_difference)}
 
 

@@ -17,9 +17,9 @@ app = typer.Typer(
     help="List and show arms, grippers and stations, and make and check your own arm.", no_args_is_help=True
 )
 
-_VERDICTS = {True: "passed", False: "FAILED", None: "does not apply"}
+_CHECK_RESULT_LABELS = {True: "passed", False: "FAILED", None: "does not apply"}
 
-_Data = Annotated[
+_RobotDataFolder = Annotated[
     Path | None,
     typer.Option("--data", help="Your folder of data.  [default: $YAMSIM_DATA_DIR]", metavar="DIR"),
 ]
@@ -59,7 +59,7 @@ def show(
 @app.command()
 def new(
     name: Annotated[str, typer.Argument(help="The new arm's name: letters, digits and underscores.")],
-    data: _Data = None,
+    data: _RobotDataFolder = None,
     json: Json = False,
 ) -> None:
     """Write commented files of a new arm that pass `yamsim robots check`. No file is overwritten.
@@ -83,7 +83,7 @@ def new(
 @app.command()
 def check(
     name: Annotated[str, typer.Argument(help="An arm's name.")],
-    data: _Data = None,
+    data: _RobotDataFolder = None,
     json: Json = False,
 ) -> None:
     """Check an arm with each compatible gripper: the model compiles, and its drives hold the home posture.
@@ -105,7 +105,7 @@ def check(
 def _check_table(found: Sequence[Mapping[str, Any]]) -> ItemTable:
     table = ItemTable(["gripper", "", "found"], numbers_from=3)
     for one in found:
-        table.add_row(one["gripper"], _VERDICTS[one["ok"]], one["detail"])
+        table.add_row(one["gripper"], _CHECK_RESULT_LABELS[one["ok"]], one["detail"])
     return table
 
 

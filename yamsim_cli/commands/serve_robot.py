@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 # us, time between the answers of two motors: two frames of 130 bits at 1 Mbit/s, and the USB adapter's delay. Seven
 # motors then take 4 ms, the control period of the manufacturer's SDK (250 Hz).
-_ANSWER_GAP_US = 571.0
+_MOTOR_ANSWER_INTERVAL_US = 571.0
 
 Folder = Annotated[
     Path | None,
@@ -58,7 +58,7 @@ def serve_robot(
     ] = None,
     gap: Annotated[
         float, typer.Option("--answer-gap", metavar="US", min=0, max=100_000, help="Time between two answers.")
-    ] = _ANSWER_GAP_US,
+    ] = _MOTOR_ANSWER_INTERVAL_US,
     kernel: Annotated[
         bool, typer.Option("--kernel", help="Use the kernel's CAN interfaces, such as vcan, instead of sockets.")
     ] = False,
@@ -195,7 +195,7 @@ def _open_chiral_server(stack: ExitStack, robot: PolicyRobot, host: str, port: i
     return server
 
 
-def can_run(
+def run_can_program(
     program: Annotated[list[str], typer.Argument(metavar="PROGRAM...", help="The program and its arguments.")],
     folder: Folder = None,
     json: Annotated[

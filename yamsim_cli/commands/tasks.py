@@ -15,7 +15,7 @@ from yamsim_cli.terminal.trial_tables import film_with_progress, open_films
 
 app = typer.Typer(help="List and show tasks, and make and check your own.", no_args_is_help=True)
 
-_VERDICTS = {True: "passed", False: "FAILED", None: "does not apply"}
+_CHECK_RESULT_LABELS = {True: "passed", False: "FAILED", None: "does not apply"}
 
 
 @app.command("list")
@@ -109,7 +109,7 @@ def check(
 def _check_table(report: Mapping[str, Any]) -> ItemTable:
     table = ItemTable(["check", "", "found"], numbers_from=3)
     for check in report["checks"]:
-        table.add_row(check["name"].replace("_", " "), _VERDICTS[check["ok"]], check["detail"])
+        table.add_row(check["name"].replace("_", " "), _CHECK_RESULT_LABELS[check["ok"]], check["detail"])
     for trial in report["trials"]:
         table.add_row(f"trial {trial['trial']}", trial["outcome"]["cause"], trial["outcome"]["detail"])
     return table

@@ -18,7 +18,7 @@ from yamsim_cli.terminal.signals import stop_on_signal
 if TYPE_CHECKING:
     from yamsim_cli.viewers.teleop.teleop_session import TeleopReport
 
-_ENDING_NOTE = (
+_STOP_SIGNAL_NOTE = (
     "Ending once recorded attempts are judged and rendered. Another signal ends at once; whole episodes are safe."
 )
 
@@ -82,7 +82,7 @@ def teleop(
         sys.stderr.flush()
 
     with (
-        stop_on_signal(_ENDING_NOTE) as stop,
+        stop_on_signal(_STOP_SIGNAL_NOTE) as stop,
         open_teleop(session, out, mode, print_note, time_limit=time_limit) as teleop_session,
     ):
         if page is None:

@@ -20,9 +20,9 @@ _METHOD_LABELS = {"seed": "made again from its seed", "actions": "from its actio
 # Largest difference that rounding alone explains: m, rad, or relative for numbers above 1. Another processor rounds the
 # last bit differently, and contacts amplify the difference. On an emulated processor, most of 40 episodes differed by
 # 1.5e-4, and the worst by 1.4e-3 (the tilt of a rolling banana).
-_MAX_ROUNDING = 0.005
+_MAX_VERSION_DIFFERENCE = 0.005
 
-_MAX_LINES = 10  # of differences, and of problems; --json has all
+_MAX_LISTED_DIFFERENCES = 10  # of differences, and of problems; --json has all
 
 
 def verify(
@@ -95,9 +95,9 @@ def _result_rows(report: dict[str, Any]) -> Iterator[tuple[str | Text, str]]:
                 yield "", f"not made for some: {reason}"
     for change in report["versions_changed"]:
         yield f"{change['name']} changed", f"{change['recorded']} then, {change['now']} now"
-    for divergence in report["divergences"][:_MAX_LINES]:
+    for divergence in report["divergences"][:_MAX_LISTED_DIFFERENCES]:
         yield Text("differs", style="red"), _difference_text(divergence)
-    for problem in report["problems"][:_MAX_LINES]:
+    for problem in report["problems"][:_MAX_LISTED_DIFFERENCES]:
         yield Text("problem", style="red"), _problem_text(problem)
     yield "time", f"{report['seconds']:.1f} s, {report['seconds'] / report['episodes']:.2f} s an episode"
 
@@ -134,6 +134,7 @@ def _verdict_line(report: dict[str, Any]) -> str:
 def _tolerance_hint(report: dict[str, Any]) -> str:
     """Advise a tolerance if rounding alone can explain the differences."""
     unequal = any(divergence["difference"] is None for divergence in report["divergences"])
-    if unequal or report["problems"] or not report["tolerance"] < report["max_error"] <= _MAX_ROUNDING:
+    if unequal or report["problems"] or not report["tolerance"] < report["max_error"] <= _MAX_VERSION_DIFFERENCE:
         return ""
-    return f"; if it was recorded on another kind of processor, rounding can cause this: --tolerance {_MAX_ROUNDING:g}"
+    flag = f"--tolerance {_MAX_VERSION_DIFFERENCE:g}"
+    return f"; if it was recorded on another kind of processor, rounding can cause this: {flag}"

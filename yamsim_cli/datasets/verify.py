@@ -25,7 +25,7 @@ from ..core.dataset.reader import StoredEpisode, open_episode
 from ..core.dataset.records import EpisodeRecord, OutcomeRecord, attempt_from_record
 from ..core.episode.attempt_payload import (
     APPEARANCE_REVISION,
-    ENGINE,
+    SIMULATION_REVISION,
     encode_images,
     library_versions,
 )
@@ -111,11 +111,11 @@ class EpisodeVerifier(Closable):
             frames = _read_frames(episode, problems)
             if episode.record.source != "record":
                 skipped[SEED] = f"it comes from {episode.record.source!r}, not from a seed"
-            elif (engine := episode.record.versions["engine"]) != ENGINE:
+            elif (engine := episode.record.versions["engine"]) != SIMULATION_REVISION:
                 version = episode.record.versions.get("yamsim", "unknown")
                 skipped[SEED] = (
-                    f"it was made by engine revision {engine} of yamsim {version}; this version's revision {ENGINE} "
-                    "makes other episodes from the same seeds; only its actions are repeated"
+                    f"it was made by engine revision {engine} of yamsim {version}; this version's revision "
+                    f"{SIMULATION_REVISION} makes other episodes from the same seeds; only its actions are repeated"
                 )
                 if self._tolerances.images is not None:
                     skipped[IMAGES] = skipped[SEED]
@@ -207,7 +207,7 @@ def reproduce_frames(
     # Actions do not tell which skills the expert tried again.
     judged = OutcomeRecord.from_outcome(done.outcome).model_copy(update={"recoveries": stored.recoveries})
     # Earlier engines judged and measured differently. Final positions and speeds do not depend on that.
-    keys = None if episode.record.versions["engine"] == ENGINE else {"dxy_m", "dz_m", "speed_mps"}
+    keys = None if episode.record.versions["engine"] == SIMULATION_REVISION else {"dxy_m", "dz_m", "speed_mps"}
     once = compare_values(
         {"outcome": _outcome_numbers(stored, keys)}, {"outcome": _outcome_numbers(judged, keys)}, tolerance
     )

@@ -18,7 +18,7 @@ from yamsim_cli.core.files.writing import nearest_directory, write_output
 from yamsim_cli.terminal.console import print_note
 
 if TYPE_CHECKING:
-    from yamsim_cli.core.dataset.writing.directory_claim import OpenMode
+    from yamsim_cli.core.dataset.writing.directory_claim import ExistingDatasetMode
 
 MIN_FREE_BYTES = 1 << 16  # no command starts with less; reports and pictures are larger
 
@@ -28,13 +28,19 @@ VideoTrials = Annotated[int, typer.Option(min=1, metavar="N", help="With --video
 ReportFile = Annotated[Path | None, typer.Option(help="Also write the JSON to this file.")]
 
 
-def open_mode(*, resume: bool, overwrite: bool) -> OpenMode:
+def open_mode(*, resume: bool, overwrite: bool) -> ExistingDatasetMode:
     """Return whether to create, resume or replace the output dataset."""
-    from yamsim_cli.core.dataset.writing.directory_claim import OpenMode
+    from yamsim_cli.core.dataset.writing.directory_claim import ExistingDatasetMode
 
     if resume and overwrite:
         raise UsageError("--resume and --overwrite exclude each other; give one of them")
-    return OpenMode.RESUME if resume else OpenMode.OVERWRITE if overwrite else OpenMode.NEW
+    return (
+        ExistingDatasetMode.RESUME
+        if resume
+        else ExistingDatasetMode.OVERWRITE
+        if overwrite
+        else ExistingDatasetMode.NEW
+    )
 
 
 def require_unused(flag: str, files: Path | Iterable[Path], *, overwrite: bool) -> None:

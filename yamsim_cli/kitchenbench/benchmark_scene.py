@@ -15,7 +15,7 @@ from kitchenbench.sim.blueprint import ASSETS, SceneBlueprint
 from ..core.attempt_data import ObjectLayout
 from ..core.config.goals.role_assignment import RoleAssignment
 from ..core.config.objects.object_config import ObjectConfig
-from ..core.config.program_task import PROGRAM, ProgramTask
+from ..core.config.program_task import PROGRAM_KIND, ProgramTask
 from ..core.config.recording import RecordConfig
 from ..core.config.scene import Table
 from ..core.config.session import Session
@@ -181,7 +181,7 @@ def _make_task(blueprint: SceneBlueprint, config: RecordConfig, objects: Mapping
     return ProgramTask.model_validate(
         {
             "name": blueprint.scene_id.replace("-", "_"),
-            "kind": PROGRAM,
+            "kind": PROGRAM_KIND,
             "rig": config.rig.name,
             "things": {name: {"of": (item,)} for name, item in objects.items()},
             "starts": dict.fromkeys(objects, place),

@@ -68,7 +68,7 @@ class FoldSmall(Skill):
     """
 
     ROLES: ClassVar[tuple[str, ...]] = ("thing",)
-    OF_CLOTH: ClassVar[bool] = True
+    HANDLES_CLOTH: ClassVar[bool] = True
     thing: str
     area: float
     thirds: bool = False

@@ -15,7 +15,7 @@ from kitchenbench.sim.blueprint import SceneBlueprint
 from kitchenbench.sim.success import CONTACT_TOL_M, CONTAIN_FRACTION
 
 from ..core.config.goals.world import TABLE
-from ..core.config.program_task import PROGRAM
+from ..core.config.program_task import PROGRAM_KIND
 from ..core.errors import UsageError, suggest_similar
 from ..core.expert.skills.program import SKILLS
 from ..core.expert.skills.skill import Skill
@@ -63,7 +63,7 @@ def scene_task_data(name: str) -> dict[str, Any]:
     items, timing = realized.object_configs, realized.simulator.config.task.timing
     return {
         "name": f"kitchenbench_{first.scene_id.replace('-', '_')}",
-        "kind": PROGRAM,
+        "kind": PROGRAM_KIND,
         "rig": STATION_RIG,
         "things": {name: {"of": [item.model_dump(mode="json", exclude_defaults=True)]} for name, item in items.items()},
         "starts": {name: _start_region(name, arrangements) for name in items},

@@ -199,7 +199,7 @@ def _grasps_for(
         suitable = (
             (rank, hand, grip.T_pinch_in_thing)
             for rank, grip in enumerate(context.grasp_candidates(thing, hand.max_opening))
-            if not hand.has_failed_with(thing, grip.T_pinch_in_thing)
+            if not hand.is_similar_to_failed_grasp(thing, grip.T_pinch_in_thing)
             and put.infeasibility_reason(
                 context, roles, hand, thing, invert_pose(grip.T_pinch_in_thing), hand.ready_joints
             )
@@ -233,7 +233,7 @@ class Slide(Skill):
     """Press closed fingers onto a flat object, and slide it sideways to the middle of its free space."""
 
     ROLES: ClassVar[tuple[str, ...]] = ("thing",)
-    NEEDS_HELD: ClassVar[bool | None] = False
+    REQUIRES_HELD_OBJECT: ClassVar[bool | None] = False
     thing: str
     arm: ArmSelector = "any"
 

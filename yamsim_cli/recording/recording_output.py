@@ -12,7 +12,7 @@ from pathlib import Path
 
 from ..core.config.recording import RecordConfig
 from ..core.dataset.records import ManifestEntry
-from ..core.dataset.writing.directory_claim import OpenMode
+from ..core.dataset.writing.directory_claim import ExistingDatasetMode
 from ..core.dataset.writing.staged_writer import MAX_WAITING, EpisodeWriter, StagedWriter
 from ..core.dataset.writing.writer import DatasetWriter, config_for_new_episodes
 from ..core.errors import InterruptedJobError
@@ -34,7 +34,7 @@ class RecordingOutput:
     """Output directory of a recording. With a slow or remote `path`, episodes wait in the local directory `stage`."""
 
     path: Path
-    mode: OpenMode
+    mode: ExistingDatasetMode
     stage: Path | None = None
 
 
@@ -83,7 +83,7 @@ def open_destination(
     """Open an output for the `with` block, exclusively."""
     # Warn before any access to the mount, which may not respond.
     mount = _check_mounts(config, output, callbacks)
-    resuming = output.mode is OpenMode.RESUME
+    resuming = output.mode is ExistingDatasetMode.RESUME
     if not resuming:
         # Check the space first: a file written before would make the next recording fail.
         _check_space(config, output.path, {}, config.episodes, callbacks)
@@ -119,7 +119,7 @@ def _check_mounts(config: RecordConfig, output: RecordingOutput, callbacks: Reco
             f"so writing one takes about {seconds:.0f} s at a latency of 10 ms, while workers wait. "
             "With --stage DIR, a local directory, yamsim writes episodes to DIR and moves them in the background."
         )
-    if output.mode is OpenMode.RESUME and mount is not None:
+    if output.mode is ExistingDatasetMode.RESUME and mount is not None:
         callbacks.warn(f"Every file in {output.path} is read and compared first; over a network that may take minutes.")
     if output.stage is not None and (other := network_mount(output.stage, mounts)) is not None:
         callbacks.warn(

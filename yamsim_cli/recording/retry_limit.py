@@ -125,7 +125,10 @@ def _start_is_feasible(simulators: SimulatorCache, cause: FailureCause, job: Att
         return not isinstance(places, str)
     task, cast = simulator.config.task, simulator.roles
     grasped = {
-        thing for skill in build_program(task, cast) if skill.NEEDS_HELD is False for _, thing in skill.roles()[:1]
+        thing
+        for skill in build_program(task, cast)
+        if skill.REQUIRES_HELD_OBJECT is False
+        for _, thing in skill.roles()[:1]
     }
     top = simulator.config.widened_table.top_height
     return all(

@@ -98,7 +98,7 @@ def check_holding_still(simulators: SimulatorCache, seed: int, n: int) -> TaskCh
 def check_open_fingers(simulators: SimulatorCache, seed: int, n: int) -> TaskCheck:
     """Check that an expert whose fingers do not close never reaches the goal."""
     task = simulators.session.config.task
-    if all(skill.NEEDS_HELD is not False for skill in parse_program(task.expert, task.typical_roles)):
+    if all(skill.REQUIRES_HELD_OBJECT is not False for skill in parse_program(task.expert, task.typical_roles)):
         return TaskCheck("open_fingers", None, None, "nothing is taken into a hand")
     reached = []
     for job in (AttemptJob(seed, number) for number in range(n)):

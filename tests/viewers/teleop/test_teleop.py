@@ -26,7 +26,7 @@ from yamsim_cli.core.attempt_data import Attempt, AttemptJob, AttemptPayload, Fa
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.session import Session
 from yamsim_cli.core.dataset.records import AttemptRecord, EpisodeRecord, to_json
-from yamsim_cli.core.dataset.writing.directory_claim import OpenMode
+from yamsim_cli.core.dataset.writing.directory_claim import ExistingDatasetMode
 from yamsim_cli.core.dataset.writing.ledger import Ledger
 from yamsim_cli.core.dataset.writing.writer import DatasetWriter
 from yamsim_cli.core.episode.episode_rules import REPLAY_RULES
@@ -463,7 +463,7 @@ def test_a_damaged_ledger_line_loses_its_attempt_alone(
     """A demonstration cannot be repeated; its line states so."""
     out = tmp_path / "out"
     with DatasetWriter(
-        out, with_mesh_descriptions(Session(config, locations)).config.data_config(), OpenMode.NEW
+        out, with_mesh_descriptions(Session(config, locations)).config.data_config(), ExistingDatasetMode.NEW
     ) as writer:
         for k in range(3):
             writer.log_attempt(failed_attempt(k))
@@ -471,7 +471,7 @@ def test_a_damaged_ledger_line_loses_its_attempt_alone(
     (out / "attempts.jsonl").write_bytes(b"{\n" + b"".join(lines[1:]) + to_json(made(0, 3).attempt))
     said: list[str] = []
     for _ in range(2):
-        with open_teleop(Session(config, locations), out, OpenMode.RESUME, said.append) as session:
+        with open_teleop(Session(config, locations), out, ExistingDatasetMode.RESUME, said.append) as session:
             assert session.attempts.next_attempt == 4
     assert said[0].startswith("attempts.jsonl was damaged (line 1: ")
     assert said[1:] == [

@@ -14,7 +14,7 @@ from ..expert.skills.program import RecoveryLog, build_program, run_program
 from ..scene.compiled import CompiledScene
 from ..scene.random_streams import Stream, random_generator
 from .commands import path_actions
-from .episode import Episode, EpisodeResult, OnStep
+from .episode import Episode, EpisodeResult, PhysicsStepCallback
 from .episode_rules import EXPERT_RULES, EndReason, EpisodeRules
 from .sampling import describe_missing_start
 from .simulator import Simulator, open_episode
@@ -92,7 +92,11 @@ def _expert_motions(
 
 
 def simulate_actions(
-    simulator: Simulator, attempt: Attempt, actions: ActionSequence, rules: EpisodeRules, on_step: OnStep | None = None
+    simulator: Simulator,
+    attempt: Attempt,
+    actions: ActionSequence,
+    rules: EpisodeRules,
+    on_step: PhysicsStepCallback | None = None,
 ) -> SimulatedAttempt:
     """Simulate an attempt with given actions. The rules of their recording give the same verdict."""
     episode = open_episode(simulator, attempt, rules, on_step)
@@ -111,7 +115,7 @@ def build_outcome(
         cause, detail = failure
     elif end.cause is FailureCause.GOAL and _is_off_target(simulator, result):
         cause = FailureCause.OFF_TARGET
-    dxy, dz, speed = _final_distances(simulator, result)
+    dxy, dz, speed = _final_distances_and_speed(simulator, result)
     measures = result.verdict.measures if result.verdict else ()
     return Outcome(cause is None, cause, detail, dxy, dz, speed, margins=result.margins, measures=measures)
 
@@ -141,7 +145,9 @@ def _is_off_target(simulator: Simulator, result: EpisodeResult) -> bool:
     return worst.unit == "m" and worst.what == f"on({roles.object_of(target.thing)}, {roles.object_of(target.surface)})"
 
 
-def _final_distances(simulator: Simulator, result: EpisodeResult) -> tuple[float | None, float | None, float | None]:
+def _final_distances_and_speed(
+    simulator: Simulator, result: EpisodeResult
+) -> tuple[float | None, float | None, float | None]:
     """Return an object's horizontal and vertical distance from its target, m, and its speed, m/s."""
     task, roles = simulator.config.task, simulator.roles
     target = task.target_predicate

@@ -14,7 +14,7 @@ from .sampling import sample_attempt
 from .simulator import SimulatorCache
 
 # Places of the expected and of the found meshes, in an error message.
-_PLACE_NAMES = ("for the recorder", "there")
+_MESH_SIDE_LABELS = ("for the recorder", "there")
 
 
 class AttemptRunner(Closable):
@@ -42,7 +42,7 @@ class AttemptRunner(Closable):
 def check_meshes(session: Session) -> None:
     """Raise ResourceError if this process renders other visual meshes than the config states."""
     expected = session.config.meshes
-    if expected is not None and (found := mesh_differences(expected, describe_meshes(session), _PLACE_NAMES)):
+    if expected is not None and (found := mesh_differences(expected, describe_meshes(session), _MESH_SIDE_LABELS)):
         raise ResourceError(
             f"a worker on {platform.node()} would show other meshes than the recorder: {'; '.join(found)}; "
             "install the same meshes and the same yamsim there, then continue with --resume"

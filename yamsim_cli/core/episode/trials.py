@@ -67,7 +67,7 @@ def run_expert_trials(session: Session, thresholds: Sequence[float], progress: P
     return {
         **count_outcomes([record.outcome for record in records], config.task, thresholds, [True] * n),
         "margins": _worst_margins([record.outcome.margins for record in records if record.outcome.margins]),
-        **describe_run(config),
+        **trial_settings(config),
         "end_rule": EXPERT_RULES.end.value,
         "seconds": seconds,
         "core_seconds_per_trial": seconds * workers / n,
@@ -112,7 +112,7 @@ def run_trials(
     return results
 
 
-def describe_run(config: RecordConfig) -> dict[str, Any]:
+def trial_settings(config: RecordConfig) -> dict[str, Any]:
     """Return the settings of trials, JSON-ready."""
     return {
         "rig": config.rig.name,
@@ -139,7 +139,7 @@ def count_outcomes(
     n, succeeded = len(outcomes), sum(outcome.success for outcome in outcomes)
     target = task.target_predicate
 
-    def rate(threshold: float) -> float:
+    def success_rate_within(threshold: float) -> float:
         within = (outcome.is_within(threshold) for outcome in outcomes)
         return sum(near and counts for near, counts in zip(within, valid, strict=True)) / n
 
@@ -149,7 +149,7 @@ def count_outcomes(
         "success_rate": succeeded / n,
         "wilson95": wilson_interval_95(succeeded, n),
         "threshold_m": target and target.radius,
-        "rates": {f"{threshold:g}": rate(threshold) for threshold in thresholds} if target else {},
+        "rates": {f"{threshold:g}": success_rate_within(threshold) for threshold in thresholds} if target else {},
         "dxy_m": summarize_values([outcome.dxy_m for outcome in outcomes if outcome.dxy_m is not None]),
         "causes": dict(Counter(outcome.cause for outcome in outcomes if outcome.cause)),
         "recovered": sum(bool(outcome.recoveries) for outcome in outcomes if outcome.success),

@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from ..dataset.ground_truth_files import DEPTH_TOLERANCE, JOINT_COVER, Visibility, visible_points_key
+from ..dataset.ground_truth_files import DEPTH_TOLERANCE, JOINT_COVER_RADIUS, Visibility, visible_points_key
 from ..geometry.camera import opencv_from_mujoco, project_points
 from ..geometry.se3 import Array, invert_pose, pose
 from ..images.image import Image
@@ -142,15 +142,15 @@ def is_visible(
 ) -> bool:
     """Return whether a keypoint at `p` (3,) in the camera's frame, m, is visible to the camera.
 
-    A joint's centre is visible if its pixel shows one of the joint's links, at most `JOINT_COVER` nearer. A point on a
-    surface is visible if its pixel shows its body at the depth of the tangent plane. A board's corner lies on the edge
-    of the print, where half of the pixels show another surface, so its neighbouring pixels count too.
+    A joint's centre is visible if its pixel shows one of the joint's links, at most `JOINT_COVER_RADIUS` nearer. A
+    point on a surface is visible if its pixel shows its body at the depth of the tangent plane. A board's corner lies
+    on the edge of the print, where half of the pixels show another surface, so its neighbouring pixels count too.
 
     `normal` (3,) is outward in the camera's frame, or None for a joint's centre. `pixel` is (column, row).
     """
     if normal is None:
         cover = float(p[2]) - depth_mm[pixel[1], pixel[0]] / 1000.0
-        return int(labels[pixel[1], pixel[0]]) in point.labels and cover <= JOINT_COVER
+        return int(labels[pixel[1], pixel[0]]) in point.labels and cover <= JOINT_COVER_RADIUS
     facing = float(normal @ p)
     if facing >= 0.0:
         return False

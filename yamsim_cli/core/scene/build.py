@@ -7,7 +7,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from ..config.mesh_provenance import FULL, PRIMITIVES, REDUCED
+from ..config.mesh_provenance import FULL_MESHES, PRIMITIVES_ONLY, REDUCED_MESHES
 from ..config.objects.object_config import ObjectConfig
 from ..config.recording import RecordConfig
 from ..config.rig import ArmConfig, RigConfig
@@ -89,8 +89,8 @@ def describe_meshes(session: Session) -> dict[str, str]:
 
 def _describe_mesh_set(folder: Path | None, files: Mapping[str, bytes]) -> str:
     if not files:
-        return PRIMITIVES
-    kind = REDUCED if folder is not None and (folder / REPORT_FILE).is_file() else FULL
+        return PRIMITIVES_ONLY
+    kind = REDUCED_MESHES if folder is not None and (folder / REPORT_FILE).is_file() else FULL_MESHES
     listed = "".join(f"{name} {sha256_bytes(files[name])}\n" for name in sorted(files))
     return f"{kind} {sha256_bytes(listed.encode())}"
 

@@ -9,7 +9,7 @@ import numpy as np
 from yamsim_cli.core.dataset.checks.context import CheckContext, EpisodeDirectory
 from yamsim_cli.core.dataset.checks.lowdim import LowdimChecks, recorded_specs
 from yamsim_cli.core.dataset.checks.motion import (
-    TIMESTAMPS,
+    TIMESTAMPS_FILE,
     angles_by_camera,
     check_fingers,
     check_intrinsics,
@@ -217,7 +217,7 @@ class _EpisodeCheck:
     def _capture_times(self) -> dict[int, float]:
         """Return frame number -> time in s, from the first camera that has a file of capture times."""
         for camera, names in sorted(self._files.images.items()):
-            name = f"rgb/{camera}/{TIMESTAMPS}"
+            name = f"rgb/{camera}/{TIMESTAMPS_FILE}"
             data = self._read_episode_file(name) if name in self._files.others else None
             times = read_timestamps(data) if data is not None else None
             if times and len(times) != len(names):

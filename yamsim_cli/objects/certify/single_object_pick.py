@@ -14,7 +14,7 @@ from yamsim_cli.core.config.goals.role_assignment import RoleAssignment
 from yamsim_cli.core.config.goals.world import TABLE
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.objects.object_config import GraspPoint, ObjectConfig
-from yamsim_cli.core.config.program_task import PROGRAM, ProgramTask
+from yamsim_cli.core.config.program_task import PROGRAM_KIND, ProgramTask
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.rendering import RenderConfig
 from yamsim_cli.core.config.rig import RigConfig
@@ -138,7 +138,7 @@ def _pick_config(item: ObjectConfig, locations: Locations, heading: float) -> Re
     task = ProgramTask.model_validate(
         {
             "name": "take",
-            "kind": PROGRAM,
+            "kind": PROGRAM_KIND,
             "rig": PICK_RIG,
             "things": {_ROLE: {"of": (item,)}},
             "starts": {_ROLE: {"x": (x, x), "y": (y, y), "yaw_deg": (heading, heading)}},

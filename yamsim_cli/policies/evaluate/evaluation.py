@@ -19,9 +19,9 @@ from yamsim_cli.core.episode.trials import (
     TrialFrameRenderer,
     TrialVideoWriter,
     count_outcomes,
-    describe_run,
     film_jobs,
     run_trials,
+    trial_settings,
 )
 from yamsim_cli.core.errors import PartialJobError
 from yamsim_cli.core.progress import Progress
@@ -130,7 +130,7 @@ def evaluation_report(evaluation: Evaluation, config: RecordConfig, thresholds: 
     return {
         "policy": evaluation.choice.name,
         "stats": stats,
-        **describe_run(config),
+        **trial_settings(config),
         "end_rule": evaluation.choice.end.value,
         "tick_s": tick,
         "seconds": evaluation.seconds,

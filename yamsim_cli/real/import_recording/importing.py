@@ -25,7 +25,7 @@ from yamsim_cli.core.dataset.disk_errors import describe_disk_error
 from yamsim_cli.core.dataset.imported_records import ImportedFrom, RealEpisodeRecord, read_imported_config
 from yamsim_cli.core.dataset.lowdim import content_hash, dump_frame
 from yamsim_cli.core.dataset.records import to_json
-from yamsim_cli.core.dataset.writing.directory_claim import OpenMode, claim_directory
+from yamsim_cli.core.dataset.writing.directory_claim import ExistingDatasetMode, claim_directory
 from yamsim_cli.core.episode.attempt_payload import library_versions
 from yamsim_cli.core.errors import ConfigError, DatasetError, ResourceError, UsageError
 from yamsim_cli.core.files.documents.yaml_document import dump_yaml
@@ -84,7 +84,7 @@ class ImportRequest:
     mapping: str | None = None
     corrections: Corrections = field(default_factory=Corrections)
     out: Path = Path("real")
-    mode: OpenMode = OpenMode.NEW
+    mode: ExistingDatasetMode = ExistingDatasetMode.NEW
 
 
 @dataclass

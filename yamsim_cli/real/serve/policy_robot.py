@@ -73,7 +73,7 @@ class HandKinematics:
         self._solver = IkSolver(model, np.eye(4), _ROTATION_COSTS)
         home = np.array(arm.robot.home)
         T_pinch, T_grasp = (self._forward.T_site_in_base(home, site) for site in ("pinch_site", "grasp_site"))
-        self._solver.set_held_frame(invert_pose(T_pinch) @ T_grasp)
+        self._solver.set_held_object_frame(invert_pose(T_pinch) @ T_grasp)
 
     def T_in_base(self, joints: Array) -> Array:
         """Return the hand's pose (4, 4) in the arm's base, at joints (dof,), rad."""

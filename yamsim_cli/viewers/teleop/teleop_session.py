@@ -13,7 +13,7 @@ from yamsim_cli.core.config.session import Session
 from yamsim_cli.core.dataset.dataset_paths import episode_name
 from yamsim_cli.core.dataset.disk_errors import explain_disk_error
 from yamsim_cli.core.dataset.records import AttemptRecord
-from yamsim_cli.core.dataset.writing.directory_claim import OpenMode
+from yamsim_cli.core.dataset.writing.directory_claim import ExistingDatasetMode
 from yamsim_cli.core.dataset.writing.writer import DatasetWriter, config_for_new_episodes
 from yamsim_cli.core.errors import PartialJobError
 from yamsim_cli.core.scene.build import with_mesh_descriptions
@@ -138,7 +138,7 @@ def check_page(address: PageAddress) -> None:
 def open_teleop(
     session: Session,
     out: Path,
-    mode: OpenMode,
+    mode: ExistingDatasetMode,
     warn: Callable[[str], None],
     *,
     time_limit: float = TIME_LIMIT,

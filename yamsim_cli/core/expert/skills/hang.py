@@ -17,7 +17,7 @@ from .hand import WAYPOINT_TOLERANCE, Hand
 from .planning_context import MotionSegment, PlanningContext, SkillFailedError
 from .skill import Skill, require_holding_hand
 
-_DEPTHS = (0.045, 0.055, 0.035)  # m, of the eye behind the peg's tip, in the order tried
+_PEG_INSERTION_DEPTHS = (0.045, 0.055, 0.035)  # m, of the eye behind the peg's tip, in the order tried
 _APPROACH = 0.04  # m, from the eye to the peg's tip when the straight approach starts
 
 # rad, tilts of the object about the peg, in the order tried; the object may turn when released
@@ -36,8 +36,8 @@ class Hang(Skill):
     """
 
     ROLES: ClassVar[tuple[str, ...]] = ("thing", "onto")
-    NEEDS_HELD: ClassVar[bool | None] = True
-    LEAVES_HELD: ClassVar[bool | None] = False
+    REQUIRES_HELD_OBJECT: ClassVar[bool | None] = True
+    LEAVES_OBJECT_HELD: ClassVar[bool | None] = False
     thing: str
     onto: str
 
@@ -124,7 +124,7 @@ class Hang(Skill):
     ) -> Iterator[tuple[Array, Array]]:
         T_peg = context.world.handle_pose(roles.object_of(self.onto), "peg")
         T_eye_in_thing = invert_pose(context.world.pose(thing)) @ context.world.handle_pose(thing, "eye")
-        for T_eye in _eye_poses(T_peg):
+        for T_eye in _eye_poses_on_peg(T_peg):
             T_on = T_eye @ invert_pose(T_eye_in_thing)
             T_before = T_on.copy()
             T_before[:3, 3] -= T_peg[:3, 2] * (_APPROACH + float((T_eye - T_peg)[:3, 3] @ T_peg[:3, 2]))
@@ -138,12 +138,12 @@ class Hang(Skill):
                 raise SkillFailedError(FailureCause.OFF_TARGET, f"{measure.what}: {measure.detail}")
 
 
-def _eye_poses(T_peg: Array) -> Iterator[Array]:
+def _eye_poses_on_peg(T_peg: Array) -> Iterator[Array]:
     """Yield poses of an eye on a peg, in `world`, y up; least tilt first."""
     along = T_peg[:3, 2]
     horizontal = np.array((along[0], along[1], 0.0)) / math.hypot(along[0], along[1])
     for lean in _TILTS:
-        for depth in _DEPTHS:
+        for depth in _PEG_INSERTION_DEPTHS:
             for z in (horizontal, -horizontal):
                 R = np.column_stack([np.cross((0.0, 0.0, 1.0), z), (0.0, 0.0, 1.0), z]) @ rotation_z(lean)
                 yield pose(T_peg[:3, 3] + depth * along, R)

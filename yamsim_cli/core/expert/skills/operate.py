@@ -11,8 +11,8 @@ from ...attempt_data import FailureCause
 from ...config.goals.role_assignment import RoleAssignment
 from ...config.objects.articulation import Link
 from ...geometry.se3 import Array, invert_pose, pose, rotation_from_vector
-from .common_motions import GRIP_TICKS, park_free_hands, release_and_retreat, rest_segment
-from .grasp_candidates import CLEARANCE
+from .common_motions import CLOSING_TICKS, park_free_hands, release_and_retreat, rest_segment
+from .grasp_candidates import DEFAULT_FINGER_CLEARANCE
 from .hand import WAYPOINT_TOLERANCE, Hand
 from .planning_context import FingerTarget, MotionSegment, PlanningContext, SkillFailedError
 from .skill import ArmSelector, Skill
@@ -58,7 +58,7 @@ class Operate(Skill):
             for handle in link.handles:
                 for turn in (0.0, math.pi):
                     T_in_part = handle.T_pinch_in_part @ pose(rotation=rotation_from_vector([0.0, 0.0, turn]))
-                    opening = min(handle.opening + CLEARANCE, hand.max_opening)
+                    opening = min(handle.opening + DEFAULT_FINGER_CLEARANCE, hand.max_opening)
                     before = self._solve_approach(context, hand, thing, T_part @ T_in_part, opening)
                     pose_at = self._pinch_path(context, thing, link, T_part, T_in_part)
                     if before is None or not _can_follow_path(hand, before, pose_at):
@@ -72,11 +72,11 @@ class Operate(Skill):
                     yield context.make_segment({hand: path}, {hand: FingerTarget(opening)})
                     yield context.make_segment({hand: context.plan_line(hand, T_part @ T_in_part)})
                     closing = FingerTarget(handle.opening, _FORCE)
-                    yield context.make_segment({hand: context.still_motion(hand, GRIP_TICKS)}, {hand: closing})
+                    yield context.make_segment({hand: context.hold_still_motion(hand, CLOSING_TICKS)}, {hand: closing})
                     seconds = float(np.linalg.norm(pose_at(1.0)[:3, 3] - pose_at(0.0)[:3, 3])) / _HAND_SPEED
                     yield context.make_segment({hand: context.plan_curve(hand, pose_at, seconds)})
                     yield rest_segment(context)
-                    yield from release_and_retreat(context, hand, CLEARANCE)
+                    yield from release_and_retreat(context, hand, DEFAULT_FINGER_CLEARANCE)
                     return
         raise SkillFailedError(FailureCause.UNREACHABLE, fault)
 

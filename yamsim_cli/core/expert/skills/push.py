@@ -13,12 +13,12 @@ from ...config.goals.world import TABLE
 from ...files.documents.config_base import Positive
 from ...files.documents.units import Reach
 from ...geometry.se3 import Array, pose, rotation_z
-from .common_motions import GRIP_TICKS, park_free_hands, rest_segment
+from .common_motions import CLOSING_TICKS, park_free_hands, rest_segment
 from .hand import WAYPOINT_TOLERANCE, Hand
 from .planning_context import FingerTarget, MotionSegment, PlanningContext, SkillFailedError
 from .skill import ArmSelector, Skill
 
-_START_GAP = 0.03  # m, between the object and the fingers when they come down behind it
+_FINGER_GAP_BEHIND_OBJECT = 0.03  # m, between the object and the fingers when they come down behind it
 _APPROACH_HEIGHT = 0.10  # m above the pushing height, from which the fingers come down
 _PUSH_HEIGHT = 0.02  # m, of the fingertips over the table
 
@@ -70,7 +70,7 @@ class Push(Skill):
         heading = math.atan2(displacement[1], displacement[0])
         half = float(context.half_footprint(thing, -heading)[0])
         direction = displacement / np.linalg.norm(displacement)
-        first, last = start - direction * (half + _START_GAP), np.array(self.to) - direction * half
+        first, last = start - direction * (half + _FINGER_GAP_BEHIND_OBJECT), np.array(self.to) - direction * half
         hands = context.free_hands(self.arm)
         for hand in sorted(hands, key=lambda hand: float(np.linalg.norm(hand.arm.T_base_in_world[:2, 3] - first))):
             for lean, turn in itertools.product(_TILTS, _TURNS):
@@ -81,11 +81,11 @@ class Push(Skill):
                 joints, T_first, T_last = found
                 closed = FingerTarget(0.0)
                 yield context.make_segment({hand: context.plan_free_path(hand, joints)}, {hand: closed})
-                yield context.make_segment({hand: context.still_motion(hand, GRIP_TICKS)}, {hand: closed})
+                yield context.make_segment({hand: context.hold_still_motion(hand, CLOSING_TICKS)}, {hand: closed})
                 yield context.make_segment({hand: context.plan_line(hand, T_first)})
                 yield context.make_segment({hand: context.plan_line(hand, T_last, _PUSH_SPEED)})
                 T_back = T_last.copy()
-                T_back[:2, 3] -= direction * _START_GAP
+                T_back[:2, 3] -= direction * _FINGER_GAP_BEHIND_OBJECT
                 yield context.make_segment({hand: context.plan_line(hand, T_back)})
                 T_back[2, 3] += _APPROACH_HEIGHT
                 yield context.make_segment({hand: context.plan_line(hand, T_back)})

@@ -95,8 +95,8 @@ class Regrasp(Skill):
     """Put a held object down and pick it up again with `arm` and a grasp that leave the next skills possible."""
 
     ROLES: ClassVar[tuple[str, ...]] = ("thing",)
-    NEEDS_HELD: ClassVar[bool | None] = True
-    LEAVES_HELD: ClassVar[bool | None] = True
+    REQUIRES_HELD_OBJECT: ClassVar[bool | None] = True
+    LEAVES_OBJECT_HELD: ClassVar[bool | None] = True
     thing: str
     arm: ArmSelector = "any"
 
