@@ -276,13 +276,13 @@ class SessionOpener:
 
         The render quality decides whether meshes are reduced, now if necessary.
         """
-        from .core.files.resources import IMPORTED
+        from .core.files.resources import IMPORTED_MESH_FOLDER
         from .core.scene.assets import AssetStore, is_user_set, load_lock, resolve_user_set
 
         lock, store = load_lock(locations), AssetStore(locations.assets)
         wanted = set(names)
         own = {name for name in wanted if is_user_set(name)}
-        locked = wanted - own - {IMPORTED}
+        locked = wanted - own - {IMPORTED_MESH_FOLDER}
         meshes = {
             assets.name: store.find_verified_folder(assets) for assets in (lock.select_sets(locked) if locked else ())
         }
@@ -298,8 +298,8 @@ class SessionOpener:
                 f"The files of {' and '.join(lost)} are missing, or changed since the import: copy the folder of "
                 f"that name into {locations.assets}, or import the object again."
             )
-        if IMPORTED in wanted:
-            meshes[IMPORTED] = locations.assets / IMPORTED
+        if IMPORTED_MESH_FOLDER in wanted:
+            meshes[IMPORTED_MESH_FOLDER] = locations.assets / IMPORTED_MESH_FOLDER
         return replace(locations, meshes=meshes)
 
     def _fetch_missing_sets(

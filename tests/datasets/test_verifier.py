@@ -124,14 +124,14 @@ def test_an_episode_that_shows_other_meshes_than_its_dataset_is_named(
     config = read_recording_config(dataset, locations).model_copy(update={"meshes": said})
     with EpisodeVerifier(Session(config, locations), Tolerances(values=0.0, images=None)) as verifier:
         change_record(dataset / "ep_000001", meshes=said)
-        assert verifier.run((1, dataset / "ep_000001")).agrees
+        assert verifier.run((1, dataset / "ep_000001")).is_reproduced
         change_record(dataset / "ep_000001", meshes=said | {"i2rt_yam_crank": "primitives"})
         result = verifier.run((1, dataset / "ep_000001"))
         # An earlier version does not state it.
-        assert verifier.run((0, dataset / "ep_000000")).agrees
+        assert verifier.run((0, dataset / "ep_000000")).is_reproduced
     told = "it shows other meshes than config.yaml says: i2rt_yam_crank: primitives here, full 000000000000 there"
     assert result.problems == {"episode.json": told}
-    assert not result.agrees
+    assert not result.is_reproduced
 
 
 def test_changed_versions_are_told_and_are_no_fault(dataset: Path, verdict) -> None:
@@ -258,24 +258,24 @@ def test_pictures_of_an_earlier_revision_of_looks_are_reported_and_states_agree(
     dataset: Path, locations: Locations
 ) -> None:
     found = verdict_without_version(dataset, locations, "looks")
-    assert found.agrees
+    assert found.is_reproduced
     assert found.checks[SEED].first_difference is None
     assert IMAGES not in found.checks
     assert found.skipped[IMAGES].startswith(
         f"its images have appearance revision 1, but this version renders revision {APPEARANCE_REVISION}"
     )
-    assert found.changed["looks"] == ("1", APPEARANCE_REVISION)
+    assert found.changed_versions["looks"] == ("1", APPEARANCE_REVISION)
 
 
 def test_an_episode_of_an_earlier_engine_is_repeated_by_its_actions_alone(dataset: Path, locations: Locations) -> None:
     found = verdict_without_version(dataset, locations, "engine")
-    assert found.agrees
+    assert found.is_reproduced
     assert set(found.checks) == {ACTIONS}
     reason = found.skipped[SEED]
     assert reason.startswith("it was made by engine revision 1 of yamsim ")
     assert f"this version's revision {SIMULATION_REVISION} makes other episodes" in reason
     assert found.skipped[IMAGES] == found.skipped[SEED]
-    assert found.changed["engine"] == ("1", SIMULATION_REVISION)
+    assert found.changed_versions["engine"] == ("1", SIMULATION_REVISION)
 
 
 def test_the_command_names_an_altered_file_though_no_value_differs_enough(dataset: Path) -> None:

@@ -180,4 +180,4 @@ def test_what_is_recorded_is_made_again_without_the_benchmark(
     again = Session(read_recording_config(out, locations), locations).without_meshes()
     with EpisodeVerifier(again, Tolerances(0.0, 0.0)) as verifier:
         verdict = verifier.run((0, out / "ep_000000"))
-    assert verdict.agrees, verdict
+    assert verdict.is_reproduced, verdict

@@ -9,8 +9,8 @@ import typer
 
 from yamsim_cli import __version__
 from yamsim_cli.core.errors import ConfigError, ResourceError, UsageError, file_size
-from yamsim_cli.flags.output_files import Overwrite, require_unused
-from yamsim_cli.flags.session_options import Json, Offline, opener
+from yamsim_cli.flags.output_files import Overwrite, require_unused_paths
+from yamsim_cli.flags.session_options import Json, Offline, session_opener
 from yamsim_cli.terminal.console import print_json, print_line, print_note, print_report, progress_bar
 from yamsim_cli.terminal.tables import ItemTable
 
@@ -94,7 +94,7 @@ def fetch(
 def _load_lock_and_open_store() -> tuple[AssetLock, AssetStore]:
     from yamsim_cli.core.scene.assets import AssetStore, load_lock
 
-    locations = opener.find_locations()
+    locations = session_opener.find_locations()
     return load_lock(locations), AssetStore(locations.assets)
 
 
@@ -119,7 +119,7 @@ def _certificate_entries(lock: AssetLock) -> list[dict[str, Any]]:
     from yamsim_cli.core.config.objects.object_config import ObjectConfig
     from yamsim_cli.core.scene.certificates import find_certificate
 
-    where = opener.find_locations()
+    where = session_opener.find_locations()
     found = list[dict[str, Any]]()
     for name in where.config_names("objects"):
         try:
@@ -188,10 +188,10 @@ def certify_object(
     Example: yamsim assets certify kitchen_bowl --html bowl.html
     """
     if html:
-        require_unused("--html", html, overwrite=overwrite)
-        opener.use_gl(opener.find_locations())
+        require_unused_paths("--html", html, overwrite=overwrite)
+        session_opener.use_gl(session_opener.find_locations())
     else:
-        opener.skip_gl()
+        session_opener.skip_gl()
     certified = _certify_and_store(thing)
     found = certified.to_json_data()
     if html:
@@ -223,9 +223,9 @@ def _certify_and_store(thing: str) -> CertificationResult:
     from yamsim_cli.core.scene.certificates import store_certificate
     from yamsim_cli.objects.certify.certify import run_object_checks
 
-    where = opener.find_locations()
+    where = session_opener.find_locations()
     item = load_config(ObjectConfig, "objects", thing, where)
-    where = opener.with_mesh_folders(where, item.mesh_sets)
+    where = session_opener.with_mesh_folders(where, item.mesh_sets)
     with progress_bar(f"certifying {item.name}", "checks") as advance:
         certified = run_object_checks(item, where.meshes, where, advance)
     made_with = {"yamsim": __version__, "mujoco": version("mujoco")}
@@ -304,7 +304,7 @@ def import_object(
         item, lines = _import_file(file, UnitOptions(unit, up, scale), options, out)
     certified = None
     if certify:
-        opener.skip_gl()
+        session_opener.skip_gl()
         certified = _certify_and_store(item["path"])
     item["certificate"] = certified and {"ok": certified.ok, "failed": list(certified.failed_codes)}
     if json:
@@ -321,7 +321,7 @@ def import_object(
 def _import_ycb(name: str, mass: float | None, out: Path | None) -> tuple[dict[str, Any], list[str]]:
     from yamsim_cli.objects.importing.ycb_import import import_ycb
 
-    made = import_ycb(name, opener.find_locations(), None if mass is None else mass * 1000, out)
+    made = import_ycb(name, session_opener.find_locations(), None if mass is None else mass * 1000, out)
     item = _ycb_item(made)
     held = f"{item['width_mm']:g} mm wide where it is held" if item["width_mm"] else "a vessel to put things in or on"
     return item, [
@@ -339,7 +339,7 @@ def _import_file(
 
     with progress_bar(f"importing {file.name}", "%") as advance:
         imported = import_file(
-            file, units, options, opener.find_locations(), out, lambda done: advance(round(100 * done), 100)
+            file, units, options, session_opener.find_locations(), out, lambda done: advance(round(100 * done), 100)
         )
     made = imported.built_object
     for text in made.notes:

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from yamsim_cli.core.errors import UsageError
-from yamsim_cli.flags.session_options import Json, opener
+from yamsim_cli.flags.session_options import Json, session_opener
 from yamsim_cli.terminal.console import print_json, print_line, print_table
 from yamsim_cli.terminal.tables import FactTable
 
@@ -27,7 +27,7 @@ def list_configs(json: Json = False) -> None:
     """
     from yamsim_cli.core.config.loader import CONFIG_KINDS
 
-    where = opener.find_locations()
+    where = session_opener.find_locations()
     items = [
         {"kind": kind, "name": name, "path": str(where.config_file(kind, name))}
         for kind in CONFIG_KINDS
@@ -50,7 +50,9 @@ def _require_config_name(context: typer.Context, name: str) -> str:
     from yamsim_cli.core.config.loader import config_model
 
     config_model(kind)
-    raise typer.BadParameter(f"say which one; valid: {', '.join(opener.find_locations().config_names(kind)) or 'none'}")
+    raise typer.BadParameter(
+        f"say which one; valid: {', '.join(session_opener.find_locations().config_names(kind)) or 'none'}"
+    )
 
 
 @app.command()
@@ -68,7 +70,9 @@ def show(
     from yamsim_cli.core.config.loader import config_model, load_config
     from yamsim_cli.core.files.documents.yaml_document import dump_yaml
 
-    data: dict[str, Any] = load_config(config_model(kind), kind, name, opener.find_locations()).model_dump(mode="json")
+    data: dict[str, Any] = load_config(config_model(kind), kind, name, session_opener.find_locations()).model_dump(
+        mode="json"
+    )
     if json:
         print_json(data)
     else:
@@ -94,7 +98,7 @@ def validate(
     guessed = kind or file.resolve().parent.name
     if kind is None and guessed not in CONFIG_KINDS:
         raise UsageError(f"{file} is in no folder named after a kind of config; give --kind: {', '.join(CONFIG_KINDS)}")
-    model, where = config_model(guessed), opener.find_locations()
+    model, where = config_model(guessed), session_opener.find_locations()
     parts = model.config_paths_in_file(file)
     for part in parts:
         validate_file(model, part, where, check=check_task_config)

@@ -8,7 +8,7 @@ import typer
 from yamsim_cli.core.errors import UsageError
 from yamsim_cli.flags import session_options as flags
 from yamsim_cli.flags.output_files import ReportFile, VideoTrials, require_unused_reports, write_json_report
-from yamsim_cli.flags.session_options import opener, session_settings
+from yamsim_cli.flags.session_options import session_opener, session_settings
 from yamsim_cli.terminal.console import print_note, print_report, progress_bar
 from yamsim_cli.terminal.trial_tables import evaluation_table, film_with_progress, open_films
 
@@ -129,7 +129,7 @@ def evaluate(
     arguments, chunking = read_arguments(policy_arg or []), ChunkSettings(execute, ensemble, read_latency(latency))
     others = compare or []
     renders = video is not None or any(sees_images(name) for name in (policy, *others))
-    session = opener.open(config, renders=renders, wrist=True, **session_settings(locals()))
+    session = session_opener.open(config, renders=renders, wrist=True, **session_settings(locals()))
 
     from yamsim_cli.core.episode.episode_rules import EndRule
     from yamsim_cli.core.episode.trials import require_success

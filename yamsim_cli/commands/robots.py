@@ -9,7 +9,7 @@ import typer
 
 from yamsim_cli.core.errors import UsageError
 from yamsim_cli.core.files.resources import Locations
-from yamsim_cli.flags.session_options import Json, opener
+from yamsim_cli.flags.session_options import Json, session_opener
 from yamsim_cli.terminal.console import print_json, print_line, print_note, print_report
 from yamsim_cli.terminal.tables import ItemTable, print_item, print_items
 
@@ -35,7 +35,7 @@ def list_robots(json: Json = False) -> None:
     """
     from yamsim_cli.robot_catalog import robot_entries
 
-    items = robot_entries(opener.find_locations())
+    items = robot_entries(session_opener.find_locations())
     print_items(items, ["", "name", "of", "goes with", "source", "meshes"], _robot_row, json)
     for item in items:
         if "fault" in item and not json:
@@ -53,7 +53,7 @@ def show(
     """
     from yamsim_cli.robot_catalog import robot_entry
 
-    print_item(robot_entry(name, opener.find_locations()), json, {"meshes": _mesh_states})
+    print_item(robot_entry(name, session_opener.find_locations()), json, {"meshes": _mesh_states})
 
 
 @app.command()
@@ -92,7 +92,7 @@ def check(
 
     Example: yamsim robots check yam_v1
     """
-    opener.skip_gl()
+    session_opener.skip_gl()
 
     from yamsim_cli.robot_catalog import check_robot, require_checked
 
@@ -110,7 +110,7 @@ def _check_table(found: Sequence[Mapping[str, Any]]) -> ItemTable:
 
 
 def _locations_with_data(data: Path | None) -> Locations:
-    where = opener.find_locations()
+    where = session_opener.find_locations()
     return where if data is None else replace(where, data=(data, *where.data))
 
 

@@ -12,7 +12,7 @@ import typer
 
 from yamsim_cli.core.errors import ResourceError, UsageError
 from yamsim_cli.flags import session_options as flags
-from yamsim_cli.flags.session_options import opener, session_settings
+from yamsim_cli.flags.session_options import session_opener, session_settings
 from yamsim_cli.real.serve.socket_servers import default_socket_folder
 from yamsim_cli.terminal.console import print_json, print_line, print_note
 from yamsim_cli.terminal.signals import stop_on_signal
@@ -101,7 +101,7 @@ def serve_robot(
     faults = [parse_fault(text) for text in fault or ()]
     rig = rig or "yam_v1+linear_4310"
     settings = session_settings(locals())
-    session = opener.open(config, renders=cameras or chiral is not None, parallel=False, **settings)
+    session = session_opener.open(config, renders=cameras or chiral is not None, parallel=False, **settings)
 
     from yamsim_cli.real.serve.realtime_loop import RealtimeLoop
     from yamsim_cli.real.serve.served_arms import START_POSTURES, make_policy_robot, serve_arms

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from yamsim_cli.core.errors import DatasetError, UsageError
-from yamsim_cli.flags.session_options import Json, Offline, opener
+from yamsim_cli.flags.session_options import Json, Offline, session_opener
 from yamsim_cli.terminal.console import print_report, progress_bar
 from yamsim_cli.terminal.tables import FactTable
 
@@ -59,14 +59,14 @@ def verify(
     from yamsim_cli.core.config.session import Session
     from yamsim_cli.core.dataset.reader import read_recording_config, select_episodes
 
-    where = opener.find_locations()
+    where = session_opener.find_locations()
     chosen = select_episodes(dataset, episodes, sample)
     session = Session(read_recording_config(dataset, where), where)
     if images:
-        opener.use_gl(where, workers=True)
-        session = opener.with_meshes(session)
+        session_opener.use_gl(where, workers=True)
+        session = session_opener.with_meshes(session)
     else:
-        opener.skip_gl()
+        session_opener.skip_gl()
 
     from yamsim_cli.datasets.verify import Tolerances
     from yamsim_cli.datasets.verify import verify as run

@@ -78,7 +78,7 @@ def _compare_mappings(
     time: float | None,
 ) -> None:
     worst: Difference | None = None
-    for quantity, old, new in _paired_leaves(stored, made):
+    for quantity, old, new in _paired_values(stored, made):
         index, apart = _largest_difference(old, new)
         if apart is not None and _is_number(old):
             result.largest[quantity] = max(result.largest.get(quantity, 0.0), apart)
@@ -93,20 +93,20 @@ def _compare_mappings(
     result.first_difference = result.first_difference or worst
 
 
-def _paired_leaves(
+def _paired_values(
     stored: Mapping[str, Any], made: Mapping[str, Any], prefix: str = ""
 ) -> Iterator[tuple[str, Any, Any]]:
-    """Yield name, stored and reproduced value of every entry; `_MISSING` replaces an absent value."""
+    """Yield name, stored and reproduced value of every entry; `_MISSING_VALUE` replaces an absent value."""
     for key in dict.fromkeys([*stored, *made]):
         name = f"{prefix}.{key}" if prefix else str(key)
-        old, new = stored.get(key, _MISSING), made.get(key, _MISSING)
+        old, new = stored.get(key, _MISSING_VALUE), made.get(key, _MISSING_VALUE)
         if isinstance(old, Mapping) and isinstance(new, Mapping):
-            yield from _paired_leaves(old, new, name)
+            yield from _paired_values(old, new, name)
         else:
             yield name, old, new
 
 
-_MISSING = "missing"
+_MISSING_VALUE = "missing"
 
 
 def _is_number(value: Any) -> bool:

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 MIN_FREE_BYTES = 1 << 16  # no command starts with less; reports and pictures are larger
 
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace files that exist.")]
-Rename = Annotated[bool, typer.Option("--overwrite", help="Rename an existing output.")]
+RenameExisting = Annotated[bool, typer.Option("--overwrite", help="Rename an existing output.")]
 VideoTrials = Annotated[int, typer.Option(min=1, metavar="N", help="With --video: most trials to film.")]
 ReportFile = Annotated[Path | None, typer.Option(help="Also write the JSON to this file.")]
 
@@ -43,7 +43,7 @@ def open_mode(*, resume: bool, overwrite: bool) -> ExistingDatasetMode:
     )
 
 
-def require_unused(flag: str, files: Path | Iterable[Path], *, overwrite: bool) -> None:
+def require_unused_paths(flag: str, files: Path | Iterable[Path], *, overwrite: bool) -> None:
     """Refuse output files that exist or cannot be written. The folder of a single file has to exist."""
     one = isinstance(files, Path)
     for file in [files] if isinstance(files, Path) else files:
@@ -61,7 +61,7 @@ def require_unused_reports(out: Path | None, html: Path | None, *, overwrite: bo
     """Refuse files of --out and --html that exist or cannot be written."""
     for flag, file in (("--out", out), ("--html", html)):
         if file is not None:
-            require_unused(flag, file, overwrite=overwrite)
+            require_unused_paths(flag, file, overwrite=overwrite)
 
 
 def write_json_report(report: Mapping[str, Any], out: Path | None) -> None:

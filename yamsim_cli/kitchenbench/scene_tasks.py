@@ -25,7 +25,12 @@ from .skill_programs import build_scene_program
 
 _MAX_ARRANGEMENTS, _EPOCHS = 100, 600
 _HOLD_SECONDS = 0.5  # s; KitchenBench's checkers require a single state
-_KINDS = ("place_on", "stack", "place_in", "handoff")  # without sorting: compartments are not objects of a task
+_SUPPORTED_GOAL_KINDS = (
+    "place_on",
+    "stack",
+    "place_in",
+    "handoff",
+)  # without sorting: compartments are not objects of a task
 
 
 def scene_task_data(name: str) -> dict[str, Any]:
@@ -36,9 +41,10 @@ def scene_task_data(name: str) -> dict[str, Any]:
     """
     scene, epoch = _find_scene(name)
     first = _scene_blueprint(scene, epoch)
-    if first.target_kind not in _KINDS:
+    if first.target_kind not in _SUPPORTED_GOAL_KINDS:
         raise UsageError(
-            f"kitchenbench/{name}: goals of kind {first.target_kind!r} cannot be recorded; valid: {', '.join(_KINDS)}"
+            f"kitchenbench/{name}: goals of kind {first.target_kind!r} cannot be recorded; "
+            f"valid: {', '.join(_SUPPORTED_GOAL_KINDS)}"
         )
     base = open_station_session("64x48", images=False)
     if table_for_scene(base.config, first) != base.config.scene.table:
@@ -49,7 +55,7 @@ def scene_task_data(name: str) -> dict[str, Any]:
     realized = build_benchmark_scene(first, base)
     try:
         arrangements = []
-        for number in _epoch_order(epoch):
+        for number in _epochs_from(epoch):
             blueprint = _scene_blueprint(scene, number)
             if _scene_requirements(blueprint) == _scene_requirements(first):
                 places = feasible_poses(realized.simulator, blueprint)
@@ -89,7 +95,7 @@ def _find_scene(name: str) -> tuple[Scene, int]:
     return scenes[instance], int(epoch or 0)
 
 
-def _epoch_order(first: int) -> Iterator[int]:
+def _epochs_from(first: int) -> Iterator[int]:
     yield first
     yield from (number for number in range(_EPOCHS) if number != first)
 

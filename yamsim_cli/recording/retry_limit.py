@@ -135,5 +135,5 @@ def _start_is_feasible(simulators: SimulatorCache, cause: FailureCause, job: Att
         simulator.expert_planner.is_place_reachable(np.array([*places[name].T[:2, 3], top + HAND_HEIGHT]))
         for thing in grasped
         for name in cast.objects_of(thing)
-        if places[name].on == TABLE
+        if places[name].support_name == TABLE
     )

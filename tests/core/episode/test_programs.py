@@ -64,7 +64,7 @@ def test_what_was_recorded_is_made_again_bit_for_bit(dataset: Path, locations: L
     session = Session(read_recording_config(dataset, locations), locations).without_meshes()
     with EpisodeVerifier(session, Tolerances(0.0, 0.0)) as verifier:
         verdict = verifier.run((0, dataset / "ep_000000"))
-    assert verdict.agrees, verdict
+    assert verdict.is_reproduced, verdict
     assert set(verdict.checks) == {SEED, ACTIONS, IMAGES}
     assert all(check.max_error == 0 for check in verdict.checks.values())
 

@@ -16,7 +16,7 @@ from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.config.scene import SceneConfig
 from yamsim_cli.core.config.session import Session
 from yamsim_cli.core.errors import UsageError
-from yamsim_cli.core.files.resources import Locations, Meshes
+from yamsim_cli.core.files.resources import Locations, MeshFolders
 from yamsim_cli.core.scene.assets import AssetStore, load_lock
 from yamsim_cli.core.scene.blueprint import Blueprint, task_blueprint
 from yamsim_cli.viewers.show.compose import compose_at_home, first_attempt_start
@@ -40,7 +40,7 @@ NOT_PHYSICS = {"geom_castshadow", "tex_colorspace", "actuator_ctrlspec", "npaths
 def composed(make_config: Callable[..., RecordConfig], locations: Locations) -> Callable[..., Composed]:
     """Compose a scene with boards."""
 
-    def compose(rig: str, task: str | None, grasp: str, meshes: Meshes) -> Composed:
+    def compose(rig: str, task: str | None, grasp: str, meshes: MeshFolders) -> Composed:
         where = replace(locations, meshes=meshes)
         if task is None:
             studio = load_config(SceneConfig, "scenes", "studio", locations)

@@ -10,7 +10,7 @@ from pydantic import ValidationError
 
 from ..errors import ConfigError, UsageError, suggest_similar
 from ..files.documents.config_base import Config, ConfigReference, ConflictError
-from ..files.documents.units import RECORDED
+from ..files.documents.units import SKIP_BOUNDS_CONTEXT
 from ..files.documents.validation_messages import (
     detect_other_kind,
     explain_conflict,
@@ -245,7 +245,7 @@ def _validate_document(
         _require_task_kind(document)
     _resolve_references(model, document, (), locations)
     try:
-        config = model.model_validate(document.data, context=RECORDED if recorded else None)
+        config = model.model_validate(document.data, context=SKIP_BOUNDS_CONTEXT if recorded else None)
         if check is not None:
             check(config)
         return config

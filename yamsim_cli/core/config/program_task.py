@@ -24,8 +24,8 @@ from ..files.documents.units import (
     OffsetPoint,
     Place,
     QuantityBounds,
-    ReachRange,
     Share,
+    WorkspaceRange,
     is_recorded_config,
 )
 from .goals.goal import Goal
@@ -115,8 +115,8 @@ class Start(Config):
 
     on: Name = TABLE
     from_arm: ActingOrder | None = None
-    x: ReachRange
-    y: ReachRange
+    x: WorkspaceRange
+    y: WorkspaceRange
     yaw_deg: HeadingRange = (-180, 180)
     attitudes: Annotated[tuple[StartOrientation, ...], Field(min_length=1)] = ("upright",)
     apart: Distance = 0.02

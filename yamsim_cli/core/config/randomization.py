@@ -15,7 +15,7 @@ from ..files.documents.config_base import (
     Range,
     require_ordered,
 )
-from ..files.documents.units import QuantityBounds, ReachRange
+from ..files.documents.units import QuantityBounds, WorkspaceRange
 from .objects.object_config import ObjectConfig
 
 
@@ -114,8 +114,8 @@ class Distractors(Config):
 
     objects: Annotated[tuple[ObjectConfig, ...], ConfigReference("objects")] = Field(min_length=1, max_length=20)
     count: tuple[Annotated[int, Field(ge=0, le=20)], Annotated[int, Field(ge=0, le=20)]]
-    x: ReachRange
-    y: ReachRange
+    x: WorkspaceRange
+    y: WorkspaceRange
     clearance: Annotated[FiniteFloat, QuantityBounds("m", 1e-4, 1)]
 
     @model_validator(mode="after")

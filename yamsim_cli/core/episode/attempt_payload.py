@@ -166,7 +166,9 @@ def render_depth(simulator: Simulator, attempt: Attempt, qpos: Array, camera: st
     # Pixels without a label, such as the sky, get no depth, as in recorded ground truth.
     labels = simulator.labels
     return depth_in_mm(
-        renderer.render_labels_and_depth(simulator.state_replay.data, camera, labels.of_geom, labels.of_flex)[1]
+        renderer.render_labels_and_depth(
+            simulator.state_replay.data, camera, labels.label_of_geom, labels.label_of_flex
+        )[1]
     )
 
 

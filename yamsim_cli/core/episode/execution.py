@@ -45,7 +45,7 @@ def simulate_expert(simulator: Simulator, attempt: Attempt, *, grips: bool = Tru
         )
     task = simulator.config.task
     episode = open_episode(simulator, attempt, EXPERT_RULES)
-    rng = random_generator(attempt.job, Stream.SEARCH)
+    rng = random_generator(attempt.job, Stream.PLANNING)
     context = simulator.expert_planner.planning_context(episode.world, list(start_postures(simulator.config)), rng)
     log, recoveries = RecoveryLog(), list[Recovery]()
 

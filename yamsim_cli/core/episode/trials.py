@@ -23,7 +23,7 @@ from ..images.video import VideoWriter, require_encoder
 from ..progress import Progress
 from ..rendering.view_cameras import draw_labels
 from ..statistics import summarize_values, wilson_interval_95
-from ..workers.executors import Executor, J, LostJobError, RunnerFactory, run_all
+from ..workers.executors import Executor, J, LostJobError, OpenRunner, run_all
 from ..workers.process_pool import ProcessPool
 from .attempt_payload import render_cameras
 from .episode_rules import EXPERT_RULES
@@ -266,7 +266,7 @@ def film_trials(
 
 
 def film_jobs(
-    factory: RunnerFactory[J, list[bytes]],
+    factory: OpenRunner[J, list[bytes]],
     trials: Sequence[dict[str, Any]],
     jobs: Sequence[J],
     films: TrialVideoWriter,

@@ -22,7 +22,7 @@ from yamsim_cli.core.geometry.se3 import Array, pose, quat_from_rotation
 from yamsim_cli.core.rendering.renderer import SceneRenderer
 from yamsim_cli.core.scene.arm_model import finger_addresses
 from yamsim_cli.core.scene.blueprint import Blueprint, PictureSettings
-from yamsim_cli.core.scene.cameras import WORLD, SceneCamera
+from yamsim_cli.core.scene.cameras import WORLD_BODY, SceneCamera
 from yamsim_cli.core.scene.compilation import compile_spec
 from yamsim_cli.core.scene.compose import compose_scene
 
@@ -75,7 +75,9 @@ class ArmRenderer(Closable):
             raise ConfigError(
                 f"a pinhole picture for this camera has {size[0]} x {size[1]} pixels; at most {_MAX_SIDE}"
             )
-        view = SceneCamera(_CAMERA, WORLD, pose(rotation=opencv_from_mujoco(np.eye(3))), math.degrees(self._warp.fovy))
+        view = SceneCamera(
+            _CAMERA, WORLD_BODY, pose(rotation=opencv_from_mujoco(np.eye(3))), math.degrees(self._warp.fovy)
+        )
         blueprint = Blueprint(
             rig, scene, boards=False, background=False, cameras=(view,), pictures=PictureSettings(quality, size)
         )

@@ -23,7 +23,7 @@ from typing import Any
 from ...config.mesh_provenance import ShownMeshes, describe_mesh_content, describe_remedy, mesh_differences
 from ...errors import ConfigError, ResourceError, UsageError
 from ...files.documents.yaml_document import load_yaml
-from ...files.writing import move_to_backup, why_not_directory
+from ...files.writing import directory_obstacle, move_to_backup
 from ..dataset_paths import CONFIG_FILE, LOCK_FILE_NAME, STAGING_FOLDER, is_leftover
 
 # Errors that flock raises on filesystems without locks.
@@ -74,7 +74,7 @@ def claim_directory(path: Path, mode: ExistingDatasetMode, *, locks_reach_others
             DirectoryLock.acquire(path, reaches_others=locks_reach_others).release()
         raise _occupied_error(path)
     if not path.is_dir() and _is_occupied(path):
-        raise UsageError(f"{path} is not a dataset to resume: {why_not_directory(path)}; choose another --out")
+        raise UsageError(f"{path} is not a dataset to resume: {directory_obstacle(path)}; choose another --out")
     path.mkdir(parents=True, exist_ok=True)
     lock = DirectoryLock.acquire(path, reaches_others=locks_reach_others)
     try:
@@ -102,7 +102,8 @@ def _occupied_error(path: Path) -> UsageError:
             f"{path} is not empty; continue it with --resume, move it aside with --overwrite, or choose another --out"
         )
     return UsageError(
-        f"{path} is not a directory: {why_not_directory(path)}; move it aside with --overwrite, or choose another --out"
+        f"{path} is not a directory: {directory_obstacle(path)}; move it aside with --overwrite, or "
+        "choose another --out"
     )
 
 

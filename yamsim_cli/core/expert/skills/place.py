@@ -12,7 +12,7 @@ from pydantic import Field, FiniteFloat, model_validator
 from ...attempt_data import FailureCause
 from ...config.goals.role_assignment import RoleAssignment
 from ...config.goals.world import TABLE
-from ...files.documents.units import QuantityBounds, Reach
+from ...files.documents.units import QuantityBounds, WorkspaceCoordinate
 from ...geometry.se3 import Array, invert_pose, pose, rotation_z, yaw
 from ..planning.collision_checker import AttachedObject
 from .common_motions import plan_held_object_line, release_and_retreat, rest_segment
@@ -180,7 +180,7 @@ class Place(PlaceSkill):
     ROLES: ClassVar[tuple[str, ...]] = ("thing", "on", "start_of")
     ROLES_OF_ANY_MATERIAL: ClassVar[tuple[str, ...]] = ("on",)
     on: str
-    at: tuple[Reach, Reach] | None = None
+    at: tuple[WorkspaceCoordinate, WorkspaceCoordinate] | None = None
     start_of: str | None = None
     step: tuple[FiniteFloat, FiniteFloat] = (0.0, 0.0)
     number: Annotated[int, Field(ge=0)] = 0

@@ -11,7 +11,7 @@ from ...attempt_data import FailureCause
 from ...config.goals.role_assignment import RoleAssignment
 from ...config.goals.world import TABLE
 from ...files.documents.config_base import Positive
-from ...files.documents.units import Reach
+from ...files.documents.units import WorkspaceCoordinate
 from ...geometry.se3 import Array, pose, rotation_z
 from .common_motions import CLOSING_TICKS, park_free_hands, rest_segment
 from .hand import WAYPOINT_TOLERANCE, Hand
@@ -42,7 +42,7 @@ class Push(Skill):
 
     ROLES: ClassVar[tuple[str, ...]] = ("thing",)
     thing: str
-    to: tuple[Reach, Reach]
+    to: tuple[WorkspaceCoordinate, WorkspaceCoordinate]
     radius: Positive = 0.02
     arm: ArmSelector = "any"
 

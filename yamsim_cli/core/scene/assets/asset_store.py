@@ -75,7 +75,7 @@ class AssetStore:
         return self.root / assets.directory_name
 
     @property
-    def failure_mark(self) -> Path:
+    def fetch_failure_file(self) -> Path:
         """Its modification time is that of the last failed `fetch_missing`."""
         return self.root / ".fetch-failed"
 
