@@ -163,7 +163,7 @@ class PutBesideTray(PlaceSkill):
     next_place_skill: PlaceSkill | None = None
 
     def goal_poses(self, context: PlanningContext, roles: RoleAssignment, thing: str) -> list[Array]:
-        """Return poses (4, 4) on free places of the table: by the best grasp for `next_place_skill`, then by distance."""
+        """Return poses (4, 4) on free places of the table: by grasp for `next_place_skill`, then by distance."""
         world, (low, high) = context.world, context.world.aabb(TABLE)
         others = [
             footprint_corners(world.local_box(name), world.pose(name)) for name in world.object_names if name != thing
