@@ -122,10 +122,18 @@ def evaluate(
     Returns:
         The data that `--json` prints, such as `stats` and `trials`.
     """
-    from .policies.policy_loading import sees_images
+    from .policies.policy_loading import may_read_images
 
     session = API_SESSION_OPENER.open(
-        config, renders=sees_images(policy), n=n, seed=seed, workers=workers, rig=rig, task=task, arm=arm, wrist=True
+        config,
+        renders=may_read_images(policy),
+        n=n,
+        seed=seed,
+        workers=workers,
+        rig=rig,
+        task=task,
+        arm=arm,
+        wrist=True,
     )
 
     from .core.statistics import THRESHOLDS

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from .core.scene.assets import AssetLock, AssetStore, FetchProgress
 
 _VALID_SIDES_PX = range(16, 4097)  # px, of images
-_NO_GL = "off"  # MUJOCO_GL without OpenGL; `use_gl` may replace it, but not a user's "disabled"
+_GL_DISABLED = "off"  # MUJOCO_GL without OpenGL; `choose_gl_backend` may replace it, but not a user's "disabled"
 _OFFLINE_VARIABLE = "YAMSIM_OFFLINE"  # environment variable that prevents downloads of meshes, unless empty or 0
 
 
@@ -102,14 +102,14 @@ class SessionOpener:
             self.load_record_config(name, where, lambda config: require_start(Session(config, where)), **given), where
         )
         if not renders:
-            self.skip_gl()
+            self.disable_gl()
             return session
-        where = self.use_gl(where, workers=parallel)
+        where = self.choose_gl_backend(where, workers=parallel)
         from .core.dataset.writing.directory_claim import recorded_meshes
 
         # The config may come from another dataset, whose meshes do not matter here.
         session = Session(self.load_record_config(name, where, **given), where)
-        return self.with_meshes(session.with_values(meshes=recorded_meshes(resumes) if resumes else None))
+        return self.with_scene_meshes(session.with_values(meshes=recorded_meshes(resumes) if resumes else None))
 
     def find_locations(self) -> Locations:
         """Return the locations of configs, models and meshes that the environment defines."""
@@ -167,12 +167,12 @@ class SessionOpener:
         if fps is not None:
             overrides |= self._at_rate(fps, self.load_record_config(name, locations, **given).task.timing)
 
-        def check_all(config: Config) -> None:
+        def check_task_and_fingers(config: Config) -> None:
             check_task_config(config)
             assert isinstance(config, RecordConfig)
             check(config)
 
-        return load_config(RecordConfig, "record", name, locations, overrides, check_all)
+        return load_config(RecordConfig, "record", name, locations, overrides, check_task_and_fingers)
 
     def _task_key_path(self, task: ProgramTask, setting: str) -> KeyPath:
         """Return the key path of a setting within the task, which must have this key."""
@@ -229,7 +229,7 @@ class SessionOpener:
         }
         return load_config(RigConfig, "rigs", name, locations, overrides)
 
-    def use_gl(self, locations: Locations, *, workers: bool = False) -> Locations:
+    def choose_gl_backend(self, locations: Locations, *, workers: bool = False) -> Locations:
         """Find an OpenGL backend, set `MUJOCO_GL`, and return `locations` with the quality that `auto` stands for
         there.
 
@@ -237,7 +237,7 @@ class SessionOpener:
         """
         from .gl import bind_backend, find_backend
 
-        environ = {name: value for name, value in self.environ.items() if (name, value) != ("MUJOCO_GL", _NO_GL)}
+        environ = {name: value for name, value in self.environ.items() if (name, value) != ("MUJOCO_GL", _GL_DISABLED)}
         backend = find_backend(environ)
         if backend.name is not None:
             self.environ["MUJOCO_GL"] = backend.name
@@ -246,15 +246,15 @@ class SessionOpener:
             self.environ.setdefault("LP_NUM_THREADS", "0")
         return replace(locations, auto_quality="balanced" if backend.is_software else "high")
 
-    def skip_gl(self) -> None:
+    def disable_gl(self) -> None:
         """Set `MUJOCO_GL` so that MuJoCo does not load OpenGL."""
-        self.environ.setdefault("MUJOCO_GL", _NO_GL)
+        self.environ.setdefault("MUJOCO_GL", _GL_DISABLED)
 
     def stay_offline(self) -> None:
         """Show primitives for missing meshes instead of fetching them."""
         self.environ[_OFFLINE_VARIABLE] = "1"
 
-    def with_meshes(self, session: Session) -> Session:
+    def with_scene_meshes(self, session: Session) -> Session:
         """Find or fetch all meshes of a scene, and return the session with their folders.
 
         Sets that the config records as primitives stay primitives.

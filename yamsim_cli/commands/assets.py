@@ -189,9 +189,9 @@ def certify_object(
     """
     if html:
         require_unused_paths("--html", html, overwrite=overwrite)
-        session_opener.use_gl(session_opener.find_locations())
+        session_opener.choose_gl_backend(session_opener.find_locations())
     else:
-        session_opener.skip_gl()
+        session_opener.disable_gl()
     certified = _certify_and_store(thing)
     found = certified.to_json_data()
     if html:
@@ -304,7 +304,7 @@ def import_object(
         item, lines = _import_file(file, UnitOptions(unit, up, scale), options, out)
     certified = None
     if certify:
-        session_opener.skip_gl()
+        session_opener.disable_gl()
         certified = _certify_and_store(item["path"])
     item["certificate"] = certified and {"ok": certified.ok, "failed": list(certified.failed_codes)}
     if json:

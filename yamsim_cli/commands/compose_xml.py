@@ -44,7 +44,7 @@ def compose_xml(
     if grasp is not None and task is None:
         raise UsageError("--grasp needs --task; give --task, or leave --grasp out")
     where = session_opener.find_locations()
-    session_opener.skip_gl()
+    session_opener.disable_gl()
 
     from yamsim_cli.core.config.loader import load_config
     from yamsim_cli.core.config.scene import SceneConfig

@@ -10,7 +10,7 @@ import typer
 from yamsim_cli.core.errors import UsageError
 from yamsim_cli.flags.session_options import Json, session_opener
 from yamsim_cli.terminal.console import print_json, print_line, print_table
-from yamsim_cli.terminal.tables import FactTable
+from yamsim_cli.terminal.tables import NameValueTable
 
 app = typer.Typer(help="List, show and check configs.", no_args_is_help=True)
 
@@ -37,7 +37,9 @@ def list_configs(json: Json = False) -> None:
         print_json({"items": items})
         return
     print_table(
-        FactTable((kind, ", ".join(item["name"] for item in items if item["kind"] == kind)) for kind in CONFIG_KINDS)
+        NameValueTable(
+            (kind, ", ".join(item["name"] for item in items if item["kind"] == kind)) for kind in CONFIG_KINDS
+        )
     )
     for root in where.data:
         print_line(f"Configs are files such as {root / 'configs' / 'KIND' / 'NAME.yaml'}")

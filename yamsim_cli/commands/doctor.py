@@ -9,7 +9,7 @@ import typer
 
 from yamsim_cli.core.errors import ResourceError
 from yamsim_cli.flags.session_options import Json, session_opener
-from yamsim_cli.terminal.console import print_json, print_line, print_text
+from yamsim_cli.terminal.console import print_json, print_line, print_wrapped_text
 
 if TYPE_CHECKING:
     from yamsim_cli.doctor import HealthCheck
@@ -44,6 +44,6 @@ def doctor(
 
 
 def _print(check: HealthCheck) -> None:
-    print_text(f"{check.health:8}", f"{check.name}: {check.detail}", _HEALTH_STYLES[check.health])
+    print_wrapped_text(f"{check.health:8}", f"{check.name}: {check.detail}", _HEALTH_STYLES[check.health])
     if check.fix:
         print_line(f"{'':8}  -> {check.fix}")

@@ -124,11 +124,11 @@ def evaluate(
         raise UsageError("--video-all is for videos: give --video")
     require_unused_reports(out, html, overwrite=overwrite)
     from yamsim_cli.policies.action_chunks import ChunkSettings, read_latency
-    from yamsim_cli.policies.policy_loading import read_arguments, sees_images
+    from yamsim_cli.policies.policy_loading import may_read_images, read_arguments
 
     arguments, chunking = read_arguments(policy_arg or []), ChunkSettings(execute, ensemble, read_latency(latency))
     others = compare or []
-    renders = video is not None or any(sees_images(name) for name in (policy, *others))
+    renders = video is not None or any(may_read_images(name) for name in (policy, *others))
     session = session_opener.open(config, renders=renders, wrist=True, **session_settings(locals()))
 
     from yamsim_cli.core.episode.episode_rules import EndRule
@@ -162,7 +162,7 @@ def evaluate(
         write_leaderboard([report, *compared_reports], report.get("compared", []), html)
         print_note(f"The page is in {html}.")
     print_report(report, lambda: evaluation_table(report), json)
-    evaluation.require_measured(report)
+    evaluation.require_measured_trials(report)
     require_success(report["stats"], min_success)
 
 

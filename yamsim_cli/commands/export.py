@@ -106,7 +106,7 @@ def _simulated_raiden(
     if options.renders_images:
         where = _with_renderer(where)
     else:
-        session_opener.skip_gl()
+        session_opener.disable_gl()
 
     from yamsim_cli.core.config.session import Session
     from yamsim_cli.export.export_source import open_source
@@ -114,7 +114,7 @@ def _simulated_raiden(
 
     source = open_source(dataset, episodes, where)
     if options.renders_images:
-        where = session_opener.with_meshes(Session(source.config, where)).locations
+        where = session_opener.with_scene_meshes(Session(source.config, where)).locations
     with progress_bar("exporting", "episodes") as advance:
         return export_raiden(source, out, where, advance, options, workers=workers, overwrite=overwrite)
 
@@ -127,7 +127,7 @@ def _real_raiden(
     episodes: str | None,
     overwrite: bool,
 ) -> ExportResult:
-    session_opener.skip_gl()
+    session_opener.disable_gl()
 
     from yamsim_cli.export.export_source import open_real_source
     from yamsim_cli.export.raiden import export_real_raiden
@@ -249,13 +249,13 @@ def _parse_fps(text: str) -> float | None:
 def _with_renderer(locations: Locations) -> Locations:
     """Choose an OpenGL backend, which sets the quality `auto`. The error names flags that avoid rendering."""
     try:
-        return session_opener.use_gl(locations, workers=True)
+        return session_opener.choose_gl_backend(locations, workers=True)
     except ResourceError as error:
         raise ResourceError(f"{error}; or render nothing: give --pictures nearest or --fps source") from None
 
 
 def _open_dataset(dataset: Path, episodes: str | None, fps: float | None = None) -> SimulatedSource | RealSource:
-    session_opener.skip_gl()
+    session_opener.disable_gl()
 
     from yamsim_cli.core.dataset.imported_records import is_imported_dataset
     from yamsim_cli.export.export_source import open_real_source, open_source

@@ -89,9 +89,9 @@ def gap(
     surroundings = load_config(SceneConfig, "scenes", "studio", where)
     model = load_config(CameraConfig, "cameras", camera, where).camera_model if camera else None
     if pictures:
-        where = session_opener.use_gl(where)
+        where = session_opener.choose_gl_backend(where)
     else:
-        session_opener.skip_gl()
+        session_opener.disable_gl()
 
     from yamsim_cli.real.gap.report import build_report, require_gap_below
 

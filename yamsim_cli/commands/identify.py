@@ -48,7 +48,7 @@ def excite(
             raise UsageError(f"{flag} {file}: motions and logs are written as .csv")
         if file is not None:
             require_unused_paths(flag, file, overwrite=overwrite)
-    session_opener.skip_gl()
+    session_opener.disable_gl()
 
     from yamsim_cli.core.config.loader import load_config
     from yamsim_cli.core.config.scene import SceneConfig
@@ -133,7 +133,7 @@ def identify(
     for file in {out, *(_dynamics_file(out, side, len(sides)) for side in sides)}:
         require_unused_paths("--out", file, overwrite=overwrite)
     name = _revision_name(out)
-    session_opener.skip_gl()
+    session_opener.disable_gl()
 
     from yamsim_cli.real.identify.identification import identify_arms as run
     from yamsim_cli.real.recordings.motion_reading import read_motions

@@ -57,7 +57,7 @@ def import_recording(
     """
     mode = open_mode(resume=resume, overwrite=overwrite)
     where = session_opener.find_locations()
-    session_opener.skip_gl()
+    session_opener.disable_gl()
     settings = session_opener.load_rig(rig, where)
 
     from yamsim_cli.real.import_recording.importing import Corrections, ImportRequest, import_recordings
@@ -73,7 +73,7 @@ def import_recording(
     for episode, problems in report.problems.items():
         for problem in problems:
             print_note(f"{episode}: {problem}")
-    kept = f", {report.kept} were there before" if report.kept else ""
+    kept = f", {report.kept_episodes} were there before" if report.kept_episodes else ""
     print_line(
         f"{report.path}: {count_noun(report.episodes, 'episode')}, {count_noun(report.frames, 'frame')}{kept}, "
         "source: real"

@@ -94,7 +94,7 @@ def overlay(
     model = load_config(CameraConfig, "cameras", camera, where).camera_model if camera else None
     scene = load_config(SceneConfig, "scenes", "studio", where)
     quality = load_config(RenderConfig, "quality", "fast", where)
-    session_opener.use_gl(where)
+    session_opener.choose_gl_backend(where)
 
     from yamsim_cli.core.scene.blueprint import Blueprint
     from yamsim_cli.core.scene.compose import visual_mesh_sets
@@ -170,6 +170,6 @@ def _print(report: OverlayReport) -> None:
             print_note(f"{result.path}: {text}")
     for move in report.move_report.moves:
         print_line(describe_move(move))
-    if not report.move_report.unknown and not report.move_report.moves:
+    if not report.move_report.why_unknown and not report.move_report.moves:
         print_line(f"camera and bases stayed where they were in all {len(report.results)} photos")
     print_line(f"{len(report.files)} files, such as {report.files[0]}")

@@ -42,7 +42,7 @@ def render_views(
     scene = load_config(SceneConfig, "scenes", "studio", where)
     # Refuse an unknown quality before the choice of an OpenGL backend, which takes seconds.
     load_config(RenderConfig, "quality", quality or "auto", where)
-    where = session_opener.use_gl(where)
+    where = session_opener.choose_gl_backend(where)
     render = load_config(RenderConfig, "quality", quality or "auto", where)
 
     from yamsim_cli.core.scene.blueprint import Blueprint

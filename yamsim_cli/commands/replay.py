@@ -88,16 +88,16 @@ def _film_episode(
     overwrite: bool,
 ) -> dict[str, Any]:
     if render:
-        session_opener.use_gl(locations)
+        session_opener.choose_gl_backend(locations)
     else:
-        session_opener.skip_gl()
+        session_opener.disable_gl()
     period = stored.record.frame_period_s / speed
 
     from yamsim_cli.core.dataset.reader import StoredEpisode
     from yamsim_cli.viewers.show.replay import film_recorded, film_rendered, session_with_wrist_camera
 
     if render and isinstance(stored, StoredEpisode):
-        session = session_opener.with_meshes(session_with_wrist_camera(_dataset_session(stored, locations), size))
+        session = session_opener.with_scene_meshes(session_with_wrist_camera(_dataset_session(stored, locations), size))
         film = film_rendered(stored, session, cameras, video, period, overwrite=overwrite)
     else:
         film = film_recorded(stored, cameras, video, period, overwrite=overwrite)
@@ -132,7 +132,7 @@ def play_episode(
             sys.stdout.flush()
 
     if isinstance(stored, StoredEpisode):
-        session = session_opener.with_meshes(_dataset_session(stored, locations))
+        session = session_opener.with_scene_meshes(_dataset_session(stored, locations))
         # A server or window that Ctrl-C interrupts during its start cannot be closed.
         with defer_signals() as stopped:
             physics = _repeat_in_physics(stored, locations)

@@ -92,7 +92,7 @@ def check(
 
     Example: yamsim robots check yam_v1
     """
-    session_opener.skip_gl()
+    session_opener.disable_gl()
 
     from yamsim_cli.robot_catalog import check_robot, require_checked
 

@@ -104,10 +104,10 @@ def serve_robot(
     session = session_opener.open(config, renders=cameras or chiral is not None, parallel=False, **settings)
 
     from yamsim_cli.real.serve.realtime_loop import RealtimeLoop
-    from yamsim_cli.real.serve.served_arms import START_POSTURES, make_policy_robot, serve_arms
+    from yamsim_cli.real.serve.served_arms import VALID_START_POSTURES, make_policy_robot, serve_arms
 
-    if start not in START_POSTURES:
-        raise UsageError(f"--start {start!r} is not valid; valid: {', '.join(START_POSTURES)}")
+    if start not in VALID_START_POSTURES:
+        raise UsageError(f"--start {start!r} is not valid; valid: {', '.join(VALID_START_POSTURES)}")
     served = serve_arms(session, channel or (), faults, start)
     with ExitStack() as stack, stop_on_signal("Ending.") as stop:
         where = _bus_folder(folder)

@@ -9,7 +9,7 @@ import typer
 from yamsim_cli.core.errors import DatasetError, UsageError
 from yamsim_cli.flags.session_options import Json, Offline, session_opener
 from yamsim_cli.terminal.console import print_report, progress_bar
-from yamsim_cli.terminal.tables import FactTable
+from yamsim_cli.terminal.tables import NameValueTable
 
 if TYPE_CHECKING:
     from rich.text import Text
@@ -63,10 +63,10 @@ def verify(
     chosen = select_episodes(dataset, episodes, sample)
     session = Session(read_recording_config(dataset, where), where)
     if images:
-        session_opener.use_gl(where, workers=True)
-        session = session_opener.with_meshes(session)
+        session_opener.choose_gl_backend(where, workers=True)
+        session = session_opener.with_scene_meshes(session)
     else:
-        session_opener.skip_gl()
+        session_opener.disable_gl()
 
     from yamsim_cli.datasets.verify import Tolerances
     from yamsim_cli.datasets.verify import verify as run
@@ -75,7 +75,7 @@ def verify(
     with progress_bar("verifying", "episodes") as advance:
         report = run(chosen, session, limits, workers, advance)
     report = {"path": str(dataset)} | report
-    print_report(report, lambda: FactTable(_result_rows(report)), json)
+    print_report(report, lambda: NameValueTable(_result_rows(report)), json)
     if report["agree"] < report["episodes"]:
         raise DatasetError(_verdict_line(report))
 

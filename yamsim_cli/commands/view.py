@@ -83,7 +83,7 @@ def view(
 
 def _can_render(locations: Locations) -> bool:
     try:
-        session_opener.use_gl(locations)
+        session_opener.choose_gl_backend(locations)
     except ResourceError:
         return False
     return True

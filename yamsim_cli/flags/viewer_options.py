@@ -66,7 +66,7 @@ def prepare_viewer(page: PageAddress | None) -> None:
     if page is None:
         os.environ["MUJOCO_GL"] = "glfw"
         return
-    session_opener.skip_gl()
+    session_opener.disable_gl()
     silence_viser()
 
 

@@ -63,7 +63,7 @@ def photos_in_parts(gaps: Sequence[MotionGap], camera: str | None) -> tuple[str,
     for gap in gaps:
         known = np.logical_and.reduce([np.isfinite(arm.joints).all(axis=1) for arm in gap.motion.arms])
         for frame, sample in enumerate(np.flatnonzero(known).tolist()):
-            if gap.name in folders and gap.compared[sample]:
+            if gap.name in folders and gap.is_compared[sample]:
                 path = folders[gap.name] / image_path(camera, frame)
                 if path.is_file():
                     taken.append(RecordedPhoto(gap, frame, sample, path))
@@ -203,9 +203,12 @@ def _compare_photo(
         return None
     renderer = renderers.renderer_for(lens.camera)
     renderer.set_poses(result.base_poses, postures_at(recorded.gap.motion, recorded.sample, rig))
-    measured, measured_mask = score_outlines(result, renderer, grey), renderer.flat_labels() > 0
+    measured, measured_mask = score_outlines(result, renderer, grey), renderer.undistorted_label_image() > 0
     renderer.set_poses(result.base_poses, postures_at(recorded.gap.simulated, recorded.sample, rig))
-    simulated, iou = score_outlines(result, renderer, grey), mask_iou(renderer.flat_labels() > 0, measured_mask)
+    simulated, iou = (
+        score_outlines(result, renderer, grey),
+        mask_iou(renderer.undistorted_label_image() > 0, measured_mask),
+    )
     arms = renderer.render()
     picture = blend_arms(image, arms.colour, arms.labels, _OPACITY)
     lines = [f"simulated, {recorded.gap.motion.times[recorded.sample]:.2f} s, frame {recorded.frame}"]

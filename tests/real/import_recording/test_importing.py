@@ -163,7 +163,7 @@ def test_resuming_keeps_existing_episodes(single: RigConfig, locations: Location
     with pytest.raises(UsageError, match="--resume"):
         bring_in(replace(request, sources=[one, two]), locations)
     report = bring_in(replace(request, sources=[one, two], mode=ExistingDatasetMode.RESUME), locations)
-    assert (report.kept, report.episodes) == (1, 1)
+    assert (report.kept_episodes, report.episodes) == (1, 1)
     assert (tmp_path / "real/ep_000000/episode.json").stat().st_mtime_ns == before
     with pytest.raises(ConfigError, match="gripper"):
         bring_in(replace(request, mode=ExistingDatasetMode.RESUME, corrections=Corrections(gripper="share")), locations)

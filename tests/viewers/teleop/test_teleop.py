@@ -39,7 +39,7 @@ from yamsim_cli.core.scene.build import with_mesh_descriptions
 from yamsim_cli.viewers.teleop.attempt_writer import AttemptWriter, TeleopAttemptRenderer
 from yamsim_cli.viewers.teleop.command_stream import StreamPlayer, read_stream
 from yamsim_cli.viewers.teleop.teleop_scene import TeleopScene
-from yamsim_cli.viewers.teleop.teleop_session import Jitter, TickClock, open_teleop
+from yamsim_cli.viewers.teleop.teleop_session import TickClock, TickJitter, open_teleop
 
 
 @pytest.fixture
@@ -370,7 +370,7 @@ def test_joints_of_both_arms_in_a_row_are_checked(
             read_stream(stream, russet)
 
 
-def pace_of(slow: tuple[float, ...], monkeypatch: pytest.MonkeyPatch) -> tuple[Jitter, float]:
+def pace_of(slow: tuple[float, ...], monkeypatch: pytest.MonkeyPatch) -> tuple[TickJitter, float]:
     """Return the jitter of a loop whose turns take given times, s, and the start of its last turn."""
     now = [0.0]
     monkeypatch.setattr("yamsim_cli.viewers.teleop.teleop_session.time.monotonic", lambda: now[0])

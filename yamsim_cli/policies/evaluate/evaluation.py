@@ -41,7 +41,7 @@ class Evaluation:
     choice: PolicyChoice
     results: tuple[TrialResult, ...]
     seconds: float
-    instances: tuple[str, ...]
+    object_instances: tuple[str, ...]
 
 
 def evaluate(
@@ -71,8 +71,10 @@ def describe_objects(session: Session, job: AttemptJob) -> str:
 def rates_by_objects(evaluation: Evaluation) -> list[dict[str, Any]]:
     """Return JSON data per assignment of objects (`instance`): success rate, its 95 % interval, and inference times."""
     rows = []
-    for name in dict.fromkeys(sorted(evaluation.instances)):
-        found = [result for result, own in zip(evaluation.results, evaluation.instances, strict=True) if own == name]
+    for name in dict.fromkeys(sorted(evaluation.object_instances)):
+        found = [
+            result for result, own in zip(evaluation.results, evaluation.object_instances, strict=True) if own == name
+        ]
         n, succeeded = len(found), sum(result.outcome.success for result in found)
         rows.append(
             {
@@ -136,12 +138,13 @@ def evaluation_report(evaluation: Evaluation, config: RecordConfig, thresholds: 
         "seconds": evaluation.seconds,
         "ticks_per_second": sum(result.ticks for result in results) / evaluation.seconds,
         "trials": [
-            _trial_report(result, tick) | {"instance": evaluation.instances[k]} for k, result in enumerate(results)
+            _trial_report(result, tick) | {"instance": evaluation.object_instances[k]}
+            for k, result in enumerate(results)
         ],
     }
 
 
-def require_measured(report: Mapping[str, Any]) -> None:
+def require_measured_trials(report: Mapping[str, Any]) -> None:
     """Raise PartialJobError if all trials ended before they measured the policy's success."""
     ended = report["stats"]["ended"]
     if not any(TrialEnd(how) in MEASURED_ENDS for how in ended):

@@ -23,7 +23,7 @@ from yamsim_cli.core.episode.simulator import SimulatorCache
 from yamsim_cli.core.workers.executors import Executor
 from yamsim_cli.core.workers.process_pool import ProcessPool
 
-SOURCE = "teleop"
+TELEOP_SOURCE = "teleop"
 
 _POLL_SECONDS = 0.1  # s, between checks for a closed writer
 
@@ -154,7 +154,7 @@ class AttemptWriter(Closable):
     def _write_attempt(self, payload: AttemptPayload) -> AttemptRecord:
         number = self._sink.episodes if payload.outcome.success else None
         if number is not None:
-            record = episode_record(self._config, payload, number).model_copy(update={"source": SOURCE})
+            record = episode_record(self._config, payload, number).model_copy(update={"source": TELEOP_SOURCE})
             self._sink.publish_episode(record, dict(payload.files))
         attempt = attempt_record(payload, number)
         self._sink.log_attempt(attempt)
