@@ -251,7 +251,7 @@ def check_robot(name: str, locations: Locations) -> list[dict[str, Any]]:
     grippers = robot_entry(arm.name, locations)["goes_with"]
     if not grippers:
         raise ConfigError(f"{arm.mjcf.file}: no gripper fits {arm.name!r}; name one under `grippers` in its model.yaml")
-    # Of two arms in one folder with the same revision, the other one may be the invalid one.
+    # If two arms in one folder have the same revision, `valid_families` may blame the other arm: check this one's file.
     file = str(locations.config_file(ARMS, arm.name))
     for fault in valid_families(locations)[1].values():
         if file in str(fault):

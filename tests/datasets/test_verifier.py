@@ -52,7 +52,7 @@ def verdict(dataset: Path, verifier: EpisodeVerifier) -> Callable[[], EpisodeVer
 
 def test_an_episode_is_made_again_bit_for_bit_from_its_seed_and_from_its_actions(verdict) -> None:
     result = verdict()
-    assert result.agrees
+    assert result.is_reproduced
     for check in (SEED, ACTIONS):
         assert result.checks[check].max_error == 0.0
         assert {"joints", "banana_pose", "sim_qpos", "outcome.dxy_m"} <= set(result.checks[check].largest)
@@ -138,15 +138,15 @@ def test_changed_versions_are_told_and_are_no_fault(dataset: Path, verdict) -> N
     versions = json.loads((dataset / "ep_000001" / "episode.json").read_text())["versions"]
     change_record(dataset / "ep_000001", versions=versions | {"mujoco": "3.9.9", "retired": "1"})
     result = verdict()
-    assert result.agrees
-    assert result.changed == {"mujoco": ("3.9.9", versions["mujoco"])}
+    assert result.is_reproduced
+    assert result.changed_versions == {"mujoco": ("3.9.9", versions["mujoco"])}
 
 
 def test_a_damaged_file_ends_that_episode_alone(dataset: Path, verdict) -> None:
     file = dataset / "ep_000001" / "lowdim" / "000030.pkl"
     file.write_bytes(file.read_bytes()[:100])
     result = verdict()
-    assert not result.agrees
+    assert not result.is_reproduced
     assert "lowdim/000030.pkl" in result.problems[""]
     assert result.checks == {}
 

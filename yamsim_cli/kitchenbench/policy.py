@@ -56,7 +56,7 @@ class YamsimExpert:
         self._set_control_rate(CONTROL_HZ)
 
     def bind(self, embodiment_info: EmbodimentInfo) -> None:
-        """Set the duration of actions to that of the embodiment."""
+        """Take the duration of an action from the embodiment."""
         self._set_control_rate(embodiment_info.control_hz or CONTROL_HZ)
 
     def reset(self, scene: Scene) -> None:

@@ -37,7 +37,7 @@ def scene_task_data(name: str) -> dict[str, Any]:
     """Return the task of a scene, as the data of a task's YAML.
 
     The name is `TASK/INSTANCE`, such as `stack/cups`; with `@K`, of the scene's epoch K instead of 0. That epoch gives
-    objects, instruction and expert. The arrangements are those of up to 100 epochs with the same objects.
+    objects, instruction and expert. It has one arrangement for each of up to 100 epochs with the same objects.
     """
     scene, epoch = _find_scene(name)
     first = _scene_blueprint(scene, epoch)

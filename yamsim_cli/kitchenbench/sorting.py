@@ -30,9 +30,9 @@ from ..core.sim.sim_world import SimWorld
 _LOGGER = logging.getLogger("yamsim")
 
 _MIN_SHARE_INSIDE = 0.85  # of an object's volume; KitchenBench requires a little less
-_MAX_TRIES_PER_OBJECT = 4  # per object
+_MAX_TRIES_PER_OBJECT = 4  # times that a move of one object is tried
 _OUTSIDE_TRAY_PENALTY = 1.5  # tries added for objects outside the tray, so that those inside come first
-_PARKED_TOLERANCE = 1e-6  # rad; an arm this near to its ready joints is out of the way
+_PARKED_TOLERANCE = 1e-6  # rad; an arm whose joints are this near to the ready posture counts as out of the way
 _LIFT_HEIGHT = 0.06  # m; cutlery that hangs in the fingers clears the tray's wall
 _HANDOVER_HEIGHT = 0.25  # m over the table, of the object's origin
 

@@ -85,7 +85,7 @@ def open_destination(
     mount = _check_mounts(config, output, callbacks)
     resuming = output.mode is ExistingDatasetMode.RESUME
     if not resuming:
-        # Check the space first: a file written before would make the next recording fail.
+        # Check the space before anything is written: a leftover file would make the next recording fail.
         _check_space(config, output.path, {}, config.episodes, callbacks)
     data_config = config.data_config()
     reach = mount is None or mount.locks_reach_others

@@ -125,7 +125,7 @@ def load_config(
 
 
 def validate_file(model: type[C], path: Path, locations: Locations, *, check: ConfigCheck | None = None) -> C:
-    """Return the validated config in a file; arguments and errors are those of `parse_config` and `load_config`."""
+    """Return the validated config in a file; for arguments and errors, see `parse_config` and `load_config`."""
     return _validate_document(model, _read_config_document(model, path), locations, check=check)
 
 
@@ -222,7 +222,7 @@ def _upgrade_task_in_place(task: dict[str, Any]) -> None:
 
 
 def _explain_other_kind(model: type[Config], document: Document) -> str | None:
-    """Return an error message if the file's keys are those of another kind of config; else None."""
+    """Return an error message if the file has the keys of another kind of config; else None."""
     kind = next((kind for kind, known in CONFIG_KINDS.items() if known is model), None)
     if kind is None or (instead := detect_other_kind(CONFIG_KINDS, kind, document.data)) is None:
         return None

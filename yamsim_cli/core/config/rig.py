@@ -255,7 +255,7 @@ class RigConfig(Config):
 
     @property
     def camera_names(self) -> tuple[str, ...]:
-        """Names of the station's fixed cameras, then of the wrist cameras, that of the left arm first."""
+        """Names of the station's fixed cameras, then of the wrist cameras, first the left arm's."""
         return (
             *(camera.name for camera in self.cameras),
             *(self.arms[k].wrist_camera_name for k in self.recording_order),
@@ -269,7 +269,7 @@ class RigConfig(Config):
 
     @property
     def arm_span(self) -> float:
-        """Distance along world y between the outermost arms' points (see `margin`), m; 0 for one arm."""
+        """Distance along world y between the first and the last arm, m: `margin` for two arms, 0 for one."""
         return (len(self.arms) - 1) * self.margin
 
     @property

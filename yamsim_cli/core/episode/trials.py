@@ -35,7 +35,7 @@ from .simulator import Simulator, SimulatorCache
 R = TypeVar("R")
 
 _MOTIONLESS_CAUSES = (FailureCause.NO_LAYOUT, FailureCause.UNREACHABLE)  # failures before any motion
-_JPEG_QUALITY = 95  # 0..100, of frames that workers send; the loss is small against that of the video
+_JPEG_QUALITY = 95  # 0..100, of frames that workers send; the video itself loses much more
 
 
 def run_expert_trials(session: Session, thresholds: Sequence[float], progress: Progress) -> dict[str, Any]:

@@ -258,7 +258,7 @@ def _create_locked_folder(make: Callable[[], Path]) -> Iterator[Path]:
     """Yield a new folder, whose lock marks it as in use."""
     while True:
         folder = make()
-        # Another process may remove the folder as stale before this process locks it. Then create another.
+        # Before this process locks the folder, another one may remove it as a leftover. Then create another.
         try:
             descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
         except FileNotFoundError:
@@ -275,7 +275,7 @@ def _create_locked_folder(make: Callable[[], Path]) -> Iterator[Path]:
 
 
 def _remove_unlocked_folders(parent: Path, names: re.Pattern[str]) -> None:
-    """Remove unlocked folders with matching names, which are those of killed processes."""
+    """Remove unlocked folders with matching names, which killed processes left behind."""
     for folder in parent.iterdir() if parent.is_dir() else ():
         if not names.fullmatch(folder.name):
             continue
@@ -345,7 +345,7 @@ def _refuse_own_directory(path: Path) -> None:
 def move_to_backup(path: Path) -> Path:
     """Rename `path` to the first free `<name>.old-<n>` beside it, and return the new path.
 
-    UsageError is raised if `path` is or contains this process's current directory, and so that of the user's shell.
+    UsageError is raised if `path` is or contains the current directory of this process, and so of the user's shell.
     """
     path = _resolve_unnamed(path)
     _refuse_own_directory(path)

@@ -78,7 +78,7 @@ def _opengl_name() -> str:
 
 
 class _Contexts:
-    """A renderer's contexts. `free_contexts` makes OpenGL's current; MuJoCo would free objects of another one."""
+    """A renderer's contexts. `free_contexts` first makes its own current: MuJoCo frees objects of the current one."""
 
     def __init__(self) -> None:
         self.gl: Any = None

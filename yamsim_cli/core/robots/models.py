@@ -326,7 +326,7 @@ class Gripper(_FolderConfig):
         name: name of the folder `robot_models/grippers/<name>/`; may be left out.
         source: origin of the figures, in a few words.
         mjcf: the MJCF file beside the YAML. The file has one body, the gripper's frame, whose content becomes part of
-            the flange. Its `inertial` is that of flange and gripper together. Equalities, excludes and actuators are
+            the flange. Its `inertial` covers flange and gripper together. Equalities, excludes and actuators are
             added to the arm's. The site `pinch_site` lies where the fingers meet: z into the grasp, y along closing.
         mesh_sets: the asset sets of the MJCF's meshes.
         fingers: None for a gripper without fingers.

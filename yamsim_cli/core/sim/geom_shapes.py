@@ -64,7 +64,7 @@ def body_surface(model: mujoco.MjModel, geoms: Sequence[int]) -> Surface:
 
 
 def geom_corners(model: mujoco.MjModel, geom: int) -> Array:
-    """Return points (n, 3) whose convex hull is that of a geom, in its body's frame, m; circles have 24 sides."""
+    """Return points (n, 3) with the same convex hull as a geom, in its body's frame, m; circles have 24 sides."""
     R, at = _geom_pose(model, geom)
     points = (
         _mesh_vertices(model, geom)

@@ -21,7 +21,7 @@ from .executors import J, JobIn, LostJobError, R, WorkerBugError
 
 JOB_SECONDS = 600.0  # s, of a job; a longer job means a hung driver or a swapping machine
 START_SECONDS = 300.0  # s, for imports, compilation of the scene, OpenGL
-_MAX_TRIES = 3  # of a job, each on another worker
+_MAX_TRIES = 3  # tries of a job whose worker dies, each on another worker
 _MAX_STARTS = 3  # failed in a row, after which a worker is dropped
 _POLL_SECONDS = 0.5  # between checks of time limits
 

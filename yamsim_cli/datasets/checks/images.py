@@ -51,7 +51,7 @@ class CameraChecks:
     """Checks the images of one camera, one by one.
 
     Args:
-        size: expected (width, height); None expects that of the first image.
+        size: expected (width, height); None expects the first image's size.
     """
 
     def __init__(

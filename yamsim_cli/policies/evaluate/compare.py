@@ -63,7 +63,7 @@ def require_same_trials(expected: Mapping[str, Any], report: Mapping[str, Any]) 
 def compare_reports(first: Mapping[str, Any], second: Mapping[str, Any]) -> dict[str, Any]:
     """Compare two reports trial by trial. Return counts of successes and McNemar's exact p-value as JSON data.
 
-    `policy` and `success_rate` are those of the second report.
+    `policy` and `success_rate` come from the second report.
     """
     name = second["policy"]
     require_same_trials(first, second)

@@ -112,7 +112,7 @@ def evaluation_report(evaluation: Evaluation, config: RecordConfig, thresholds: 
     """Return an evaluation as JSON data.
 
     Args:
-        thresholds: distances, m, for which success rates are computed in addition to that of the task.
+        thresholds: distances, m, for which success rates are computed, besides the task's own threshold.
     """
     results, tick = evaluation.results, config.task.timing.tick_seconds
     calls = [seconds for result in results for seconds in result.seconds]

@@ -12,7 +12,7 @@ _MAX_STEP = 0.4  # rad, of a joint in a step
 _MAX_STEPS = 40
 _METRES_PER_RADIAN = 0.25  # m, distance that an error of 1 rad counts as
 
-# m and rad, of a returned solution, which `IkSolver` refines
+# m and rad, largest errors of a returned solution; `IkSolver` refines it
 _MAX_POSITION_ERROR = 3e-3
 _MAX_ROTATION_ERROR = math.radians(4.0)
 

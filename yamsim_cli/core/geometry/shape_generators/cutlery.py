@@ -21,7 +21,7 @@ from .generated_shape import (
 CutleryKind = Literal["spoon", "fork", "knife", "turner"]
 
 _CLEAR_HEIGHT = 0.018  # m, of the finger pads' middle, at which the pads of a tilted hand clear the table
-_MAX_RAISE = 0.004  # m, of the pads' middle over that of the handle
+_MAX_RAISE = 0.004  # m, height of the pads' middle over the handle's middle
 
 
 @dataclass(frozen=True)

@@ -165,7 +165,7 @@ def slip_stiffness(finger: FinRay) -> Array:
 def hinge_coupling_springs(finger: FinRay) -> Array:
     """Return coefficients (n, n), m. Each row is a spring of 1 N/m; its elongation is the row times the hinge angles.
 
-    The energy of all springs together is that of `slip_stiffness`.
+    The energy of all springs together equals the energy by `slip_stiffness`.
     """
     rows = np.linalg.cholesky(slip_stiffness(finger)).T @ slip_jacobian(finger)
     # Rounding errors of exact zeros differ between linear algebra libraries.

@@ -276,7 +276,7 @@ class _PoseProblem(PrintProblem[_PoseState]):
         turns = [free.index(k) for k in range(_POSE.start, _POSE.stop)]
         derivatives_by_lens = pose_of.by_fixed_parameters[turns][:, [n for n, k in enumerate(held) if k >= _LENS.start]]
         derivatives_by_lens[5, 0] += self._centre_depth(state.T)
-        # A fold moves the print by the distance from the crease.
+        # The angle error of a fold moves the print in proportion to the distance from the crease, here the farthest.
         lever = max(max(view.piece.board.width, view.piece.board.height) for view in self._views) / 2
         neglected = pose_of.neglected_variance * np.diag([1.0] * 3 + [lever**2] * 3)
         scale_index = held.index(_LOG_SCALE) if _LOG_SCALE in held else None

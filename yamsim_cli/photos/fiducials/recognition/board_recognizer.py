@@ -56,10 +56,10 @@ FALSE_ALARM_RATE = 1e-4  # accepted rate of photos without the board
 # Tried positions and orientations. Source: `make bench-fiducials`: 20 to 60 patches in four orientations, about 250
 # moves of each refined patch.
 _TRIALS_PER_BOARD = 1200
-_TRIALS_PER_FIT = 30  # poses of one fit that count as independent trials
+_TRIALS_PER_FIT = 30  # a fit tries many poses; they count as this number of independent trials
 _MAX_BOARD_LOG_CHANCE = -8.0  # log probability of the bits by chance; below, advice assumes the board
 _MAX_RETRIED_LOG_CHANCE = -3.0  # the same; below, a fit with low correlation is repeated
-_SAME_MOTION_BLUR_PX = 3.0  # px, difference in length of equal motion blurs
+_SAME_MOTION_BLUR_PX = 3.0  # px; motion blurs whose lengths differ by less count as equal
 _MAX_FITS = 2  # fitted candidates per search method
 _MIN_RELATIVE_AGREEMENT = 0.6  # ratio to the best candidate's agreement; below, a candidate is not fitted
 _SEARCH_RADIUS = 0.5  # board sizes in the picture, around a predicted position
