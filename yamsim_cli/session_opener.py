@@ -31,7 +31,7 @@ def _show_no_progress() -> AbstractContextManager[FetchProgress]:
 
 
 # Setting (flag or keyword) -> key path in a record config; the task comes before the settings within it.
-_SETTING_PATHS: dict[str, tuple[str, ...]] = {
+_KEY_PATH_OF_SETTING: dict[str, tuple[str, ...]] = {
     "rig": ("rig",),
     "revision": ("rig", "revision"),
     "robot": ("rig", "robot"),
@@ -144,7 +144,7 @@ class SessionOpener:
         fps = given.pop("fps", None)
         paths = {
             setting: path
-            for setting, path in _SETTING_PATHS.items()
+            for setting, path in _KEY_PATH_OF_SETTING.items()
             if given.get(setting) is not None and given[setting] != []
         }
         within = [setting for setting in _TASK_SETTINGS if setting in paths]

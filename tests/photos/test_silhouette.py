@@ -84,7 +84,7 @@ def test_large_photos_are_looked_at_in_larger_grains() -> None:
     shape = (2400, 3200)
     line = mask_outline(mask((1600.0, 1200.0), 600.0, shape))
     off = edge_offsets(disk((1600.0, 1200.0), 620.0, shape), line)
-    assert off.reach == 3 * DEFAULT_SEARCH_DISTANCE
+    assert off.search_distance == 3 * DEFAULT_SEARCH_DISTANCE
     assert np.nanmean(off.offsets) == pytest.approx(20.0, abs=0.5)
 
 

@@ -40,7 +40,7 @@ from ..core.progress import Progress
 from ..core.scene.build import describe_meshes
 from ..core.workers.executors import run_all
 from ..core.workers.process_pool import ProcessPool
-from .compare import Difference, EpisodeComparison, compare_frames, compare_values
+from .compare import EpisodeComparison, ValueDifference, compare_frames, compare_values
 
 # Checks, in the order in which their differences are reported.
 SEED, ACTIONS, IMAGES = "seed", "actions", "images"
@@ -261,17 +261,17 @@ def _compare_images(episode: StoredEpisode, images: Mapping[str, bytes], limit: 
             result.largest[camera] = max(result.largest.get(camera, 0.0), 255.0 if apart is None else apart)
             if stored != made and (apart is None or apart > limit or limit == 0.0) and result.first_difference is None:
                 shown = [f"{len(data)} bytes" for data in (stored, made)]
-                result.first_difference = Difference(k, k * record.frame_period_s, name, shown[0], shown[1], apart)
+                result.first_difference = ValueDifference(k, k * record.frame_period_s, name, shown[0], shown[1], apart)
     if limit == 0.0 and result.first_difference is None:
         result.first_difference = _first_truth_difference(episode, images)
     return result
 
 
-def _first_truth_difference(episode: StoredEpisode, images: Mapping[str, bytes]) -> Difference | None:
+def _first_truth_difference(episode: StoredEpisode, images: Mapping[str, bytes]) -> ValueDifference | None:
     for name in (name for name in episode.record.files if name.startswith(TRUTH_FOLDERS)):
         stored, made = episode.read(name), images.get(name, b"")
         if stored != made:
-            return Difference(None, None, name, f"{len(stored)} bytes", f"{len(made)} bytes", None)
+            return ValueDifference(None, None, name, f"{len(stored)} bytes", f"{len(made)} bytes", None)
     return None
 
 

@@ -23,7 +23,7 @@ from .part_surfaces import mass_properties_and_is_solid, merged_surface, plain_i
 from .primitives import PointBody
 from .readers.object_parts import MassProperties, ObjectDescription, RigidPart
 from .visual_meshes import VisualMeshes, make_visual_meshes
-from .ycb_config import MIN_VESSEL_DEPTH, ROLLING_SHARE
+from .ycb_config import MIN_VESSEL_DEPTH, ROLLING_FRICTION_SHARE
 
 _DEFAULT_DENSITY = 1000.0  # kg/m3, if nothing states a mass; close to most plastics, ripe fruit and water
 _DEFAULT_FRICTION = 0.8  # sliding
@@ -234,7 +234,7 @@ def _lowest_height(thing: ObjectDescription) -> float:
 
 def _contact_data(geometry: CollisionGeometry, friction: float) -> dict[str, Any]:
     if (radius := rolling_radius(geometry.parts)) is not None:
-        return {"friction": [friction, _TORSIONAL_FRICTION, round(ROLLING_SHARE * radius, 4)], "condim": 6}
+        return {"friction": [friction, _TORSIONAL_FRICTION, round(ROLLING_FRICTION_SHARE * radius, 4)], "condim": 6}
     return {"friction": [friction, _TORSIONAL_FRICTION, _ROLLING_FRICTION], "condim": 4}
 
 

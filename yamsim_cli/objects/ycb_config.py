@@ -17,7 +17,7 @@ from .primitives import PointBody, primitive_data
 MIN_VESSEL_DEPTH = 0.03  # m; objects go "in" a vessel at least this deep, else "on" it
 # Rolling friction (m) of spheres and capsules over their radius: they stay still on a slope of 3 degrees, as real fruit
 # and felt balls do.
-ROLLING_SHARE = 0.05
+ROLLING_FRICTION_SHARE = 0.05
 _FRICTION = (0.8, 0.005)  # MuJoCo's: sliding; torsional, m
 
 
@@ -96,7 +96,7 @@ def _contact_data(parts: tuple[Primitive, ...]) -> dict[str, Any]:
     round_ = [part.radius for part in parts if isinstance(part, Sphere | Capsule)]
     if len(round_) < len(parts):
         return {"friction": [*_FRICTION, 0.0005], "condim": 4}
-    return {"friction": [*_FRICTION, round(ROLLING_SHARE * min(round_), 4)], "condim": 6}
+    return {"friction": [*_FRICTION, round(ROLLING_FRICTION_SHARE * min(round_), 4)], "condim": 6}
 
 
 def _primitive_centre_of_mass(part: Primitive) -> Array | None:

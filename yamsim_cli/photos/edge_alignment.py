@@ -39,10 +39,10 @@ class MaskOutline:
 
 @dataclass(frozen=True)
 class EdgeOffsets:
-    """Offsets (n,), px, of the photo's edge along outline normals; NaN if none within `reach` (px)."""
+    """Offsets (n,), px, of the photo's edge along outline normals; NaN if none within `search_distance` (px)."""
 
     offsets: Array
-    reach: float
+    search_distance: float
 
     @property
     def found_share(self) -> float:
@@ -51,10 +51,10 @@ class EdgeOffsets:
 
     @property
     def median_distance(self) -> float | None:
-        """Median distance to the photo's edge, px, `reach` for a missing edge; None without an outline."""
+        """Median distance to the photo's edge, px, `search_distance` for a missing edge; None without an outline."""
         if len(self.offsets) == 0:
             return None
-        return float(np.median(np.nan_to_num(np.abs(self.offsets), nan=self.reach)))
+        return float(np.median(np.nan_to_num(np.abs(self.offsets), nan=self.search_distance)))
 
 
 def grain_px(shape: tuple[int, ...]) -> int:

@@ -168,7 +168,7 @@ class Collector:
     def _commit_attempt(self, payload: AttemptPayload) -> None:
         episode = self._sink.episodes if payload.outcome.success else None
         if episode is not None:
-            self._publish(payload, episode)
+            self._publish_episode(payload, episode)
         self._sink.log_attempt(attempt_record(payload, episode))
         self.check_retry_limit()
 
@@ -186,7 +186,7 @@ class Collector:
         lost = self._lost_attempts[payload.job.attempt]
         if not payload.outcome.success or lost.episode is None:
             raise self._not_reproduced_error(payload, lost.episode or 0)
-        self._publish(payload, lost.episode)
+        self._publish_episode(payload, lost.episode)
         del self._lost_attempts[lost.attempt]
 
     def _not_reproduced_error(self, payload: AttemptPayload, episode: int) -> DatasetError:
@@ -202,14 +202,14 @@ class Collector:
             payload = replace(payload, outcome=Outcome(False, FailureCause.WORKER_LOST, detail), files={})
         episode = number if payload.outcome.success else None
         if episode is not None:
-            self._publish(payload, episode)
+            self._publish_episode(payload, episode)
         elif number is not None and number < self._sink.episodes and len(self._sink.lost_lines) == 1:
             # Later episodes exist, and no other attempt can have given this episode.
             raise self._not_reproduced_error(payload, number)
         self._sink.log_attempt(attempt_record(payload, episode))
         self.check_retry_limit()
 
-    def _publish(self, payload: AttemptPayload, episode: int) -> None:
+    def _publish_episode(self, payload: AttemptPayload, episode: int) -> None:
         self._sink.publish_episode(episode_record(self._config, payload, episode), payload.files)
 
     def _compare_renderers(self, payload: AttemptPayload) -> None:

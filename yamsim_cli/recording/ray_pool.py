@@ -17,7 +17,7 @@ from typing import Any, Generic, cast
 from ..core.errors import ResourceError
 from ..core.workers.executors import J, OpenRunner, R
 from ..core.workers.job_server import STOP_SIGNALS, WorkerJobRunner
-from ..core.workers.worker_pool import JOB_SECONDS, BaseWorkerPool, Worker, WorkerDied, WorkerEvent
+from ..core.workers.worker_pool import JOB_TIMEOUT, BaseWorkerPool, Worker, WorkerDied, WorkerEvent
 
 _CONNECT_SECONDS = 5.0  # s, to the head of a cluster
 
@@ -36,7 +36,7 @@ class RayPool(BaseWorkerPool[J, R]):
         *,
         address: str | None = None,
         environ: Mapping[str, str] | None = None,
-        job_seconds: float = JOB_SECONDS,
+        job_seconds: float = JOB_TIMEOUT,
     ) -> None:
         super().__init__(_Cluster(factory, workers, address, dict(environ or {})), workers, job_seconds)
 

@@ -12,7 +12,7 @@ from yamsim_cli.core.errors import SimulationError
 from yamsim_cli.core.workers import worker_pool as pool_module
 from yamsim_cli.core.workers.executors import LostJobError
 from yamsim_cli.core.workers.worker_pool import (
-    START_SECONDS,
+    START_TIMEOUT,
     BaseWorkerPool,
     JobFailed,
     JobFinished,
@@ -158,7 +158,7 @@ def test_starting_has_a_limit_of_its_own_and_does_not_count_on_the_job(theatre: 
     with BaseWorkerPool[str, str](theatre, 1, job_seconds=10) as pool:
         pool.submit("a")
         with pytest.raises(TimeoutError):
-            pool.next_result(START_SECONDS - 1)
+            pool.next_result(START_TIMEOUT - 1)
         theatre.hear((0, WorkerReady()))
         with pytest.raises(TimeoutError):
             pool.next_result(9)
@@ -170,7 +170,7 @@ def test_starting_has_a_limit_of_its_own_and_does_not_count_on_the_job(theatre: 
         theatre.hear((0, WorkerDied("x")))
         listen(pool)
         with pytest.raises(TimeoutError):
-            pool.next_result(START_SECONDS + 1)
+            pool.next_result(START_TIMEOUT + 1)
         assert theatre.puppets[1].killed
         theatre.hear((2, WorkerReady()))
         listen(pool)

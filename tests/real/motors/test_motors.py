@@ -67,7 +67,7 @@ def test_feedback_by_hand() -> None:
 
 
 def test_a_motor_acts_only_once_enabled(motor: Motor) -> None:
-    command = mit(1.0, 0.0, 20.0, 0.5, 0.0, motor.kind.scale)
+    command = mit(1.0, 0.0, 20.0, 0.5, 0.0, motor.kind.value_ranges)
     assert status(say(motor, command)) == MotorStatus.DISABLED
     assert motor.control_law() == (0, 0, 0)
     assert status(say(motor, ENABLE)) == MotorStatus.ENABLED
@@ -114,7 +114,7 @@ def test_set_zero_moves_the_zero_position(motor: Motor) -> None:
     answer = say(motor, ZERO)
     assert answer is not None and int.from_bytes(answer.data[1:3], "big") == 0x7FFF
     say(motor, ENABLE)
-    say(motor, mit(1.0, 0.0, 10.0, 0.0, 0.0, motor.kind.scale))
+    say(motor, mit(1.0, 0.0, 10.0, 0.0, 0.0, motor.kind.value_ranges))
     kp, _, constant = motor.control_law()
     # It pulls towards 1 rad from there.
     assert constant / kp == pytest.approx(3.0, abs=0.001)

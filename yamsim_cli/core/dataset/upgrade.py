@@ -26,10 +26,10 @@ _EPISODE_DEFAULTS: Mapping[str, Any] = {
     "meshes": None,
 }
 # The revisions before `versions` stated them, see `core.episode.attempt_payload`.
-_VERSIONS: Mapping[str, Any] = {"looks": "1", "engine": "1"}
+_VERSION_DEFAULTS: Mapping[str, Any] = {"looks": "1", "engine": "1"}
 # Keys that identify a part of a config -> values that older configs left out there. A part that is absent, null or
 # empty means the same, so only other values are listed.
-_CONFIG: tuple[tuple[frozenset[str], Mapping[str, Any]], ...] = (
+_CONFIG_DEFAULTS: tuple[tuple[frozenset[str], Mapping[str, Any]], ...] = (
     (frozenset({"rig", "task", "seed"}), {"arm": "right", "action": "drives"}),
     (frozenset({"multisamples", "shadow_map_px"}), {"shadow_reach_m": 0.8}),
     (
@@ -59,7 +59,7 @@ def upgrade_episode(data: Mapping[str, Any]) -> dict[str, Any]:
     """Return the content of an `episode.json` with all keys, and with full poses."""
     if data.get("source") == "real":
         return {"prompt": "", "problems": [], **data}
-    return {**_EPISODE_DEFAULTS, **upgrade_attempt(data), **_with_defaults(data, "versions", _VERSIONS)}
+    return {**_EPISODE_DEFAULTS, **upgrade_attempt(data), **_with_defaults(data, "versions", _VERSION_DEFAULTS)}
 
 
 def upgrade_config(data: Any) -> Any:
@@ -68,7 +68,7 @@ def upgrade_config(data: Any) -> Any:
         return [upgrade_config(item) for item in data]
     if not isinstance(data, Mapping):
         return data
-    omitted = [values for keys, values in _CONFIG if keys <= data.keys()]
+    omitted = [values for keys, values in _CONFIG_DEFAULTS if keys <= data.keys()]
     upgraded = {name: upgrade_config(value) for name, value in data.items()}
     return {name: value for values in omitted for name, value in values.items()} | upgraded
 

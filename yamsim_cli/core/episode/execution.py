@@ -49,7 +49,7 @@ def simulate_expert(simulator: Simulator, attempt: Attempt, *, grips: bool = Tru
     context = simulator.expert_planner.planning_context(episode.world, list(start_postures(simulator.config)), rng)
     log, recoveries = RecoveryLog(), list[Recovery]()
 
-    def note_recoveries() -> None:
+    def append_recoveries() -> None:
         new = log.recoveries[len(recoveries) :]
         recoveries.extend(Recovery(entry.step, entry.skill, entry.detail, episode.frame_count) for entry in new)
 
@@ -58,7 +58,7 @@ def simulate_expert(simulator: Simulator, attempt: Attempt, *, grips: bool = Tru
     max_ticks = task.max_ticks - task.timing.settle_ticks - task.hold_ticks
     try:
         for segment in _expert_motions(simulator, episode, context, log):
-            note_recoveries()
+            append_recoveries()
             if episode.ticks + segment.tick_count > max_ticks:
                 failure = FailureCause.TIME, f"the program was not done after {episode.simulated_seconds:.0f} s"
                 break
@@ -67,7 +67,7 @@ def simulate_expert(simulator: Simulator, attempt: Attempt, *, grips: bool = Tru
                 break
     except SkillFailedError as error:
         failure = error.cause, str(error)
-    note_recoveries()
+    append_recoveries()
     last = path_actions(episode.scene, context.wait_segment(max(1, task.timing.settle_ticks + task.hold_ticks)).paths)
     episode.run_commands(_with_open_grippers(episode.scene, last, grips), until_success=True)
     context.clear_cache()

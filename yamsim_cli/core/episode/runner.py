@@ -18,12 +18,12 @@ _MESH_SIDE_LABELS = ("for the recorder", "there")
 
 
 class AttemptRunner(Closable):
-    """Runs attempts from their seed and number, and with `render` renders successes. Raises as `check_meshes`."""
+    """Runs attempts from their seed and number; `render` renders successes. Raises as `require_stated_meshes`."""
 
     def __init__(self, session: Session, *, render: bool) -> None:
         self._render = render
         if render:
-            check_meshes(session)
+            require_stated_meshes(session)
         self._simulators = SimulatorCache(session)
         # The files that the expert's planner needs may be gone when the first job comes.
         self._simulators.get(AttemptJob(session.config.seed, 0)).prepare()
@@ -39,7 +39,7 @@ class AttemptRunner(Closable):
         self._simulators.close()
 
 
-def check_meshes(session: Session) -> None:
+def require_stated_meshes(session: Session) -> None:
     """Raise ResourceError if this process renders other visual meshes than the config states."""
     expected = session.config.meshes
     if expected is not None and (found := mesh_differences(expected, describe_meshes(session), _MESH_SIDE_LABELS)):

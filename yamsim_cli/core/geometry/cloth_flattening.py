@@ -137,7 +137,9 @@ def candidate_pulls(
     for pair in itertools.combinations(corners, 2):
         to = tuple(_outward_target(points[point][:2], middle, scale * side) for point in pair)
         yield ClothPull(
-            pair, _limit_distance(to, _MAX_STRETCH_RATIO * float(np.linalg.norm(flat[pair[0]] - flat[pair[1]]))), 0.0
+            pair,
+            _limit_target_distance(to, _MAX_STRETCH_RATIO * float(np.linalg.norm(flat[pair[0]] - flat[pair[1]]))),
+            0.0,
         )
 
 
@@ -173,7 +175,7 @@ def _outward_target(place: Array, other: Array, side: float) -> Array:
     return place + _STRAIGHTENING_LENGTH * side * offset / max(float(np.linalg.norm(offset)), 1e-9)
 
 
-def _limit_distance(places: tuple[Array, ...], length: float) -> tuple[Array, ...]:
+def _limit_target_distance(places: tuple[Array, ...], length: float) -> tuple[Array, ...]:
     one, other = places
     share = max(0.0, 1 - length / max(float(np.linalg.norm(other - one)), 1e-9)) / 2
     return one + share * (other - one), other + share * (one - other)

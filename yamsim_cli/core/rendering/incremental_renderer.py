@@ -27,7 +27,7 @@ _REFLECTION = int(mujoco.mjtRndFlag.mjRND_REFLECTION)
 _UNSUPPORTED_EFFECTS = ("FOG", "WIREFRAME", "ADDITIVE", "SEGMENT")  # of MuJoCo's renderer, which this one lacks
 _UNSUPPORTED_FLAGS = [int(getattr(mujoco.mjtRndFlag, f"mjRND_{name}")) for name in _UNSUPPORTED_EFFECTS]
 _PLANE, _BOX = int(mujoco.mjtGeom.mjGEOM_PLANE), int(mujoco.mjtGeom.mjGEOM_BOX)
-_DIRECTIONAL = int(mujoco.mjtLightType.mjLIGHT_DIRECTIONAL)
+_DIRECTIONAL_LIGHT = int(mujoco.mjtLightType.mjLIGHT_DIRECTIONAL)
 _DRAWN_TYPES = {
     int(getattr(mujoco.mjtGeom, f"mjGEOM_{name}"))
     for name in ("PLANE", "SPHERE", "CAPSULE", "ELLIPSOID", "CYLINDER", "BOX", "MESH", "SDF", "FLEX")
@@ -193,7 +193,7 @@ class IncrementalRenderer:
             or self._context.offSamples
             or scene.nskin
             or sum(bool(light.castshadow) for light in lights) > 1
-            or any(light.type != _DIRECTIONAL for light in lights)
+            or any(light.type != _DIRECTIONAL_LIGHT for light in lights)
             or (scene.nflex and (scene.flexvertopt or scene.flexedgeopt) and not scene.flexskinopt)
         ):
             return False

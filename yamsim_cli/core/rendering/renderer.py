@@ -77,7 +77,7 @@ def _opengl_name() -> str:
     return name.decode() if name else "unknown"
 
 
-class _Contexts:
+class _RenderContexts:
     """A renderer's contexts. `free_contexts` first makes its own current: MuJoCo frees objects of the current one."""
 
     def __init__(self) -> None:
@@ -122,7 +122,7 @@ class SceneRenderer(Closable):
         incremental: bool = True,
     ) -> None:
         _enter_opengl()
-        self._contexts = _Contexts()
+        self._contexts = _RenderContexts()
         self._free = weakref.finalize(self, self._contexts.free_contexts)
         self._free.atexit = False
         self._model = model

@@ -36,7 +36,7 @@ _ATTRIBUTES = {
     "torque": ("drive", "forcerange"),
 }
 _TIP_SITE = "pinch_site"  # of the additional mass `tip_mass_g` of identified dynamics
-_POINT_INERTIA = 1e-9  # kg m2, of a point mass: MuJoCo needs an inertia above 0
+_MIN_INERTIA = 1e-9  # kg m2, of a point mass: MuJoCo needs an inertia above 0
 
 
 def merge_gripper(arm: ArmModel, gripper: Gripper, fit: GripperFit) -> Element:
@@ -286,7 +286,7 @@ def write_dynamics(root: Element, arm: ArmModel, gripper: Gripper, dynamics: Mea
         for site in parent.findall("site"):
             if site.get("name") == _TIP_SITE:
                 body = ElementTree.SubElement(parent, "body", {"name": "tip_mass", "pos": site.get("pos", "0 0 0")})
-                mass, inertia = format_numbers((dynamics.tip_mass_g / 1000,)), format_numbers([_POINT_INERTIA] * 3)
+                mass, inertia = format_numbers((dynamics.tip_mass_g / 1000,)), format_numbers([_MIN_INERTIA] * 3)
                 ElementTree.SubElement(body, "inertial", {"pos": "0 0 0", "mass": mass, "diaginertia": inertia})
                 return
     raise ConfigError(f"{gripper.mjcf.file}: has no site {_TIP_SITE!r}, which tip_mass_g needs")

@@ -19,10 +19,10 @@ from typing import Any, Generic, cast
 
 from .executors import J, OpenRunner, R
 from .job_server import ANSWER_HEADER, STOP_SIGNALS, end_with_parent, serve_jobs
-from .worker_pool import JOB_SECONDS, BaseWorkerPool, Worker, WorkerDied, WorkerEvent
+from .worker_pool import JOB_TIMEOUT, BaseWorkerPool, Worker, WorkerDied, WorkerEvent
 
-_END_SECONDS = 5.0  # s, timeout for the end of a killed process
-MESSAGE_SECONDS = 60.0  # s, timeout from the first byte of a message to the last
+_KILL_TIMEOUT = 5.0  # s, timeout for the end of a killed process
+MESSAGE_TIMEOUT = 60.0  # s, timeout from the first byte of a message to the last
 
 # Blocked while a process starts. `__main__` uses SIGALRM to delay a stop that arrives during an import.
 _BLOCKED_SIGNALS = (*STOP_SIGNALS, signal.SIGALRM)
@@ -31,7 +31,7 @@ _BLOCKED_SIGNALS = (*STOP_SIGNALS, signal.SIGALRM)
 class ProcessPool(BaseWorkerPool[J, R]):
     """An `Executor` that runs jobs in processes of this machine. `factory` creates the runner in each process."""
 
-    def __init__(self, factory: OpenRunner[J, R], workers: int, job_seconds: float = JOB_SECONDS) -> None:
+    def __init__(self, factory: OpenRunner[J, R], workers: int, job_seconds: float = JOB_TIMEOUT) -> None:
         super().__init__(_Processes(factory), workers, job_seconds)
         # At exit, multiprocessing would send SIGTERM to remaining workers, which ignore it, and wait forever.
         atexit.register(self.close)
@@ -59,7 +59,7 @@ class _Process(Generic[J, R]):
     def receive(self) -> WorkerEvent[R] | None:
         """Return the event that is arriving; None if it is from a forked copy of the worker, or for an earlier job."""
         # A worker that stops during a message would block the parent forever.
-        guard = threading.Timer(MESSAGE_SECONDS, self._process.kill)
+        guard = threading.Timer(MESSAGE_TIMEOUT, self._process.kill)
         guard.daemon = True
         guard.start()
         try:
@@ -75,10 +75,10 @@ class _Process(Generic[J, R]):
     def kill(self) -> None:
         self.pipe.close()
         self._process.kill()
-        self._process.join(_END_SECONDS)
+        self._process.join(_KILL_TIMEOUT)
 
     def _exit_description(self) -> str:
-        self._process.join(_END_SECONDS)
+        self._process.join(_KILL_TIMEOUT)
         code = self._process.exitcode
         if code is None or code >= 0:
             return f"ended with code {code}"

@@ -19,8 +19,8 @@ from ..closable import Closable
 from ..errors import PartialJobError, YamsimError
 from .executors import J, JobIn, LostJobError, R, WorkerBugError
 
-JOB_SECONDS = 600.0  # s, of a job; a longer job means a hung driver or a swapping machine
-START_SECONDS = 300.0  # s, for imports, compilation of the scene, OpenGL
+JOB_TIMEOUT = 600.0  # s, of a job; a longer job means a hung driver or a swapping machine
+START_TIMEOUT = 300.0  # s, for imports, compilation of the scene, OpenGL
 _MAX_TRIES = 3  # tries of a job whose worker dies, each on another worker
 _MAX_STARTS = 3  # failed in a row, after which a worker is dropped
 _POLL_SECONDS = 0.5  # between checks of time limits
@@ -120,7 +120,7 @@ class _Slot(Generic[J]):
 class BaseWorkerPool(Closable, Generic[J, R]):
     """An `Executor` for any kind of worker, which replaces workers that die, hang, or exceed `job_seconds`."""
 
-    def __init__(self, backend: WorkerBackend[Worker[J], R], workers: int, job_seconds: float = JOB_SECONDS) -> None:
+    def __init__(self, backend: WorkerBackend[Worker[J], R], workers: int, job_seconds: float = JOB_TIMEOUT) -> None:
         self._backend = backend
         self._job_seconds = job_seconds
         self._slots: list[_Slot[J]] = []
@@ -206,7 +206,7 @@ class BaseWorkerPool(Closable, Generic[J, R]):
                 self._replace_worker(slot, how)
 
     def _check_timeout(self, slot: _Slot[J]) -> None:
-        limit = self._job_seconds if slot.ready else START_SECONDS
+        limit = self._job_seconds if slot.ready else START_TIMEOUT
         if slot.busy_seconds > limit:
             slot.worker.kill()
             self._replace_worker(slot, f"was ended after {limit:g} s without a result")

@@ -42,7 +42,7 @@ def score_outlines(result: RigInPhoto, renderer: ArmRenderer, grey: NDArray[np.u
         replace(arm, edge_residual=offsets[k].median_distance) if k in offsets else arm
         for k, arm in enumerate(result.arms)
     )
-    reach = next(iter(offsets.values())).reach
+    reach = next(iter(offsets.values())).search_distance
     every = EdgeOffsets(np.concatenate([found.offsets for found in offsets.values()]), reach)
     return replace(result, arms=arms, edge_residual=every.median_distance)
 

@@ -28,7 +28,7 @@ from yamsim_cli.core.progress import Progress
 from yamsim_cli.core.statistics import summarize_values, wilson_interval_95
 from yamsim_cli.core.workers.executors import LostJobError
 from yamsim_cli.core.workers.process_pool import ProcessPool
-from yamsim_cli.core.workers.worker_pool import JOB_SECONDS
+from yamsim_cli.core.workers.worker_pool import JOB_TIMEOUT
 
 from .policy_choice import PolicyChoice
 from .policy_trial import MEASURED_ENDS, TrialEnd, TrialResult, TrialRunner
@@ -45,7 +45,7 @@ class Evaluation:
 
 
 def evaluate(
-    session: Session, choice: PolicyChoice, progress: Progress, trial_seconds: float = JOB_SECONDS
+    session: Session, choice: PolicyChoice, progress: Progress, trial_seconds: float = JOB_TIMEOUT
 ) -> Evaluation:
     """Run `config.episodes` trials of a policy, from the same starts as `yamsim trials` with that seed.
 

@@ -50,13 +50,13 @@ class MotorKind:
 
     Attributes:
         name: in the maker's SDK.
-        scale: of values in frames. Source: `motor_drivers/utils.py` in the maker's SDK 1.3.6.
-        gear: ratio, by which programs identify the type. Source: the file of `scale`.
-        rated: continuous torque, N m. Source: DAMIAO's tables.
+        value_ranges: of values in frames. Source: `motor_drivers/utils.py` in the maker's SDK 1.3.6.
+        gear_ratio: by which programs identify the type. Source: the same file.
+        rated_torque: continuous torque, N m. Source: DAMIAO's tables.
     """
 
     name: str
-    scale: MotorRange
+    value_ranges: MotorRange
     gear_ratio: float
     rated_torque: float
 
@@ -82,7 +82,7 @@ class Registers:
 
     def __init__(self, kind: MotorKind, motor: int) -> None:
         own = {MST_ID: motor + 16, ESC_ID: motor, TIMEOUT: _FACTORY_TIMEOUT, CTRL_MODE: MIT_MODE, GR: kind.gear_ratio}
-        scale = {PMAX: kind.scale.position, VMAX: kind.scale.velocity, TMAX: kind.scale.torque}
+        scale = {PMAX: kind.value_ranges.position, VMAX: kind.value_ranges.velocity, TMAX: kind.value_ranges.torque}
         self._saved: dict[int, float] = {**_FACTORY_VALUES, 15: motor, ROTOR_POSITION: 0.0, XOUT: 0.0, **own, **scale}
         self._values = dict(self._saved)
 
@@ -162,7 +162,7 @@ class Motor:
         self._command = _ZERO_COMMAND
         self._zero = 0.0
         self._last_frame_time = 0.0
-        self._scale = kind.scale
+        self._scale = kind.value_ranges
 
     @property
     def command_id(self) -> int:
@@ -172,7 +172,7 @@ class Motor:
     @property
     def max_torque(self) -> float:
         """Largest torque, N m: the smaller of TMAX and its kind's limit."""
-        return min(self._scale.torque, self.kind.scale.torque)
+        return min(self._scale.torque, self.kind.value_ranges.torque)
 
     @property
     def driver_celsius(self) -> float:

@@ -18,7 +18,7 @@ from yamsim_cli.core.dataset.records import AttemptRecord, attempt_record, episo
 from yamsim_cli.core.dataset.writing.staged_writer import EpisodeWriter
 from yamsim_cli.core.episode.attempt_payload import build_payload, payload_without_files
 from yamsim_cli.core.episode.execution import SimulatedAttempt, with_distractors
-from yamsim_cli.core.episode.runner import check_meshes
+from yamsim_cli.core.episode.runner import require_stated_meshes
 from yamsim_cli.core.episode.simulator import SimulatorCache
 from yamsim_cli.core.workers.executors import Executor
 from yamsim_cli.core.workers.process_pool import ProcessPool
@@ -38,7 +38,7 @@ class TeleopAttemptRenderer(Closable):
     def __init__(self, session: Session, *, render: bool = True) -> None:
         self._render = render
         if render:
-            check_meshes(session)
+            require_stated_meshes(session)
         self._simulators = SimulatorCache(session)
         # Compile the scene now, since its files may be gone when the first attempt arrives.
         self._simulators.get(AttemptJob(session.config.seed, 0))

@@ -184,7 +184,7 @@ class CollisionChecker:
         mujoco.mj_collision(self._model, self._data)
 
     def _collision_masks(self, arm: int | None, thing: str | None) -> list[NDArray[np.int_]]:
-        """Return masks with which moving geoms collide with the others only: the former have types, the latter affinities."""
+        """Return masks with which moving geoms collide with others only: they have types, the others affinities."""
         moves = np.zeros(self._model.ngeom, bool)
         if arm is not None:
             moves |= self._arm_of == arm

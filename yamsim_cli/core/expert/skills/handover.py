@@ -22,7 +22,7 @@ from .hand import WAYPOINT_TOLERANCE, Hand, HeldObject
 from .planning_context import CachedIterable, FingerTarget, MotionSegment, PlanningContext, SkillFailedError
 from .skill import Skill, preference_levels, require_holding_hand
 
-_APPROACH = 0.08  # m, length of the receiver's straight approach
+_APPROACH_LENGTH = 0.08  # m, length of the receiver's straight approach
 
 _HANDOVER_X = (0.32, 0.26, 0.38, 0.44)  # m in front of the midpoint between the bases, in the order tried
 
@@ -49,7 +49,7 @@ _TURNED_SEARCH_ORDER = (
 
 # Giver's grasps for which `Handover.infeasibility_reason` searches a handover while nothing moves. A search without
 # success takes half a second, and an object in a pile has hundreds of grasps.
-_MAX_SEARCHES = 24
+_MAX_POSE_SEARCHES = 24
 
 _BATCH_SIZE = 256  # grasps whose poses are tested in one call; the fixed cost of a call is that of 200 poses
 
@@ -129,7 +129,7 @@ class Handover(Skill):
             return None
         receiver = next(other for other in context.hands if other is not hand)
         searches = context.compute_once(("searches", self, hand.side, tuple(next_skills)), lambda: itertools.count(1))
-        if next(searches) > _MAX_SEARCHES:
+        if next(searches) > _MAX_POSE_SEARCHES:
             return f"no place found where the {receiver.side} hand can take it"
         if (
             self._find_handover_for(context, roles, hand, receiver, HeldObject(thing, T_thing_in_pinch), next_skills)
@@ -276,7 +276,7 @@ def _solve_handover(
     giving = giver.solve_ik(T_giving, (giver.joints, giver.ready_joints), WAYPOINT_TOLERANCE)
     if giving is None:
         return None
-    before = receiver.solve_ik(T_receiving @ pose((0.0, 0.0, -_APPROACH)), (receiving,), WAYPOINT_TOLERANCE)
+    before = receiver.solve_ik(T_receiving @ pose((0.0, 0.0, -_APPROACH_LENGTH)), (receiving,), WAYPOINT_TOLERANCE)
     if before is None:
         return None
     return _HandoverPose(

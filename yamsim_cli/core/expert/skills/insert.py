@@ -27,7 +27,7 @@ _CHECKED_HEIGHT_SHARES = (0.25, 0.5, 0.75)
 _MAX_TILT = math.radians(3.0)  # rad, an object that tilts more may also keep its tilt in the container
 
 # rad, headings relative to the container; earlier ones come first among goals that are equally low and central
-_TURNS = tuple(math.radians(angle) for angle in (0, 180, 90, -90))
+_OBJECT_HEADINGS = tuple(math.radians(angle) for angle in (0, 180, 90, -90))
 
 
 class Insert(PlaceSkill):
@@ -55,7 +55,7 @@ class Insert(PlaceSkill):
         T, (low, high) = context.world.pose(container), context.world.local_box(container)
         heights = low[2] + np.array(_CHECKED_HEIGHT_SHARES) * (high - low)[2]
         found = []
-        for turn in _TURNS:
+        for turn in _OBJECT_HEADINGS:
             heading = yaw(T) + turn
             half = context.half_footprint(thing, turn)
             ranges = [(low[k] + half[k], high[k] - half[k]) for k in (0, 1)]

@@ -16,7 +16,7 @@ from .hand import WAYPOINT_TOLERANCE, Hand, HeldObject
 from .planning_context import FingerTarget, MotionSegment, PlanningContext, SkillFailedError
 from .skill import Skill
 
-_APPROACH = 0.08  # m, length of each hand's straight approach
+_APPROACH_LENGTH = 0.08  # m, length of each hand's straight approach
 _MIN_GRASP_DISTANCE = 0.12  # m, between the two grasps
 _MAX_CANDIDATES = 24  # reachable grasps of each hand that are compared
 
@@ -101,7 +101,9 @@ class BimanualLift(Skill):
                 continue
             at = hand.solve_ik(T_at, (hand.ready_joints,))
             before = (
-                None if at is None else hand.solve_ik(T_at @ pose((0.0, 0.0, -_APPROACH)), (at,), WAYPOINT_TOLERANCE)
+                None
+                if at is None
+                else hand.solve_ik(T_at @ pose((0.0, 0.0, -_APPROACH_LENGTH)), (at,), WAYPOINT_TOLERANCE)
             )
             if at is None or before is None:
                 continue

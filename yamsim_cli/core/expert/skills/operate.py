@@ -17,8 +17,8 @@ from .hand import WAYPOINT_TOLERANCE, Hand
 from .planning_context import FingerTarget, MotionSegment, PlanningContext, SkillFailedError
 from .skill import ArmSelector, Skill
 
-_APPROACH = 0.08  # m, length of the straight approach to a handle
-_FORCE = 25.0  # N, of each finger on a handle
+_APPROACH_LENGTH = 0.08  # m, length of the straight approach to a handle
+_FINGER_FORCE = 25.0  # N, of each finger on a handle
 _HAND_SPEED = 0.12  # m/s, while it moves a part
 
 _MAX_GOAL_ERROR = 0.1  # share of the joint's range within which the joint is at its goal
@@ -71,7 +71,7 @@ class Operate(Skill):
                         continue
                     yield context.make_segment({hand: path}, {hand: FingerTarget(opening)})
                     yield context.make_segment({hand: context.plan_line(hand, T_part @ T_in_part)})
-                    closing = FingerTarget(handle.opening, _FORCE)
+                    closing = FingerTarget(handle.opening, _FINGER_FORCE)
                     yield context.make_segment({hand: context.hold_still_motion(hand, CLOSING_TICKS)}, {hand: closing})
                     seconds = float(np.linalg.norm(pose_at(1.0)[:3, 3] - pose_at(0.0)[:3, 3])) / _HAND_SPEED
                     yield context.make_segment({hand: context.plan_curve(hand, pose_at, seconds)})
@@ -86,7 +86,7 @@ class Operate(Skill):
         at = hand.solve_ik(T_at, (hand.joints, hand.ready_joints))
         if at is None or context.find_contact(hand, at, opening, grasped=thing):
             return None
-        before = hand.solve_ik(T_at @ pose((0.0, 0.0, -_APPROACH)), (at,), WAYPOINT_TOLERANCE)
+        before = hand.solve_ik(T_at @ pose((0.0, 0.0, -_APPROACH_LENGTH)), (at,), WAYPOINT_TOLERANCE)
         return None if before is None or context.find_contact(hand, before, opening) else before
 
     def _pinch_path(

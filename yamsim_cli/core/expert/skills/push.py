@@ -27,9 +27,9 @@ _PUSH_SPEED = 0.10  # m/s
 _MAX_PUSHES = 3
 
 # rad about the vertical axis, in the order tried; at 0, the fingers stand side by side
-_TURNS = (0.0, math.pi, math.pi / 2, -math.pi / 2)
+_HAND_HEADINGS = (0.0, math.pi, math.pi / 2, -math.pi / 2)
 # rad from straight down, in the order tried
-_TILTS = tuple(math.radians(angle) for angle in (0, 20, -20, 40))
+_HAND_TILTS = tuple(math.radians(angle) for angle in (0, 20, -20, 40))
 
 
 class Push(Skill):
@@ -73,7 +73,7 @@ class Push(Skill):
         first, last = start - direction * (half + _FINGER_GAP_BEHIND_OBJECT), np.array(self.to) - direction * half
         hands = context.free_hands(self.arm)
         for hand in sorted(hands, key=lambda hand: float(np.linalg.norm(hand.arm.T_base_in_world[:2, 3] - first))):
-            for lean, turn in itertools.product(_TILTS, _TURNS):
+            for lean, turn in itertools.product(_HAND_TILTS, _HAND_HEADINGS):
                 found = self._solve_start_and_end(context, hand, first, last, heading + turn, lean)
                 if found is None:
                     continue

@@ -20,7 +20,7 @@ from .blur_kernel import BlurKernel
 
 Grey = NDArray[np.float32]
 
-_SUBSAMPLES = 3  # sample points per pixel along each axis
+_SUBSAMPLES_PER_PIXEL = 3  # sample points per pixel along each axis
 _TARGET_PX_PER_CELL = 2.7  # minimum in a reduced photo; finer pictures only cost time
 _MIN_SURROUNDINGS_RADIUS = 0.9  # px, blur radius from which a print's surroundings affect compared pixels
 _CROP_MARGIN_PX = 3  # px around the board, by which a fit can move the print
@@ -53,7 +53,7 @@ class PhotoRegion:
         centre_rays: viewing rays (n, 2) of the pixels, row by row.
         px_per_ray: derivative (n, 2, 2) of pixels by rays.
         pattern: the print, 0 black to 1 white, of scale `px_per_metre`.
-        field: rays (rows, columns, 2) of the sample points, `_SUBSAMPLES` squared per pixel.
+        field: rays (rows, columns, 2) of the sample points, `_SUBSAMPLES_PER_PIXEL` squared per pixel.
     """
 
     piece: PrintedBoard
@@ -120,14 +120,28 @@ def crop_photo_to_print(photo: Grey, camera: CameraModel, piece: PrintedBoard, p
         size = (columns // coarser, rows // coarser)
         crop = np.asarray(cv2.resize(crop[:rows, :columns], size, interpolation=cv2.INTER_AREA), dtype=np.float32)
     rows, columns = crop.shape
-    x = low[0] + (np.arange(columns * _SUBSAMPLES) - (_SUBSAMPLES - 1) / 2) / _SUBSAMPLES * coarser + (coarser - 1) / 2
-    y = low[1] + (np.arange(rows * _SUBSAMPLES) - (_SUBSAMPLES - 1) / 2) / _SUBSAMPLES * coarser + (coarser - 1) / 2
+    x = (
+        low[0]
+        + (np.arange(columns * _SUBSAMPLES_PER_PIXEL) - (_SUBSAMPLES_PER_PIXEL - 1) / 2)
+        / _SUBSAMPLES_PER_PIXEL
+        * coarser
+        + (coarser - 1) / 2
+    )
+    y = (
+        low[1]
+        + (np.arange(rows * _SUBSAMPLES_PER_PIXEL) - (_SUBSAMPLES_PER_PIXEL - 1) / 2) / _SUBSAMPLES_PER_PIXEL * coarser
+        + (coarser - 1) / 2
+    )
     field = viewing_ray_grid(camera, x, y)
-    pattern, pattern_px_per_metre = _board_pattern(board, px_per_metre / coarser * cell * _SUBSAMPLES)
-    middle = slice(_SUBSAMPLES // 2, None, _SUBSAMPLES)
-    span = (_SUBSAMPLES - 1) / _SUBSAMPLES
-    by_x = (field[middle, _SUBSAMPLES - 1 :: _SUBSAMPLES] - field[middle, ::_SUBSAMPLES]) / span
-    by_y = (field[_SUBSAMPLES - 1 :: _SUBSAMPLES, middle] - field[::_SUBSAMPLES, middle]) / span
+    pattern, pattern_px_per_metre = _board_pattern(board, px_per_metre / coarser * cell * _SUBSAMPLES_PER_PIXEL)
+    middle = slice(_SUBSAMPLES_PER_PIXEL // 2, None, _SUBSAMPLES_PER_PIXEL)
+    span = (_SUBSAMPLES_PER_PIXEL - 1) / _SUBSAMPLES_PER_PIXEL
+    by_x = (
+        field[middle, _SUBSAMPLES_PER_PIXEL - 1 :: _SUBSAMPLES_PER_PIXEL] - field[middle, ::_SUBSAMPLES_PER_PIXEL]
+    ) / span
+    by_y = (
+        field[_SUBSAMPLES_PER_PIXEL - 1 :: _SUBSAMPLES_PER_PIXEL, middle] - field[::_SUBSAMPLES_PER_PIXEL, middle]
+    ) / span
     ray_per_px = np.stack([by_x, by_y], axis=-1).reshape(-1, 2, 2).astype(np.float64)
     return PhotoRegion(
         piece,

@@ -39,7 +39,7 @@ _MIN_SIGMA_PX = 0.003
 # Sigmas over those from noise alone: the print's shape and placement are not marginalized. Source: `python -m
 # tools.bench.intervals`.
 _COVARIANCE_INFLATION = 2.0
-_USUAL_BLUR = 0.9  # px, sigma at the start of a fit
+_INITIAL_BLUR = 0.9  # px, sigma at the start of a fit
 _FITTED_PARAMETERS = (0, *range(3, 11))  # blur and homography, but not motion
 
 
@@ -102,7 +102,7 @@ def _fit_homography(
     if view is None:
         return None
     fit = _PlaneProblem(view, camera.mean_focal_length)
-    found = fit.solve(_MapState(plane, _USUAL_BLUR))
+    found = fit.solve(_MapState(plane, _INITIAL_BLUR))
     return None if found is None else (fit, *found)
 
 

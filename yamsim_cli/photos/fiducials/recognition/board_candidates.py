@@ -36,7 +36,7 @@ _RANGE_PERCENTILES = (0.5, 99.5)  # percentiles that define a photo's range of g
 # Difference within 3 px at an edge, share of the grey range; width of gaps between edges to close, px.
 _EDGE_THRESHOLDS = ((0.14, 3), (0.18, 3), (0.22, 3), (0.27, 3), (0.34, 3), (0.42, 5))
 _MIN_THICKNESS = 5  # px, of a patch full of edges; a single edge is thinner
-_MIN_AREA = 30  # px^2
+_MIN_PATCH_AREA_PX = 30  # px^2
 _MIN_CONTOUR = 20  # px
 _MAX_PATCH_SHARE = 0.8  # ratio of a patch's sides to the photo's
 _MIN_HULL_SHARE = 0.78  # ratio of a patch's area to its convex hull's
@@ -117,7 +117,7 @@ def _enclosed_quads(dark: NDArray[np.bool_]) -> Iterator[Array]:
             continue
         hull = cv2.convexHull(contour)
         area = cv2.contourArea(hull)
-        if len(hull) < 4 or area < _MIN_AREA or cv2.contourArea(contour) < _MIN_HULL_SHARE * area:
+        if len(hull) < 4 or area < _MIN_PATCH_AREA_PX or cv2.contourArea(contour) < _MIN_HULL_SHARE * area:
             continue
         quad = np.asarray(cv2.approxPolyN(hull, 4), dtype=np.float32).reshape(-1, 2)
         if len(quad) == 4 and cv2.contourArea(quad) < _MAX_QUAD_RATIO * area:

@@ -202,7 +202,7 @@ def _plan_arch_paths(
         over = np.array([0.0, 0.0, _PULL_HEIGHT if grasp.placement.single_layer else high[2] - low[2] + _DROP_HEIGHT])
         ends[grasp.hand] = (
             T_now,
-            pose(grasp.placement.target(points) + over - grasp.R_end @ in_pinch, grasp.R_end),
+            pose(grasp.placement.target(points) + over - grasp.R_hand_at_end @ in_pinch, grasp.R_hand_at_end),
         )
     length = max(float(np.linalg.norm((T_end - T_now)[:2, 3])) for T_now, T_end in ends.values())
     return {

@@ -31,7 +31,7 @@ _NEIGHBOUR_CELLS = (
 )
 _OVERLAP_DISTANCE = 0.012  # m, horizontal distance below which points lie on each other
 _CONTACT_CHECK_HEIGHT = 0.03  # m over the grasp at which contacts of the hand are checked
-_TILTS = tuple(math.radians(angle) for angle in (0, 15, 30, 45))  # rad, of a hand to its arm, in the order tried
+_HAND_TILTS = tuple(math.radians(angle) for angle in (0, 15, 30, 45))  # rad, of a hand to its arm, in the order tried
 
 # Target (3,) of a point in `world`, m, given the cloth's points (along y, along x, 3) at the grasp.
 PointTarget = Callable[[Array], Array]
@@ -52,8 +52,8 @@ class PointGrasp:
 
     Attributes:
         T_grasp: pose of the pinch frame at the point.
-        R_end: rotation of the pinch frame at the target.
-        approach_joints, end_joints: joints (dof,) before the approach, and over the target, rad.
+        R_hand_at_end: rotation of the pinch frame at the target.
+        approach_joints, joints_at_end: joints (dof,) before the approach, and over the target, rad.
         forward: horizontal direction (2,) of the motion.
         lateral: direction (2,) out from under the cloth, across the motion, or outwards for a point grasped alone.
     """
@@ -61,9 +61,9 @@ class PointGrasp:
     hand: Hand
     placement: PointPlacement
     T_grasp: Array
-    R_end: Array
+    R_hand_at_end: Array
     approach_joints: Array
-    end_joints: Array
+    joints_at_end: Array
     forward: Array
     lateral: Array
 
@@ -118,9 +118,9 @@ def _point_grasp(context: PlanningContext, hand: Hand, points: Array, placement:
     # Fingers point down, and close across the direction from the arm, so that a tilt keeps both tips at one height.
     level = rotation_z(heading + math.pi) @ np.diag([1.0, -1.0, -1.0])
     turns = [
-        rotation_from_vector((tilt * math.sin(heading), -tilt * math.cos(heading), 0.0)) @ level for tilt in _TILTS
+        rotation_from_vector((tilt * math.sin(heading), -tilt * math.cos(heading), 0.0)) @ level for tilt in _HAND_TILTS
     ]
-    for tilt, R in zip(_TILTS, turns, strict=True):
+    for tilt, R in zip(_HAND_TILTS, turns, strict=True):
         up = HALF_PAD * math.cos(tilt) + _HALF_WIDTH * math.sin(tilt) + TIP_CLEARANCE
         up -= 0.0 if placement.single_layer else _height_over_lowest(points, place)
         T_at = pose((*(place[:2] + _GRASP_INSET * inwards), place[2] + up), R)
@@ -139,10 +139,10 @@ def _point_grasp(context: PlanningContext, hand: Hand, points: Array, placement:
             or context.find_contact(hand, before, APPROACH_OPENING)
         ):
             continue
-        for R_end in (R, *(turn for turn in turns if turn is not R)):
-            end = hand.solve_ik(pose(T_near[:3, 3] + [*path[:2], 0.0], R_end), (near,), WAYPOINT_TOLERANCE)
+        for R_hand_at_end in (R, *(turn for turn in turns if turn is not R)):
+            end = hand.solve_ik(pose(T_near[:3, 3] + [*path[:2], 0.0], R_hand_at_end), (near,), WAYPOINT_TOLERANCE)
             if end is not None and not context.collision_checker.has_self_collision(hand.number, end):
-                return PointGrasp(hand, placement, T_at, R_end, before, end, forward, lateral)
+                return PointGrasp(hand, placement, T_at, R_hand_at_end, before, end, forward, lateral)
     return None
 
 
@@ -179,7 +179,7 @@ def _hands_stay_clear(context: PlanningContext, grasps: Sequence[PointGrasp]) ->
         return True
     ends = [
         [(grasp.hand, grasp.approach_joints) for grasp in grasps],
-        [(grasp.hand, grasp.end_joints) for grasp in grasps],
+        [(grasp.hand, grasp.joints_at_end) for grasp in grasps],
     ]
     return all(are_hands_clear(context, *both) for both in ends)
 
