@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from yamsim_cli.core.errors import UsageError, suggest_similar
-from yamsim_cli.flags.output_files import Overwrite, require_unused
-from yamsim_cli.flags.session_options import Json, Margin, Offline, Revision, opener
+from yamsim_cli.flags.output_files import Overwrite, require_unused_paths
+from yamsim_cli.flags.session_options import Json, Margin, Offline, Revision, session_opener
 from yamsim_cli.terminal.console import print_json, print_line, progress_bar
 
 if TYPE_CHECKING:
@@ -66,9 +66,9 @@ def calibrate(
     """
     if near is not None and check is not None:
         raise UsageError("--near and --check exclude each other; give one of them")
-    where = opener.find_locations()
-    settings = opener.load_rig(rig, where, margin, revision, None)
-    where = opener.use_gl(where)
+    where = session_opener.find_locations()
+    settings = session_opener.load_rig(rig, where, margin, revision, None)
+    where = session_opener.choose_gl_backend(where)
 
     from yamsim_cli.calibration.calibrate_run import StationCalibrator
     from yamsim_cli.calibration.calibration_file import calibration_text, load_calibration
@@ -90,7 +90,7 @@ def calibrate(
     from yamsim_cli.core.scene.compose import rig_mesh_sets
 
     yaml_file, report_file, page_file = output_files(out)
-    require_unused("--out", [yaml_file, report_file, page_file], overwrite=overwrite)
+    require_unused_paths("--out", [yaml_file, report_file, page_file], overwrite=overwrite)
     earlier = near or check
     given = load_calibration(earlier, where) if earlier else None
     if given and given.rig != settings.name:
@@ -100,7 +100,7 @@ def calibrate(
     request = request.with_near(given)
     scene = load_config(SceneConfig, "scenes", "studio", where)
     quality = load_config(RenderConfig, "quality", "fast", where)
-    where = opener.with_mesh_folders(where, rig_mesh_sets(settings))
+    where = session_opener.with_mesh_folders(where, rig_mesh_sets(settings))
     with ExitStack() as stack, progress_bar("calibration", "cameras") as advance:
         calibrator = StationCalibrator(settings, found, request, (scene, quality, where), stack)
         outcome = calibrator.run(advance)
