@@ -31,7 +31,7 @@ _VERSIONS: Mapping[str, Any] = {"looks": "1", "engine": "1"}
 # empty means the same, so only other values are listed.
 _CONFIG: tuple[tuple[frozenset[str], Mapping[str, Any]], ...] = (
     (frozenset({"rig", "task", "seed"}), {"arm": "right", "action": "drives"}),
-    (frozenset({"multisamples", "shadow_map_px"}), {"shadow_reach_m": 0.8}),
+    (frozenset({"multisamples", "shadow_map_px"}), {"shadow_reach_m": 0.8, "smooth_shadows": False}),
     (
         frozenset({"things", "starts", "expert"}),
         {"arms": "all", "grasps": ["contact"], "held_at_the_end": False, "language_task": ""},

@@ -78,7 +78,12 @@ class Simulator(Closable):
         """The renderer; raises ResourceError if no OpenGL context can be made."""
         if self._renderer is None:
             size = self.config.image.size_px
-            self._renderer = SceneRenderer(self.scene.model, size, self.config.render.fine_size(size))
+            self._renderer = SceneRenderer(
+                self.scene.model,
+                size,
+                self.config.render.fine_size(size),
+                smooth_shadows=self.config.render.smooth_shadows,
+            )
         return self._renderer
 
     def close(self) -> None:
