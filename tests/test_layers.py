@@ -108,7 +108,7 @@ CONFINED = {
     "ray": {"recording.ray_pool"},
     "av": {"core.images.video"},
     "pyarrow": {"export", "real.recordings.lerobot_files"},
-    "mcap": {"real.recordings.mcap_file"},
+    "mcap": {"real.recordings.mcap_file", "export.abc"},
     "rerun": {"export.rrd"},
     "msgpack": {"policies.openpi", "policies.remote_policy", "real.serve.chiral", "real.serve.portal"},
     "websockets": {"policies.openpi", "real.serve.chiral", "viewers.scene_page"},

@@ -44,6 +44,22 @@ RealActions = Annotated[
     ),
 ]
 
+StationActions = Annotated[
+    Literal["recorded", "measured"] | None,
+    typer.Option(
+        "--actions",
+        help="Real recordings: the commands, or the joints measured one frame later.  [default: recorded]",
+        show_default=False,
+    ),
+]
+Top = Annotated[
+    str | None,
+    typer.Option(
+        metavar="CAMERA", help="Camera with the role `top`.  [default: the only one not on a wrist]", show_default=False
+    ),
+]
+Encoders = Annotated[int, typer.Option(min=1, help="Processes that encode.")]
+
 
 @app.callback()
 def _export() -> None:
@@ -180,6 +196,76 @@ def lerobot(
             done = export_lerobot(
                 source, out, advance, pictures=pictures, environment_state=environment_state, overwrite=overwrite
             )
+    _print(done, json)
+
+
+@app.command()
+def maker(
+    dataset: Dataset,
+    out: Out,
+    fps: RealFps = None,
+    actions: StationActions = None,
+    top: Top = None,
+    workers: Encoders = 2,
+    episodes: Episodes = None,
+    overwrite: Rename = False,
+    json: Json = False,
+) -> None:
+    """Write the episodes of the maker's yam-abc-reproduce, as TASK/ep_000000/. A single arm becomes the left arm.
+
+    Example: yamsim export maker dataset/ episodes/
+    """
+    source = _open_dataset(dataset, episodes, fps)
+
+    from yamsim_cli.export.export_source import RealSource
+    from yamsim_cli.export.maker import export_maker
+
+    if not isinstance(source, RealSource):
+        _require_real("--actions", actions, dataset)
+    with progress_bar("exporting", "episodes") as advance:
+        done = export_maker(
+            source, out, advance, actions=actions or "recorded", top=top, workers=workers, overwrite=overwrite
+        )
+    _print(done, json)
+
+
+@app.command()
+def abc(
+    dataset: Dataset,
+    out: Out,
+    layout: Annotated[
+        Literal["release", "training"],
+        typer.Option(help="One MCAP file an episode, or the layout that ABC's trainer reads."),
+    ] = "release",
+    actions: StationActions = None,
+    top: Top = None,
+    workers: Encoders = 2,
+    episodes: Episodes = None,
+    overwrite: Rename = False,
+    json: Json = False,
+) -> None:
+    """Write episodes as ABC-130k has them: MCAP, or 30 rows a second for its trainer. A single arm is the left arm.
+
+    Example: yamsim export abc dataset/ abc_release/
+    """
+    source = _open_dataset(dataset, episodes)
+
+    from yamsim_cli.export.abc import export_abc
+    from yamsim_cli.export.export_source import RealSource
+
+    if not isinstance(source, RealSource):
+        _require_real("--actions", actions, dataset)
+    with progress_bar("exporting", "episodes") as advance:
+        done = export_abc(
+            source,
+            out,
+            advance,
+            layout=layout,
+            actions=actions or "recorded",
+            top=top,
+            workers=workers,
+            overwrite=overwrite,
+        )
     _print(done, json)
 
 
