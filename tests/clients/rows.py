@@ -175,6 +175,14 @@ ROWS: dict[str, ClientRow] = {
         heavy=True,
         checkout="YAMSIM_MAKER",
     ),
+    "maker-deploy": ClientRow(
+        client="the maker's policy client, from its repository",
+        distribution="yam-abc-reproduce",
+        opens="`eval --policy-config maker_rtc`: a server gets the same requests from both, and both execute the same "
+        "actions",
+        environment=Environment("openpi", "3.12"),
+        checkout="YAMSIM_MAKER",
+    ),
     "abc-export": ClientRow(
         client="ABC's export_mcap.py, from its repository",
         distribution="abc-minimal",
