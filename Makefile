@@ -63,7 +63,7 @@ test-slow: setup-dev gl meshes test-programs ## run the rest: the slow ones, and
 
 # Each client has an environment of its own in .venv-clients, made once. What was found lies in out/clients.jsonl, from which
 # `python -m tests.clients.table` brings the table in docs/clients.md up to date.
-test-clients: setup-dev gl meshes ## run programs of others on what yamsim writes: those that install in a minute
+test-clients: setup-dev gl meshes ## run programs of others on what yamsim writes: those that install in a minute; some from checkouts in $YAMSIM_MAKER and $YAMSIM_ABC
 	rm -f out/clients.jsonl
 	$(PYTHON_BIN) -m pytest -n auto --dist worksteal -m client $(PYTEST_ARGS)
 

@@ -208,7 +208,7 @@ def test_a_simulated_arm_becomes_the_left_one(
 ) -> None:
     done = export_abc(open_source(dataset, None, locations), tmp_path / "out", ignore, layout=layout)
     assert done.episodes == EPISODES
-    assert done.notes == ("the export has no right camera and no right arm; ABC's own models have all",)
+    assert done.notes == ("ABC's own models need a right camera, a right arm, which the dataset does not have",)
     if layout == "training":
         (recording, *_) = format_reader("abc_training")(tmp_path / "out", single, None, locations)
         assert len(recording.motion.arms) == 1

@@ -213,7 +213,7 @@ def maker(
 ) -> None:
     """Write the episodes of the maker's yam-abc-reproduce, as TASK/ep_000000/. A single arm becomes the left arm.
 
-    Example: yamsim export maker dataset/ episodes/
+    Example: yamsim export maker dataset/ maker_episodes/
     """
     source = _open_dataset(dataset, episodes, fps)
 

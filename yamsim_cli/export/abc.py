@@ -109,9 +109,9 @@ def export_abc(
 
 
 def _missing_notes(reader: StationReader) -> tuple[str, ...]:
-    missing = [f"{role} camera" for role in _CAMERAS if role not in reader.roles.values()]
-    missing += ["right arm"] if len(reader.sides) == 1 else []
-    return (f"the export has no {' and no '.join(missing)}; ABC's own models have all",) if missing else ()
+    missing = [f"a {role} camera" for role in _CAMERAS if role not in reader.roles.values()]
+    missing += ["a right arm"] if len(reader.sides) == 1 else []
+    return (f"ABC's own models need {', '.join(missing)}, which the dataset does not have",) if missing else ()
 
 
 def frame_stamps(times: Array) -> NDArray[np.int64]:
