@@ -13,7 +13,7 @@ from ..core.errors import UsageError
 from ..core.geometry.se3 import Array
 from .policy_protocol import ActionChunk
 
-_ROUNDING = 1e-6  # ticks; smaller fractions are rounding errors
+_ROUNDING_TICKS = 1e-6  # ticks; smaller fractions are rounding errors
 _MAX_LATENCY = 60.0  # s, largest simulated latency
 
 
@@ -67,11 +67,11 @@ class _TimedChunk:
     chunk: ActionChunk
     begin: float  # control tick from which the times of the actions count
     arrival_tick: int  # control tick from which the chunk acts
-    per_action: float  # duration of an action, ticks
+    ticks_per_action: float  # duration of an action, ticks
 
     def action_index(self, now: int) -> int:
         """Return the index of the action at tick `now`; `action_count` or more after the last."""
-        return math.floor((now - self.begin) / self.per_action + _ROUNDING)
+        return math.floor((now - self.begin) / self.ticks_per_action + _ROUNDING_TICKS)
 
     @property
     def action_count(self) -> int:
@@ -80,7 +80,7 @@ class _TimedChunk:
     @property
     def end_tick(self) -> int:
         """Control tick at which the last action is over."""
-        return _round_up_to_ticks(self.begin + self.action_count * self.per_action)
+        return _round_up_to_ticks(self.begin + self.action_count * self.ticks_per_action)
 
 
 class ChunkScheduler:
@@ -118,20 +118,20 @@ class ChunkScheduler:
     def add_chunk(self, chunk: ActionChunk, now: int, seconds: float) -> None:
         """Add the chunk that was requested at tick `now`, and took `seconds` s of real time."""
         chunking = self._chunking
-        per_action = float(self._hold) if chunk.period is None else chunk.period / self._tick
+        ticks_per_action = float(self._hold) if chunk.period is None else chunk.period / self._tick
         late = _round_up_to_ticks((seconds if chunking.latency is None else chunking.latency) / self._tick)
         if chunking.lead is None:
-            timed = _TimedChunk(chunk, now, now + late, per_action)
+            timed = _TimedChunk(chunk, now, now + late, ticks_per_action)
             execute = min(chunking.execute or timed.action_count, timed.action_count)
-            following = now + _round_up_to_ticks(execute * per_action)
+            following = now + _round_up_to_ticks(execute * ticks_per_action)
         else:
             before = self._chunks[-1] if self._chunks else None
             begin = float(now + late)
             if before is not None:
-                begin = max(begin, before.begin + before.action_count * before.per_action)
-            timed = _TimedChunk(chunk, begin, _round_up_to_ticks(begin), per_action)
+                begin = max(begin, before.begin + before.action_count * before.ticks_per_action)
+            timed = _TimedChunk(chunk, begin, _round_up_to_ticks(begin), ticks_per_action)
             # With the observation at the start of the action after which `lead` are left.
-            following = _round_up_to_ticks(begin + max(0, timed.action_count - chunking.lead - 1) * per_action)
+            following = _round_up_to_ticks(begin + max(0, timed.action_count - chunking.lead - 1) * ticks_per_action)
         # At least a tick passes between two requests, and a request waits for the previous answer.
         self._next = max(timed.arrival_tick, now + 1, following)
         self._chunks.append(timed)
@@ -180,4 +180,4 @@ class ChunkScheduler:
 
 
 def _round_up_to_ticks(amount: float) -> int:
-    return math.ceil(amount - _ROUNDING)
+    return math.ceil(amount - _ROUNDING_TICKS)

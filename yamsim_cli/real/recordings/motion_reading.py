@@ -37,7 +37,7 @@ _READERS: Mapping[str, Reader] = {
     "maker": lambda path, rig, mapping, where: read_maker(path, rig),
     "abc_training": lambda path, rig, mapping, where: read_abc_training(path, rig),
 }
-_BY_ENDING = {".csv": "csv", ".mcap": "mcap", ".npz": "raiden_raw"}
+_FORMAT_OF_SUFFIX = {".csv": "csv", ".mcap": "mcap", ".npz": "raiden_raw"}
 
 
 def detect_format(path: Path) -> str:
@@ -49,8 +49,8 @@ def detect_format(path: Path) -> str:
     if not path.exists():
         raise DatasetError(f"{path} does not exist")
     if path.is_file():
-        if path.suffix.lower() in _BY_ENDING:
-            return _BY_ENDING[path.suffix.lower()]
+        if path.suffix.lower() in _FORMAT_OF_SUFFIX:
+            return _FORMAT_OF_SUFFIX[path.suffix.lower()]
     elif (path / ROBOT_DATA).is_file():
         return "raiden_raw"
     elif (path / INFO_FILE).is_file():
