@@ -33,6 +33,7 @@ FLOORS: dict[str, int] = {
     "core.scene": 5,
     "core.rendering": 6,
     "core.sim": 6,
+    "selection": 6,
     "core.expert": 7,
     "core.episode": 8,
     "cpu_limits": 8,

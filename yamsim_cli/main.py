@@ -26,6 +26,7 @@ from .commands.overlay import overlay
 from .commands.record import record
 from .commands.render_views import render_views
 from .commands.replay import replay
+from .commands.review import review
 from .commands.serve_policy import serve_policy
 from .commands.serve_robot import can_run, serve_robot
 from .commands.summarize import summarize
@@ -48,6 +49,7 @@ app.command()(record)
 app.command()(summarize)
 app.command()(verify)
 app.command()(replay)
+app.command()(review)
 app.command("eval")(evaluate)
 app.command("serve-policy")(serve_policy)
 app.command("serve-robot")(serve_robot)

@@ -317,6 +317,7 @@ class _LeRobotWriter(Closable):
             schema.PROVENANCE: {
                 "dataset": source.path.absolute().name,
                 **self._content.about,
+                **({"selection": source.selection.report()} if source.selection else {}),
                 "episodes": self._provenance,
             },
         }
