@@ -17,6 +17,7 @@ from . import __version__
 from .commands import assets, config, export, robots, tasks
 from .commands.boards import boards
 from .commands.compose_xml import compose_xml
+from .commands.derive import filter_dataset, merge, split
 from .commands.doctor import doctor
 from .commands.evaluate import evaluate
 from .commands.gap import gap
@@ -50,6 +51,9 @@ app.command()(summarize)
 app.command()(verify)
 app.command()(replay)
 app.command()(review)
+app.command()(merge)
+app.command()(split)
+app.command("filter")(filter_dataset)
 app.command("eval")(evaluate)
 app.command("serve-policy")(serve_policy)
 app.command("serve-robot")(serve_robot)
