@@ -49,6 +49,7 @@ FLOORS: dict[str, int] = {
     "policies": 10,
     "real": 10,
     "recording": 10,
+    "review": 10,
     "viewers": 10,
     # Code that joins wings, and entry points of users.
     "camera_reader": 11,
@@ -78,7 +79,7 @@ CONFINED = {
     "mink": {"core.expert.planning.ik"},
     "manifold3d": {"core.scene.assets.mesh_reduction", "objects.convex_decomposition"},
     "fast_simplification": {"core.scene.assets.mesh_reduction"},
-    "cv2": {"core.images", "core.rendering", "photos"},
+    "cv2": {"core.images", "core.rendering", "photos", "review.episode_detail"},
     "coacd": {"objects"},
     "scipy": {"core.statistics"},
     "defusedxml": {"objects.readers.untrusted_xml"},

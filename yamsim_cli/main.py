@@ -100,7 +100,7 @@ def _root(
 
 _INTERRUPTED_CODE = 130  # exit code after a signal
 # Commands that run until a signal, which gives exit code 0.
-_ENDED_BY_SIGNAL = ("view", "serve-policy")
+_ENDED_BY_SIGNAL = ("view", "serve-policy", "review")
 
 
 def main(interrupted: Callable[[], bool] = lambda: False) -> NoReturn:

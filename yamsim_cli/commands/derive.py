@@ -46,8 +46,7 @@ def merge(
 
     from yamsim_cli.datasets.derive import merge_datasets, open_source_dataset
 
-    files = selection or [None] * len(datasets)
-    sources = [open_source_dataset(k, path, files[k]) for k, path in enumerate(datasets)]
+    sources = [open_source_dataset(k, path, selection[k] if selection else None) for k, path in enumerate(datasets)]
     with progress_bar("copying", "episodes") as advance:
         done = merge_datasets(sources, out, advance)
     _print(done, json, [source.selection for source in sources])

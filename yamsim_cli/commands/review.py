@@ -1,15 +1,21 @@
 from __future__ import annotations
 
+import getpass
+import threading
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
-from yamsim_cli.core.errors import PartialJobError, UsageError, count_noun
+from yamsim_cli.core.errors import DatasetError, PartialJobError, UsageError, YamsimError, count_noun
 from yamsim_cli.flags.output_files import Overwrite, require_unused
-from yamsim_cli.flags.session_options import Json
-from yamsim_cli.terminal.console import print_json, print_line
+from yamsim_cli.flags.session_options import Json, opener
+from yamsim_cli.terminal.console import print_json, print_line, print_note, print_result_now
+from yamsim_cli.terminal.signals import defer_signals
+
+_DEFAULT_PORT = 8091  # TCP port of the page
+_POLL_SECONDS = 0.2  # s between looks whether a signal has arrived
 
 
 def review(
@@ -19,16 +25,42 @@ def review(
     ],
     merge: Annotated[bool, typer.Option("--merge", help="Merge the selections of two reviewers into --out.")] = False,
     out: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="The selection to write.", show_default=False)
+        Path | None,
+        typer.Option(metavar="FILE", help="The selection to write.  [default: DATASET/selection.yaml]"),
+    ] = None,
+    reviewer: Annotated[
+        str | None, typer.Option(metavar="NAME", help="Name in new decisions.  [default: the user's name]")
+    ] = None,
+    undecided: Annotated[
+        Literal["keep", "drop"] | None,
+        typer.Option(help="What --selection does with undecided episodes.  [default: as in the file, or keep]"),
+    ] = None,
+    report: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Show the problems in a report of `yamsim summarize DATASET --json`."),
+    ] = None,
+    port: Annotated[
+        int | None,
+        typer.Option(min=0, max=65535, help=f"Port of the page, {_DEFAULT_PORT} unless given; 0 takes a free one."),
     ] = None,
     overwrite: Overwrite = False,
     json: Json = False,
 ) -> None:
-    """Merge the decisions of two reviewers. Exit code 6 if they disagree: those episodes stay undecided.
+    """Look at a dataset on a page of this machine, and keep or drop its episodes. The dataset does not change.
 
-    Example: yamsim review --merge ann.yaml bob.yaml --out selection.yaml
+    --merge merges the decisions of two reviewers instead. Where they disagree, episodes stay undecided, with exit code
+    6.
+
+    Example: yamsim review dataset/
     """
-    _merge(paths, out, overwrite, json)
+    if merge:
+        _merge(paths, out, overwrite, json)
+        return
+    if len(paths) != 1:
+        raise UsageError(f"yamsim review takes one dataset, not {len(paths)}; --merge takes two selections")
+    if overwrite:
+        raise UsageError("--overwrite is for --merge: a review continues its selection")
+    _serve(paths[0], out, reviewer, undecided, report, _DEFAULT_PORT if port is None else port, json)
 
 
 def _merge(paths: list[Path], out: Path | None, overwrite: bool, json: bool) -> None:
@@ -55,3 +87,57 @@ def _merge(paths: list[Path], out: Path | None, overwrite: bool, json: bool) -> 
             f"{count_noun(len(conflicts), 'conflict')}: these episodes are undecided in {out}, first "
             f"ep_{conflicts[0].episode:06d}; decide them with `yamsim review`"
         )
+
+
+def _serve(
+    dataset: Path,
+    out: Path | None,
+    reviewer: str | None,
+    undecided: Literal["keep", "drop"] | None,
+    report: Path | None,
+    port: int,
+    json: bool,
+) -> None:
+    opener.skip_gl()
+
+    from yamsim_cli.core.dataset.dataset_paths import episode_directories
+    from yamsim_cli.core.dataset.reader import read_recorded_rig
+    from yamsim_cli.review.decisions import DecisionFile
+    from yamsim_cli.review.episode_index import read_problems, read_rows
+    from yamsim_cli.review.page_server import ReviewServer
+    from yamsim_cli.selection import SELECTION_FILE
+
+    rows = read_rows(dataset, read_problems(report))
+    if not rows:
+        raise DatasetError(f"{dataset} holds no episodes yet; record some with `yamsim record`")
+    directories = dict(episode_directories(dataset))
+    try:
+        rig = read_recorded_rig(dataset, opener.find_locations())
+    except YamsimError as error:
+        print_note(f"The page numbers the drives, because their names are unknown: {error}")
+        rig = None
+    with DecisionFile(out or dataset / SELECTION_FILE, dataset, directories, undecided) as decisions:
+        if decisions.stale:
+            print_note(
+                f"{count_noun(len(decisions.stale), 'decision')} are stale, because the episodes have changed: "
+                "they are undecided again"
+            )
+        name = _user_name() if reviewer is None else reviewer
+        with (
+            defer_signals() as stopped,
+            ReviewServer(dataset, directories, rows, decisions, name, rig, port) as server,
+        ):
+            threading.Thread(target=server.serve_forever, daemon=True).start()
+            data = {"url": server.url, "path": str(decisions.path), "episodes": len(rows)}
+            print_result_now(data, f"{server.url}  (Ctrl-C ends; decisions are in {decisions.path})", json)
+            waiting = threading.Event()
+            while not stopped():
+                waiting.wait(_POLL_SECONDS)
+            server.shutdown()
+
+
+def _user_name() -> str:
+    try:
+        return getpass.getuser()
+    except (OSError, KeyError):
+        return ""
