@@ -1,6 +1,6 @@
 // The overview: only the visible cells of the grid exist, and their film strips load once scrolling pauses.
 
-const CELL = {width: 300, height: 108};  // px, smallest width and the height of a cell
+const CELL = {width: 300, height: 112};  // px, smallest width and the height of a cell
 const PAUSE_MS = 60;  // of scrolling, after which film strips load
 const EXTRA_ROWS = 2;  // above and below the visible ones
 
