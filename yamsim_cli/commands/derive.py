@@ -8,7 +8,7 @@ import typer
 
 from yamsim_cli.core.errors import UsageError, count_noun
 from yamsim_cli.flags.selection_file import SelectionFile
-from yamsim_cli.flags.session_options import Json, opener
+from yamsim_cli.flags.session_options import Json, session_opener
 from yamsim_cli.terminal.console import print_json, print_line, progress_bar
 
 if TYPE_CHECKING:
@@ -42,7 +42,7 @@ def merge(
     if selection and len(selection) != len(datasets):
         given = f"{count_noun(len(selection), 'selection')} for {len(datasets)} datasets"
         raise UsageError(f"--selection: {given}; give one for each dataset, in their order")
-    opener.skip_gl()
+    session_opener.disable_gl()
 
     from yamsim_cli.datasets.derive import merge_datasets, open_source_dataset
 
@@ -69,7 +69,7 @@ def filter_dataset(
     """
     if selection is None and episodes is None:
         raise UsageError("yamsim filter needs --selection FILE or --episodes LIST, which choose the episodes")
-    opener.skip_gl()
+    session_opener.disable_gl()
 
     from yamsim_cli.datasets.derive import filter_dataset as run
     from yamsim_cli.datasets.derive import open_source_dataset
@@ -100,7 +100,7 @@ def split(
     Example: yamsim split dataset/ --out parts/ --part train=0.9 --part test=0.1
     """
     shares = _parse_shares(part or list(_DEFAULT_PARTS))
-    opener.skip_gl()
+    session_opener.disable_gl()
 
     from yamsim_cli.datasets.derive import open_source_dataset, split_dataset
 

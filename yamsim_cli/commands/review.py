@@ -9,8 +9,8 @@ from typing import Annotated, Literal
 import typer
 
 from yamsim_cli.core.errors import DatasetError, PartialJobError, UsageError, YamsimError, count_noun
-from yamsim_cli.flags.output_files import Overwrite, require_unused
-from yamsim_cli.flags.session_options import Json, opener
+from yamsim_cli.flags.output_files import Overwrite, require_unused_paths
+from yamsim_cli.flags.session_options import Json, session_opener
 from yamsim_cli.terminal.console import print_json, print_line, print_note, print_result_now
 from yamsim_cli.terminal.signals import defer_signals
 
@@ -68,7 +68,7 @@ def _merge(paths: list[Path], out: Path | None, overwrite: bool, json: bool) -> 
         raise UsageError(f"--merge takes two selections, not {len(paths)}: give A.yaml B.yaml")
     if out is None:
         raise UsageError("--merge needs --out FILE, the merged selection")
-    require_unused("--out", out, overwrite=overwrite)
+    require_unused_paths("--out", out, overwrite=overwrite)
 
     from yamsim_cli.core.files.writing import write_output
     from yamsim_cli.selection import merge_selections, read_selection, selection_text
@@ -98,7 +98,7 @@ def _serve(
     port: int,
     json: bool,
 ) -> None:
-    opener.skip_gl()
+    session_opener.disable_gl()
 
     from yamsim_cli.core.dataset.dataset_paths import episode_directories
     from yamsim_cli.core.dataset.reader import read_recorded_rig
@@ -112,7 +112,7 @@ def _serve(
         raise DatasetError(f"{dataset} holds no episodes yet; record some with `yamsim record`")
     directories = dict(episode_directories(dataset))
     try:
-        rig = read_recorded_rig(dataset, opener.find_locations())
+        rig = read_recorded_rig(dataset, session_opener.find_locations())
     except YamsimError as error:
         print_note(f"The page numbers the drives, because their names are unknown: {error}")
         rig = None
