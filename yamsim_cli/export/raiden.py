@@ -50,7 +50,9 @@ def export_raiden(
         source.rig, camera_names(source), locations, options.hand_frame, single=options.as_single_arm
     )
     config = _with_recorded_size(source) if options.renders_images else source.config
-    factory = functools.partial(EpisodeConverter, Session(config, locations), converter.names, options)
+    factory = functools.partial(
+        EpisodeConverter, Session(config, locations), converter.names, options, source.selection
+    )
     frames: dict[str, int] = {}
     with export_directory(out, overwrite=overwrite) as stage:
         episodes = {schema.episode_name(k): episode for k, episode in enumerate(source.open_episodes())}
