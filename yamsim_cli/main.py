@@ -18,6 +18,7 @@ from .commands import assets, config, export, robots, tasks
 from .commands.boards import boards
 from .commands.compose_xml import compose_xml
 from .commands.doctor import doctor
+from .commands.draw import draw
 from .commands.evaluate import evaluate
 from .commands.gap import gap
 from .commands.identify import excite, identify
@@ -46,6 +47,7 @@ app = typer.Typer(
 )
 app.command()(record)
 app.command()(summarize)
+app.command()(draw)
 app.command()(verify)
 app.command()(replay)
 app.command("eval")(evaluate)
