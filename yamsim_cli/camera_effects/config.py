@@ -7,13 +7,18 @@ from typing import Annotated, Literal
 from pydantic import Field, FiniteFloat, model_validator
 
 from ..core.files.documents.config_base import Config, ConflictError, Name
+from ..core.files.documents.units import QuantityBounds
 from ..core.geometry.camera import CameraModel, Intrinsics
 
 _COEFFICIENT_COUNTS = {"opencv": (0, 4, 5, 8, 12, 14), "fisheye": (4,)}  # lens -> valid numbers of coefficients
 
 _Coefficient = Annotated[FiniteFloat, Field(ge=-10, le=10)]
-_Offset = Annotated[FiniteFloat, Field(ge=-0.25, le=0.25)]
-_Gain = Annotated[FiniteFloat, Field(ge=0.1, le=10)]
+_Offset = Annotated[FiniteFloat, QuantityBounds("of 1", -0.25, 0.25)]
+_Gain = Annotated[FiniteFloat, QuantityBounds("of 1", 0.1, 10)]
+_Exposure = Annotated[FiniteFloat, QuantityBounds("EV", -8, 8)]
+_FullWell = Annotated[FiniteFloat, QuantityBounds("electrons", 10, 1e6)]
+_ReadNoise = Annotated[FiniteFloat, QuantityBounds("electrons", 0, 1000)]
+_Time = Annotated[FiniteFloat, QuantityBounds("ms", 0, 500)]
 
 
 class CameraEffects(Config):
@@ -45,13 +50,13 @@ class CameraEffects(Config):
     lens: Literal["opencv", "fisheye"] = "opencv"
     distortion: tuple[_Coefficient, ...] = ()
     principal_point: tuple[_Offset, _Offset] = (0.0, 0.0)
-    exposure_ev: float = Field(default=0.0, ge=-8, le=8)
+    exposure_ev: _Exposure = 0.0
     white_balance: tuple[_Gain, _Gain, _Gain] = (1.0, 1.0, 1.0)
-    full_well_e: float | None = Field(default=None, ge=10, le=1e6)
-    read_noise_e: float = Field(default=0.0, ge=0, le=1000)
+    full_well_e: _FullWell | None = None
+    read_noise_e: _ReadNoise = 0.0
     jpeg_quality: int | None = Field(default=None, ge=1, le=100)
-    exposure_ms: float = Field(default=0.0, ge=0, le=500)
-    readout_ms: float = Field(default=0.0, ge=0, le=500)
+    exposure_ms: _Time = 0.0
+    readout_ms: _Time = 0.0
     shutter_samples: int = Field(default=6, ge=2, le=64)
     delay_frames: int = Field(default=0, ge=0, le=100)
 
