@@ -23,6 +23,9 @@ pytestmark = pytest.mark.render
 CAMERA_KEYS = {"intrinsics", "extrinsics", "K_wrist"}
 SMALL = ("--size", "48x32", "--quality", "fast", "--offline")
 
+EFFECTS = Path(__file__).parents[1] / "data" / "camera_effects.yaml"
+LOOKS = ("--looks", "2", "--views", "1", "--truth", "--camera-effects", f"view_00={EFFECTS}")
+
 
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
@@ -35,8 +38,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def looks(recorded: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("looks") / "drawn"
-    given = ("--looks", "2", "--views", "1", "--truth", "--camera-effects", "view_00=wide_fisheye")
-    done = yamsim("draw", recorded, "--out", out, *given, "--workers", "1", "--offline")
+    done = yamsim("draw", recorded, "--out", out, *LOOKS, "--workers", "1", "--offline")
     assert done.code == 0, done.err
     return out
 
@@ -87,6 +89,7 @@ def test_looks_differ_in_images_and_have_the_same_physics(recorded: Path, looks:
         assert one[name] != other[name]
 
 
+@pytest.mark.slow
 def test_a_dataset_recorded_in_a_look_equals_the_drawn_one(looks: Path, tmp_path: Path) -> None:
     """The drawn config records the same bytes from the seed, so `verify` needs nothing else."""
     config = looks / "look_2" / "config.yaml"
@@ -97,6 +100,7 @@ def test_a_dataset_recorded_in_a_look_equals_the_drawn_one(looks: Path, tmp_path
     assert {name for name in one if one[name] != other.get(name)} == {"episode.json"}
 
 
+@pytest.mark.slow
 def test_verify_draws_again_and_finds_another_image(looks: Path, tmp_path: Path) -> None:
     done = yamsim("verify", looks / "look_1", "--images", "--offline", "--json", "--workers", "1")
     assert done.code == 0, done.err
@@ -110,17 +114,30 @@ def test_verify_draws_again_and_finds_another_image(looks: Path, tmp_path: Path)
     assert "rgb/view_00/000009.jpg" in done.err
 
 
+@pytest.mark.slow
 def test_a_missing_and_a_damaged_episode_are_drawn_again(recorded: Path, looks: Path, tmp_path: Path) -> None:
     whole = contents(looks / "look_1")
     copy = shutil.copytree(looks, tmp_path / "copy")
     shutil.rmtree(copy / "look_1" / "ep_000000")
     (copy / "look_1" / "ep_000001" / "lowdim" / "000003.pkl").write_bytes(b"")
     (copy / "look_1" / "attempts.jsonl").unlink()
-    given = ("--looks", "2", "--views", "1", "--truth", "--camera-effects", "view_00=wide_fisheye")
-    done = yamsim("draw", recorded, "--out", copy, *given, "--workers", "1", "--offline", "--resume")
+    done = yamsim("draw", recorded, "--out", copy, *LOOKS, "--workers", "1", "--offline", "--resume")
     assert done.code == 0, done.err
     found = {name: data for name, data in contents(copy / "look_1").items() if not name.startswith(".damaged")}
     assert found == whole
+
+
+@pytest.mark.slow
+def test_another_revision_of_the_arm_keeps_the_states(recorded: Path, tmp_path: Path) -> None:
+    """`verify` repeats physics with the rig of the source, and draws with the other one."""
+    out = tmp_path / "drawn"
+    assert yamsim("draw", recorded, "--out", out, "--revision", "v1", "--workers", "1", "--offline").code == 0
+    for old, new in zip(frames_of(recorded, 0), frames_of(out, 0), strict=True):
+        np.testing.assert_array_equal(old["sim_qpos"], new["sim_qpos"])
+        np.testing.assert_array_equal(old["ee_pose"], new["ee_pose"])
+    done = yamsim("verify", out, "--images", "--offline", "--json", "--episodes", "0", "--workers", "1")
+    assert done.code == 0, done.err
+    assert done.json["checks"]["seed"]["agree"] == done.json["checks"]["images"]["agree"] == 1
 
 
 @pytest.mark.slow
