@@ -49,7 +49,7 @@ PRESETS = ("d405", "zed_mini", "wide_fisheye")
 def main() -> None:
     """Draw and write."""
     opener = SessionOpener(os.environ, lambda text: print(text, file=sys.stderr), str)
-    where = opener.use_gl(opener.find_locations())
+    where = opener.choose_gl_backend(opener.find_locations())
     tiles = [draw_effects(opener, where, title, keys) for title, keys in EFFECTS.items()]
     write("camera_effects", grid(tiles, 4))
     write("camera_presets", grid([draw_effects(opener, where, name, {"like": name}) for name in PRESETS], 3))
@@ -69,14 +69,14 @@ def draw_effects(opener: SessionOpener, where: Locations, title: str, keys: dict
         else CameraEffects.model_validate(keys)
     )
     entries = (CameraEffectsEntry(effects=effects),) if keys else ()
-    session = opener.with_meshes(Session(config.model_copy(update={"camera_effects": entries}), where))
+    session = opener.with_scene_meshes(Session(config.model_copy(update={"camera_effects": entries}), where))
     return titled(draw(session), title)
 
 
 def draw_look(opener: SessionOpener, where: Locations, look: int) -> np.ndarray:
     """Return the titled image of a look."""
     config = opener.load_record_config("default", where, size=_SIZE, quality="balanced", randomize=True)
-    session = opener.with_meshes(Session(config.model_copy(update={"look": look}), where))
+    session = opener.with_scene_meshes(Session(config.model_copy(update={"look": look}), where))
     return titled(draw(session), f"look_{look}")
 
 

@@ -14,7 +14,7 @@ from .core.config.session import Session
 
 ENV_ID = "yamsim/PickPlace-v0"
 
-_BOUND = 10.0  # rad and m, of the observation space; larger than any joint value or position
+_OBSERVATION_BOUND = 10.0  # rad and m, of the observation space; larger than any joint value or position
 
 
 class PickPlaceEnv(gymnasium.Env[dict[str, NDArray[Any]], NDArray[np.float32]]):
@@ -34,7 +34,7 @@ class PickPlaceEnv(gymnasium.Env[dict[str, NDArray[Any]], NDArray[np.float32]]):
     to its present margin; a predicate holds if its margin is zero or more.
 
     `reset(seed=S)` starts trial 0 of seed S, and `reset(seed=S, options={"trial": k})` starts trial k. Each further
-    `reset()` starts the next trial. The layouts are those of `yamsim trials --seed S`.
+    `reset()` starts the next trial. The objects start where `yamsim trials --seed S` places them.
 
     Environments that render in separate processes (`AsyncVectorEnv`) need `context="forkserver"` or `"spawn"`. Up to
     Python 3.13, Linux forks by default. A process that is forked from a process that has rendered cannot render, and
@@ -100,7 +100,7 @@ class PickPlaceEnv(gymnasium.Env[dict[str, NDArray[Any]], NDArray[np.float32]]):
 
     def _observation_space(self, size: tuple[int, int]) -> spaces.Dict:
         def unbounded_box(*shape: int) -> spaces.Box:
-            return spaces.Box(-_BOUND, _BOUND, shape, np.float32)
+            return spaces.Box(-_OBSERVATION_BOUND, _OBSERVATION_BOUND, shape, np.float32)
 
         arms, drives = self._task.simulator.scene.recorded_drive_ctrl.shape
         hands = (4, 4) if arms == 1 else (arms, 4, 4)
@@ -193,7 +193,10 @@ class PickPlaceEnv(gymnasium.Env[dict[str, NDArray[Any]], NDArray[np.float32]]):
             for key, (name, count) in self._objects_by_joints_key().items():
                 joints = replica.object_joints(items[name])
                 seen[key] = np.pad(joints, (0, count - len(joints)))
-        numbers = {key: np.clip(value, -_BOUND, _BOUND).astype(np.float32) for key, value in seen.items()}
+        numbers = {
+            key: np.clip(value, -_OBSERVATION_BOUND, _OBSERVATION_BOUND).astype(np.float32)
+            for key, value in seen.items()
+        }
         if not self._images:
             return numbers
         images = self._task.render(tuple(self._cameras.values()))

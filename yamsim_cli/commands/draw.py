@@ -10,8 +10,8 @@ import typer
 
 from yamsim_cli.core.errors import ConfigError, UsageError
 from yamsim_cli.flags import session_options as flags
-from yamsim_cli.flags.output_files import Rename, open_mode
-from yamsim_cli.flags.session_options import opener
+from yamsim_cli.flags.output_files import RenameExisting, open_mode
+from yamsim_cli.flags.session_options import session_opener
 from yamsim_cli.session_opener import parse_camera_effects, parse_size
 from yamsim_cli.terminal.console import note_moved, print_json, print_line, print_note, progress_bar
 from yamsim_cli.terminal.signals import stop_on_signal
@@ -62,7 +62,7 @@ def draw(
     ] = None,
     workers: flags.Workers = None,
     resume: Annotated[bool, typer.Option("--resume", help="Continue a dataset that was interrupted.")] = False,
-    overwrite: Rename = False,
+    overwrite: RenameExisting = False,
     stage: Annotated[
         Path | None,
         typer.Option(help="A local directory where episodes are written before they are moved to a slow --out."),
@@ -80,7 +80,7 @@ def draw(
     mode = open_mode(resume=resume, overwrite=overwrite)
     if out.resolve() == dataset.resolve():
         raise UsageError(f"--out {out} is the dataset itself, which stays as it is; give another directory")
-    where = opener.find_locations()
+    where = session_opener.find_locations()
 
     from yamsim_cli.core.dataset.dataset_paths import CONFIG_FILE
     from yamsim_cli.core.dataset.reader import read_recording_config
@@ -93,7 +93,7 @@ def draw(
 
     source = read_recording_config(dataset, where)
     attempts = read_attempts(dataset)
-    where = opener.use_gl(where, workers=True)
+    where = session_opener.choose_gl_backend(where, workers=True)
     changes = _read_changes(source, where, locals())
     digest = sha256_bytes((dataset / CONFIG_FILE).read_bytes())
     reports: list[RecordReport] = []
@@ -148,7 +148,7 @@ def _read_changes(source: RecordConfig, where: Locations, given: dict[str, Any])
     if given["scene"] is not None:
         values["scene"] = load_config(SceneConfig, "scenes", given["scene"], where)
     if given["rig"] is not None or given["revision"] is not None:
-        values["rig"] = opener.load_rig(given["rig"] or source.rig.name, where, revision=given["revision"])
+        values["rig"] = session_opener.load_rig(given["rig"] or source.rig.name, where, revision=given["revision"])
     if given["randomize"] is False and given["randomization"] is not None:
         raise UsageError("--randomization and --no-randomize contradict each other; leave one out")
     if given["randomize"] is False:
@@ -190,4 +190,4 @@ def _open_session(config: RecordConfig, where: Locations, resumed: Path | None) 
     from yamsim_cli.core.dataset.writing.directory_claim import recorded_meshes
 
     meshes = recorded_meshes(resumed) if resumed else None
-    return opener.with_meshes(Session(config, where).with_values(meshes=meshes))
+    return session_opener.with_scene_meshes(Session(config, where).with_values(meshes=meshes))

@@ -28,7 +28,7 @@ from ..core.dataset.records import AttemptRecord, EpisodeRecord, attempt_from_re
 from ..core.dataset.writing.ledger import Ledger
 from ..core.dataset.writing.staged_writer import EpisodeWriter
 from ..core.episode.attempt_payload import camera_entries, encode_images, library_versions
-from ..core.episode.runner import check_meshes
+from ..core.episode.runner import require_stated_meshes
 from ..core.episode.sampling import sample_variation
 from ..core.episode.simulator import Simulator, SimulatorCache
 from ..core.errors import DatasetError, PartialJobError, count_noun
@@ -80,10 +80,10 @@ def read_attempts(dataset: Path) -> list[AttemptRecord]:
 
 
 class EpisodeDrawer(Closable):
-    """Renders stored episodes again, in a worker. Raises ResourceError as `check_meshes`."""
+    """Renders stored episodes again, in a worker. Raises ResourceError as `require_stated_meshes`."""
 
     def __init__(self, session: Session, source: DrawSource) -> None:
-        check_meshes(session)
+        require_stated_meshes(session)
         self._source = source
         self._simulators = SimulatorCache(session)
 

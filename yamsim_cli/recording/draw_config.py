@@ -14,7 +14,7 @@ from ..core.config.recording import DrawnFrom, RecordConfig
 from ..core.config.rig import RigCamera, RigConfig
 from ..core.config.scene import SceneConfig
 from ..core.errors import UsageError
-from ..core.files.documents.units import RECORDED
+from ..core.files.documents.units import SKIP_BOUNDS_CONTEXT
 from ..core.geometry.se3 import quat_from_rotation
 
 MAX_VIEWS = 100  # random cameras of a dataset; more would be a mistake in the number
@@ -74,7 +74,7 @@ def draw_config(source: RecordConfig, config_sha256: str, changes: DrawChanges) 
     fields = {name: getattr(source, name) for name in RecordConfig.model_fields}
     try:
         return RecordConfig.model_validate(
-            fields | values | {"rig": rig, "look": look, "drawn": drawn, "meshes": None}, context=RECORDED
+            fields | values | {"rig": rig, "look": look, "drawn": drawn, "meshes": None}, context=SKIP_BOUNDS_CONTEXT
         )
     except ValidationError as error:
         first_error = error.errors(include_url=False)[0]
@@ -109,7 +109,7 @@ def _require_same_joints(source: RigConfig, rig: RigConfig) -> None:
 
 def _random_views(scene: SceneConfig, rig: RigConfig, seed: int, look: int, count: int) -> tuple[RigCamera, ...]:
     """Return cameras around the point that the scene camera looks at; equal seeds and looks give equal views."""
-    camera = scene.for_span(rig.arm_span).scene_camera
+    camera = scene.widened_for_arm_distance(rig.arm_span).scene_camera
     assert camera is not None  # every recorded scene has one
     rng = np.random.default_rng([seed, _VIEWS_STREAM, look])
     usual = math.dist(camera.position, camera.look_at)

@@ -67,7 +67,7 @@ def fill_dataset(
     """
     config = session.config
     with open_destination(config, output, callbacks) as destination:
-        collector = make_collector(destination.config, destination.sink)
+        collector = make_collector(destination.config, destination.episode_writer)
         with _report_on_early_end(config, collector, destination):
             if collector.attempts_needed:
                 # A resumed recording may have reached the retry limit in its earlier run.
@@ -77,7 +77,7 @@ def fill_dataset(
                     collector.run(executor)
             collector.finish()
             destination.finish(callbacks, stop)
-        sink, moved = destination.sink, destination.writer.moved_aside
+        sink, moved = destination.episode_writer, destination.writer.moved_aside
     return RecordReport(output.path, sink.episodes, len(sink.attempts), time.monotonic() - began, moved)
 
 
@@ -114,7 +114,7 @@ def _report_on_early_end(
         try:
             yield
         except BaseException:
-            destination.abandon()
+            destination.close_after_error()
             raise
     except (KeyboardInterrupt, InterruptedJobError):
         raise InterruptedJobError(f"interrupted: {progress_text()}") from None
