@@ -81,6 +81,7 @@ golden-update: setup-dev gl ## make today's pictures the golden ones: look at ea
 pictures: setup-dev gl meshes ## draw the rendered pictures of README and docs again: look at each before committing
 	$(PYTHON_BIN) -m tools.page_pictures
 	$(PYTHON_BIN) -m tools.task_pictures
+	$(PYTHON_BIN) -m tools.camera_pictures
 	$(PYTHON_BIN) -m tools.kitchen_sheet
 
 lint: setup-dev ## check style and format

@@ -19,6 +19,7 @@ from .commands.boards import boards
 from .commands.compose_xml import compose_xml
 from .commands.derive import filter_dataset, merge, split
 from .commands.doctor import doctor
+from .commands.draw import draw
 from .commands.evaluate import evaluate
 from .commands.gap import gap
 from .commands.identify import excite, identify
@@ -48,6 +49,7 @@ app = typer.Typer(
 )
 app.command()(record)
 app.command()(summarize)
+app.command()(draw)
 app.command()(verify)
 app.command()(replay)
 app.command()(review)

@@ -20,6 +20,7 @@ SMALLER = {
 # Start of a line -> flags to add for speed.
 CHEAPER = {
     "yamsim record": "--workers 1 --quality fast --size 160x120",
+    "yamsim draw": "--workers 1 --quality fast --size 96x72",
     "yamsim teleop": "--quality fast --size 160x120",
     "yamsim eval": "--n 1 --workers 1 --quality fast --size 96x72 --time-limit 1",
     "yamsim render-views": "--quality fast --size 160x120",

@@ -4,12 +4,14 @@ import functools
 from collections import OrderedDict
 from collections.abc import Callable
 
+from ...camera_rendering import EffectsCamera, EffectsRenderer, with_lens
 from ..attempt_data import Attempt, AttemptJob
 from ..closable import Closable
 from ..config.goals.role_assignment import RoleAssignment
 from ..config.session import Session
 from ..errors import SimulationError
 from ..expert.planning.arm_solvers import ArmIkAndDynamics, make_arm_ik_and_dynamics
+from ..geometry.camera import Intrinsics
 from ..rendering.renderer import SceneRenderer
 from ..rendering.scene_labels import SceneLabels, make_scene_labels
 from ..scene.build import build_scene
@@ -78,8 +80,25 @@ class Simulator(Closable):
         """The renderer; raises ResourceError if no OpenGL context can be made."""
         if self._renderer is None:
             size = self.config.image.size_px
-            self._renderer = SceneRenderer(self.scene.model, size, self.config.render.fine_size(size))
+            effects = {name: each for name in self.scene.cameras if (each := self.config.effects_of(name))}
+            self._renderer = EffectsRenderer(self.scene.model, size, self.config.render, effects)
         return self._renderer
+
+    def intrinsics(self, camera: str) -> Intrinsics:
+        """Return the intrinsics of a recorded camera, with its lens, for images of the config's size."""
+        ideal = self.state_replay.intrinsics(camera, self.config.image.size_px)
+        return with_lens(ideal, self.config.effects_of(camera))
+
+    @functools.cached_property
+    def effects_cameras(self) -> dict[str, EffectsCamera]:
+        """Name -> camera, for the recorded cameras with effects."""
+        timing = self.config.task.timing
+        period = timing.tick_seconds * timing.ticks_per_frame
+        return {
+            name: EffectsCamera(name, number, effects, period)
+            for number, name in enumerate(self.scene.cameras)
+            if (effects := self.config.effects_of(name)) is not None
+        }
 
     def close(self) -> None:
         """Free the renderer."""
