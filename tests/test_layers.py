@@ -63,12 +63,17 @@ FLOORS: dict[str, int] = {
     "flags": 12,
     "api": 13,
     "commands": 13,
-    "gym_env": 14,
+    "gym_options": 14,
     "main": 14,
     "station_settings": 14,
     "__main__": 15,
+    "gym_physics": 15,
+    "gym_pictures": 15,
+    "gym_task": 15,
     "station": 15,
+    "gym_env": 16,
     "live_station": 16,
+    "vector_env": 16,
 }
 WINGS = {unit for unit, floor in FLOORS.items() if floor == FLOORS["photos"]}
 
@@ -115,7 +120,7 @@ CONFINED = {
     "lerobot": {"policies.lerobot", "lerobot_camera"},
     "raiden": {"raiden_camera"},
     "torch": {"policies.lerobot"},
-    "gymnasium": {"gym_env"},
+    "gymnasium": {"gym_env", "gym_task", "vector_env"},
     "can": {"can_site"},
 }
 

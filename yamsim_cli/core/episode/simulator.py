@@ -1,8 +1,10 @@
 from __future__ import annotations
 
+import copy
 import functools
 from collections import OrderedDict
 from collections.abc import Callable
+from dataclasses import replace
 
 from ..attempt_data import Attempt, AttemptJob
 from ..closable import Closable
@@ -106,7 +108,7 @@ def _make_scene_labels(session: Session, scene: CompiledScene) -> SceneLabels:
     return make_scene_labels(scene.model, config.rig, names, boards=config.boards, cloths=scene.cloths)
 
 
-_MAX_SIMULATORS = 4  # each holds a compiled scene and, once used, a renderer
+MAX_SIMULATORS = 4  # each holds a compiled scene and, once used, a renderer
 
 _RolesKey = tuple[tuple[str, str, float], ...]
 
@@ -123,10 +125,10 @@ def make_simulator(session: Session, job: AttemptJob) -> Simulator:
 
 
 class SimulatorCache(Closable):
-    """Makes simulators for the objects of attempts, and keeps the last few."""
+    """Makes simulators for the objects of attempts, and keeps the last `limit`."""
 
-    def __init__(self, session: Session) -> None:
-        self.session = session
+    def __init__(self, session: Session, limit: int = MAX_SIMULATORS) -> None:
+        self.session, self._limit = session, limit
         self._simulators: OrderedDict[_RolesKey, Simulator] = OrderedDict()
         self._tools = functools.cache(functools.partial(make_arm_ik_and_dynamics, session.config.rig))
 
@@ -137,7 +139,7 @@ class SimulatorCache(Closable):
         if key in self._simulators:
             self._simulators.move_to_end(key)
             return self._simulators[key]
-        while len(self._simulators) >= _MAX_SIMULATORS:
+        while len(self._simulators) >= self._limit:
             self._simulators.popitem(last=False)[1].close()
         made = self._simulators[key] = Simulator(session_for_roles(self.session, roles), roles, self._tools)
         return made
@@ -148,10 +150,22 @@ class SimulatorCache(Closable):
             self._simulators.popitem()[1].close()
 
 
-def open_episode(simulator: Simulator, attempt: Attempt, rules: EpisodeRules, on_step: OnStep | None = None) -> Episode:
-    """Return the episode of an attempt at its start."""
+def open_episode(
+    simulator: Simulator,
+    attempt: Attempt,
+    rules: EpisodeRules,
+    on_step: OnStep | None = None,
+    *,
+    own_model: bool = False,
+) -> Episode:
+    """Return the episode of an attempt at its start.
+
+    With `own_model`, the episode has a copy of the model, so that other episodes of the simulator can run meanwhile.
+    """
     assert attempt.start is not None, "an attempt without a layout has no episode"
     task = simulator.config.task
     goal = EpisodeGoal(task.goal, simulator.roles, task.hold_ticks)
     scene = simulator.apply_randomization(attempt)
+    if own_model:
+        scene = replace(scene, model=copy.copy(scene.model))
     return Episode(scene, attempt.start, task.timing, arm_sides(simulator.config), goal, rules, on_step=on_step)
