@@ -143,7 +143,7 @@ def test_the_reward_of_reaching_is_the_distance() -> None:
 
 def test_invalid_arguments_are_refused() -> None:
     for options in ({"num_envs": 0}, {"threads": 0}, {"autoreset_mode": "Sometimes"}, {"observation": "pixels"}):
-        with pytest.raises(ValueError, match="not valid|not a valid"):
+        with pytest.raises(ValueError, match=r"not valid|not a valid"):
             gymnasium.make_vec(ENV_ID, **options)
     with pytest.raises(UsageError, match="reach 'objekt' is not an object of task 'pickplace'"):
         gymnasium.make_vec(ENV_ID, reach="objekt")

@@ -66,7 +66,7 @@ class PickPlaceEnv(gymnasium.Env[_Observation, NDArray[np.float32]]):
         self._shared = GymTask(self._task.config, given, self._task.simulator.scene)
         self._begun = False
         self.action_space = self._shared.action_space
-        self.observation_space = self._shared.observation_space
+        self.observation_space: gymnasium.Space[Any] = self._shared.observation_space
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None

@@ -62,17 +62,18 @@ class GymTask:
                 f"{suggest_similar(options.reach, self._objects)}"
             )
 
-    def check_actions(self, actions: Any, shape: tuple[int, ...]) -> Array:
+    def check_actions(self, actions: Any, shape: tuple[int, ...] | None) -> Array:
         """Return actions as floats of a shape; raises ValueError if they have another one or are not finite."""
         values = np.asarray(actions, dtype=np.float64)
         if values.shape != shape or not np.isfinite(values).all():
-            raise ValueError(f"an action is {shape[-1]} finite numbers, not {values.shape} {values}")
+            count = self._drives_shape[0] * (self._drives_shape[1] + 1)
+            raise ValueError(f"an action is {count} finite numbers, not {values.shape} {values}")
         return values
 
-    def split_action(self, action: Array) -> tuple[Array, NDArray[np.bool_]]:
+    def split_action(self, action: Array) -> tuple[Array, list[bool]]:
         """Return the drive commands (arms, drives) and the weld commands (arms,) of an action."""
         drives = self._drives_shape[0] * self._drives_shape[1]
-        return action[:drives].reshape(self._drives_shape), action[drives:] > 0.5
+        return action[:drives].reshape(self._drives_shape), (action[drives:] > 0.5).tolist()
 
     def observe_state(self, trial: RunningTrial) -> Observation:
         """Return the numbers of an observation."""

@@ -59,7 +59,8 @@ def main() -> None:
             env.step(actions)
         if name == "vector":
             memory = (resident_mb() - before) / arguments.envs
-    trial = many.unwrapped._trial(0)
+    vector: Any = many.unwrapped
+    trial = vector._trial(0)
     timing, model = trial.simulator.config.task.timing, trial.episode.scene.model
     rates: dict[str, list[float]] = {"vector": [], "single": []}
     physics = []
@@ -76,18 +77,13 @@ def main() -> None:
         mujoco.mj_step(model, data, 2000)
         physics.append((time.process_time() - began) / 2000)
     microseconds = statistics.median(physics) * 1e6
-    print(
-        f"{arguments.task}: {timing.physics_steps_per_tick} physics steps in a control tick of {timing.tick_seconds * 1000:g} ms"
-    )
-    print(
-        f"{microseconds:.1f} us of physics a step; {data.ncon} contacts, {data.nefc} constraints, {model.nv} degrees of freedom"
-    )
+    steps, tick = timing.physics_steps_per_tick, timing.tick_seconds * 1000
+    print(f"{arguments.task}: {steps} physics steps in a control tick of {tick:g} ms")
+    print(f"{microseconds:.1f} us a physics step; {data.ncon} contacts, {data.nefc} constraints, {model.nv} dof")
     scale = arguments.hz * timing.tick_seconds
     for name, found in rates.items():
         rate = statistics.median(found)
-        print(
-            f"{name}: {rate:.0f} env steps per s and core; {rate * scale:.0f} at {arguments.hz:g} Hz if all scales with physics"
-        )
+        print(f"{name}: {rate:.0f} env steps per s and core; {rate * scale:.0f} scaled to {arguments.hz:g} Hz")
     bound = 1e6 / (microseconds / (timing.timestep * arguments.hz))
     print(f"physics alone: {bound:.0f} at {arguments.hz:g} Hz; {memory:.2f} MB for each environment")
     parts = {

@@ -2,8 +2,8 @@
 
     ENV/bin/python -m tools.bench.ppo_reach [--minutes 5] [--envs 64] [--out out/ppo]
 
-ENV has yamsim[gym] and stable-baselines3. Writes `ppo_reach.json` and `ppo_reach.svg` to --out. The actions of the policy
-are changes of the joints, at most STEP in a control tick.
+ENV has yamsim[gym] and stable-baselines3. Writes `ppo_reach.json` to --out. The actions of the
+policy are changes of the joints, at most STEP in a control tick.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ TICKS = 64  # control ticks of an episode, 2 s
 
 
 class ReachingArms(VecEnv):
-    """The vector environment as Stable-Baselines3's `VecEnv`, with flat observations and changes of joints as actions."""
+    """The vector environment as Stable-Baselines3's `VecEnv`, with flat observations and joint changes as actions."""
 
     def __init__(self, count: int, seed: int) -> None:
         self.envs = gymnasium.make_vec(
