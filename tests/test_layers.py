@@ -89,6 +89,7 @@ CONFINED = {
     "trimesh": {"objects.readers.meshes", "viewers.scene_nodes"},
     "PIL": {"objects.readers", "viewers.scene_nodes"},
     "mujoco": {
+        "gym_physics",
         "core.episode",
         "core.expert",
         "core.rendering",
@@ -267,7 +268,7 @@ def test_the_page_on_architecture_names_modules_that_exist() -> None:
 # Started or imported by other programs: the command, plugins of other tools, and the public API.
 ENTRIES = {
     *("__main__", "can_site.yamsim_can", "gym_env", "kinematics", "kitchenbench.own_tasks", "kitchenbench.policy"),
-    *("lerobot_camera", "live_station", "main", "raiden_camera"),
+    *("lerobot_camera", "live_station", "main", "raiden_camera", "vector_env"),
 }
 
 
