@@ -74,14 +74,14 @@ def record(
         grasp=grasp,
     )
 
-    from .core.dataset.writing.directory_claim import OpenMode
+    from .core.dataset.writing.directory_claim import ExistingDatasetMode
     from .core.workers.stop_request import StopRequest
     from .recording.collect import RecordCallbacks
     from .recording.executor_factories import InlineExecutorFactory, ProcessExecutorFactory
     from .recording.recorder import record as run
     from .recording.recording_output import RecordingOutput
 
-    output = RecordingOutput(Path(out), OpenMode.RESUME if resume else OpenMode.NEW)
+    output = RecordingOutput(Path(out), ExistingDatasetMode.RESUME if resume else ExistingDatasetMode.NEW)
     watch = RecordCallbacks(lambda *_: None, lambda text: None)
     executors = InlineExecutorFactory() if workers is None else ProcessExecutorFactory()
     return run(session, output, executors, watch, StopRequest())
@@ -122,10 +122,18 @@ def evaluate(
     Returns:
         The data that `--json` prints, such as `stats` and `trials`.
     """
-    from .policies.policy_loading import sees_images
+    from .policies.policy_loading import may_read_images
 
     session = API_SESSION_OPENER.open(
-        config, renders=sees_images(policy), n=n, seed=seed, workers=workers, rig=rig, task=task, arm=arm, wrist=True
+        config,
+        renders=may_read_images(policy),
+        n=n,
+        seed=seed,
+        workers=workers,
+        rig=rig,
+        task=task,
+        arm=arm,
+        wrist=True,
     )
 
     from .core.statistics import THRESHOLDS

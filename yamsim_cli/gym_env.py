@@ -34,7 +34,7 @@ class PickPlaceEnv(gymnasium.Env[_Observation, NDArray[np.float32]]):
     to its present margin; a predicate holds if its margin is zero or more.
 
     `reset(seed=S)` starts trial 0 of seed S, and `reset(seed=S, options={"trial": k})` starts trial k. Each further
-    `reset()` starts the next trial. The layouts are those of `yamsim trials --seed S`.
+    `reset()` starts the next trial. The objects start where `yamsim trials --seed S` places them.
 
     Environments that render in separate processes (`AsyncVectorEnv`) need `context="forkserver"` or `"spawn"`. Up to
     Python 3.13, Linux forks by default. A process that is forked from a process that has rendered cannot render, and

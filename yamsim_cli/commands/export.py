@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from yamsim_cli.core.errors import ResourceError, UsageError, count_noun
-from yamsim_cli.flags.output_files import Rename
-from yamsim_cli.flags.session_options import Json, Offline, opener
+from yamsim_cli.flags.output_files import RenameExisting
+from yamsim_cli.flags.session_options import Json, Offline, session_opener
 from yamsim_cli.terminal.console import note_moved, print_json, print_line, print_note, progress_bar
 
 if TYPE_CHECKING:
@@ -75,7 +75,7 @@ def raiden(
     workers: Annotated[int, typer.Option(min=1, help="Processes that render.")] = 2,
     actions: RealActions = None,
     episodes: Episodes = None,
-    overwrite: Rename = False,
+    overwrite: RenameExisting = False,
     offline: Offline = False,
     json: Json = False,
 ) -> None:
@@ -102,11 +102,11 @@ def raiden(
 def _simulated_raiden(
     dataset: Path, out: Path, options: RaidenOptions, workers: int, episodes: str | None, overwrite: bool
 ) -> ExportResult:
-    where = opener.find_locations()
+    where = session_opener.find_locations()
     if options.renders_images:
         where = _with_renderer(where)
     else:
-        opener.skip_gl()
+        session_opener.disable_gl()
 
     from yamsim_cli.core.config.session import Session
     from yamsim_cli.export.export_source import open_source
@@ -114,7 +114,7 @@ def _simulated_raiden(
 
     source = open_source(dataset, episodes, where)
     if options.renders_images:
-        where = opener.with_meshes(Session(source.config, where)).locations
+        where = session_opener.with_scene_meshes(Session(source.config, where)).locations
     with progress_bar("exporting", "episodes") as advance:
         return export_raiden(source, out, where, advance, options, workers=workers, overwrite=overwrite)
 
@@ -127,12 +127,12 @@ def _real_raiden(
     episodes: str | None,
     overwrite: bool,
 ) -> ExportResult:
-    opener.skip_gl()
+    session_opener.disable_gl()
 
     from yamsim_cli.export.export_source import open_real_source
     from yamsim_cli.export.raiden import export_real_raiden
 
-    where = opener.find_locations()
+    where = session_opener.find_locations()
     source = open_real_source(dataset, episodes, where, options.fps)
     with progress_bar("exporting", "episodes") as advance:
         return export_real_raiden(source, out, where, advance, options, actions or "recorded", overwrite=overwrite)
@@ -152,7 +152,7 @@ def lerobot(
         bool, typer.Option("--pictures/--no-pictures", help="Write videos, and the cameras' matrices.")
     ] = True,
     episodes: Episodes = None,
-    overwrite: Rename = False,
+    overwrite: RenameExisting = False,
     json: Json = False,
 ) -> None:
     """Write a LeRobotDataset v3.0 of Parquet and H.264, with frame k at exactly k frame periods.
@@ -198,7 +198,7 @@ def mp4(
     ] = 1.0,
     fps: RealFps = None,
     episodes: Episodes = None,
-    overwrite: Rename = False,
+    overwrite: RenameExisting = False,
     json: Json = False,
 ) -> None:
     """Write a video of each episode, or a contact sheet of all episodes.
@@ -218,7 +218,9 @@ def mp4(
 
 
 @app.command()
-def rerun(dataset: Dataset, out: Out, episodes: Episodes = None, overwrite: Rename = False, json: Json = False) -> None:
+def rerun(
+    dataset: Dataset, out: Out, episodes: Episodes = None, overwrite: RenameExisting = False, json: Json = False
+) -> None:
     """Write an .rrd file of each episode for the rerun viewer: images, joints, poses and camera frusta.
 
     Example: yamsim export rerun dataset/ rrd/ --episodes 0-9
@@ -247,18 +249,18 @@ def _parse_fps(text: str) -> float | None:
 def _with_renderer(locations: Locations) -> Locations:
     """Choose an OpenGL backend, which sets the quality `auto`. The error names flags that avoid rendering."""
     try:
-        return opener.use_gl(locations, workers=True)
+        return session_opener.choose_gl_backend(locations, workers=True)
     except ResourceError as error:
         raise ResourceError(f"{error}; or render nothing: give --pictures nearest or --fps source") from None
 
 
 def _open_dataset(dataset: Path, episodes: str | None, fps: float | None = None) -> SimulatedSource | RealSource:
-    opener.skip_gl()
+    session_opener.disable_gl()
 
     from yamsim_cli.core.dataset.imported_records import is_imported_dataset
     from yamsim_cli.export.export_source import open_real_source, open_source
 
-    where = opener.find_locations()
+    where = session_opener.find_locations()
     if is_imported_dataset(dataset):
         return open_real_source(dataset, episodes, where, fps)
     _require_real("--fps", fps, dataset)

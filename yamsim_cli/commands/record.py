@@ -10,8 +10,8 @@ import typer
 
 from yamsim_cli.core.errors import UsageError, count_noun
 from yamsim_cli.flags import session_options as flags
-from yamsim_cli.flags.output_files import Rename, open_mode
-from yamsim_cli.flags.session_options import opener, session_settings
+from yamsim_cli.flags.output_files import RenameExisting, open_mode
+from yamsim_cli.flags.session_options import session_opener, session_settings
 from yamsim_cli.terminal.console import note_moved, print_json, print_line, print_note, progress_bar
 from yamsim_cli.terminal.signals import stop_on_signal
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from yamsim_cli.recording.executor_factories import ExecutorFactory
     from yamsim_cli.recording.recorder import RecordReport
 
-_STOPPING_NOTE = (
+_STOP_SIGNAL_NOTE = (
     "Stopping once the attempts in progress are done. Another signal stops at once; nothing is lost either way."
 )
 
@@ -59,7 +59,7 @@ def record(
     jpeg_quality: Annotated[int | None, typer.Option(help="JPEG quality, 1 to 100.")] = None,
     quality: flags.Quality = None,
     resume: Annotated[bool, typer.Option("--resume", help="Continue a dataset that was interrupted.")] = False,
-    overwrite: Rename = False,
+    overwrite: RenameExisting = False,
     stage: Annotated[
         Path | None,
         typer.Option(help="A local directory where episodes are written before they are moved to a slow --out."),
@@ -83,14 +83,14 @@ def record(
     Example: yamsim record --n 500 --workers 4
     """
     mode = open_mode(resume=resume, overwrite=overwrite)
-    session = opener.open(config, resumes=out if resume else None, **session_settings(locals()))
+    session = session_opener.open(config, resumes=out if resume else None, **session_settings(locals()))
 
     from yamsim_cli.recording.collect import RecordCallbacks
     from yamsim_cli.recording.recorder import record as run
     from yamsim_cli.recording.recording_output import RecordingOutput
 
     executors = _make_executor_factory(executor, address, attempt_timeout)
-    with progress_bar("recording", "episodes") as advance, stop_on_signal(_STOPPING_NOTE) as stop:
+    with progress_bar("recording", "episodes") as advance, stop_on_signal(_STOP_SIGNAL_NOTE) as stop:
         callbacks = RecordCallbacks(
             lambda done, wanted, attempts: advance(done, wanted, f"{attempts} attempts"), print_note
         )

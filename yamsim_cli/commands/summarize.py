@@ -7,8 +7,8 @@ from typing import Annotated, Any
 import typer
 
 from yamsim_cli.core.errors import DatasetError, UsageError
-from yamsim_cli.flags.output_files import Overwrite, require_unused
-from yamsim_cli.flags.session_options import Json, opener
+from yamsim_cli.flags.output_files import Overwrite, require_unused_paths
+from yamsim_cli.flags.session_options import Json, session_opener
 from yamsim_cli.terminal.console import print_note, print_report, progress_bar
 
 
@@ -34,7 +34,7 @@ def summarize(
         if not 0 < value < math.inf:
             raise UsageError(f"--threshold {value:g} is not valid: give a distance in metres above 0")
     if html:
-        require_unused("--html", html, overwrite=overwrite)
+        require_unused_paths("--html", html, overwrite=overwrite)
 
     from yamsim_cli.core.statistics import THRESHOLDS
     from yamsim_cli.cpu_limits import usable_cores
@@ -43,7 +43,7 @@ def summarize(
 
     thresholds = sorted(set(threshold or THRESHOLDS))
     with progress_bar("checking", "episodes") as advance:
-        results = check_dataset(dataset, opener.find_locations(), workers or usable_cores(), advance)
+        results = check_dataset(dataset, session_opener.find_locations(), workers or usable_cores(), advance)
     report = count(results, thresholds)
     if html:
         from yamsim_cli.datasets.summarize import write_report

@@ -81,7 +81,9 @@ def summarize_checks(results: CheckResults, thresholds: Sequence[float]) -> dict
         "grasps": sorted({record.grasp for record in records}),
         "versions": [dict(found) for found in sorted({tuple(sorted(record.versions.items())) for record in records})],
         "noted_at_import": {
-            episode.name: list(map(printable_line, episode.noted)) for episode in episodes if episode.noted
+            episode.name: list(map(printable_line, episode.import_faults))
+            for episode in episodes
+            if episode.import_faults
         },
         "errors": n_errors,
         "warnings": len(problems) - n_errors,
@@ -134,11 +136,13 @@ def _value_range(values: Sequence[int]) -> dict[str, float] | None:
 
 def _workspace_statistics(results: CheckResults) -> dict[str, Any]:
     box = results.context.sampling
-    names = dict.fromkeys(name for episode in results.episodes for name in (*episode.starts, *episode.ends))
+    names = dict.fromkeys(
+        name for episode in results.episodes for name in (*episode.start_positions, *episode.end_positions)
+    )
     objects = {}
     for name in names:
-        starts = [episode.starts[name] for episode in results.episodes if name in episode.starts]
-        ends = [episode.ends[name] for episode in results.episodes if name in episode.ends]
+        starts = [episode.start_positions[name] for episode in results.episodes if name in episode.start_positions]
+        ends = [episode.end_positions[name] for episode in results.episodes if name in episode.end_positions]
         objects[printable_line(name)] = {
             "start": _position_extent(results, starts),
             "end": _position_extent(results, ends),

@@ -97,25 +97,25 @@ class SimulatedSource(ExportSource):
         """See `ExportSource.open_episodes`."""
         for directory in self.directories:
             episode = open_episode(directory)
-            _require_alike(episode, self.first, ("cameras", "frame_period_s", "objects", "arms"))
+            _require_same_as_first(episode, self.first, ("cameras", "frame_period_s", "objects", "arms"))
             yield episode
 
 
 @dataclass(frozen=True)
 class RealEpisode(RecordedEpisode):
-    """A recording of real arms with the recorded frame of each exported frame, `chosen`; frames may repeat."""
+    """A recording of real arms with the recorded frame of each exported frame, `frame_numbers`; frames may repeat."""
 
     record: RealEpisodeRecord
-    chosen: tuple[int, ...]
+    frame_numbers: tuple[int, ...]
 
     def frames(self) -> list[dict[str, Any]]:
         """Read the low-dimensional data of the selected frames."""
-        recorded = {k: self.frame(k, self.read_verified(lowdim_path(k))) for k in dict.fromkeys(self.chosen)}
-        return [recorded[k] for k in self.chosen]
+        recorded = {k: self.frame(k, self.read_verified(lowdim_path(k))) for k in dict.fromkeys(self.frame_numbers)}
+        return [recorded[k] for k in self.frame_numbers]
 
     def image(self, camera: str, number: int) -> bytes:
         """Return the JPEG bytes of exported frame `number`."""
-        return self.read_verified(image_path(camera, self.chosen[number]))
+        return self.read_verified(image_path(camera, self.frame_numbers[number]))
 
 
 @dataclass(frozen=True)
@@ -147,7 +147,7 @@ class RealSource(ExportSource):
         """See `ExportSource.open_episodes`."""
         for directory in self.directories:
             episode = open_recorded_episode(directory)
-            _require_alike(episode, self.first, ("cameras", "arms", "drives"))
+            _require_same_as_first(episode, self.first, ("cameras", "arms", "drives"))
             usual = episode.record.frame_period_s
             if not self.is_resampled and abs(usual / self.period - 1) > _MAX_UNEVENNESS:
                 raise DatasetError(
@@ -206,7 +206,7 @@ class RealSource(ExportSource):
         )
 
 
-def _require_alike(episode: RecordedEpisode, first: RecordedEpisode, keys: Sequence[str]) -> None:
+def _require_same_as_first(episode: RecordedEpisode, first: RecordedEpisode, keys: Sequence[str]) -> None:
     for key in keys:
         here, there = getattr(episode.record, key), getattr(first.record, key)
         if here != there:

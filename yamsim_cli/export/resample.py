@@ -81,7 +81,7 @@ def resample_episode(simulator: Simulator, episode: StoredEpisode, fps: float) -
     attempt = attempt_from_record(record, start)
     simulate_actions(simulator, attempt, actions, REPLAY_RULES, on_step=seen)
     here, ahead, then, commanded = np.split(seen.qpos[places], np.cumsum([len(times), len(times), len(stored)]))
-    _require_same(episode, recorded, then)
+    _require_reproduced_states(episode, recorded, then)
     planned = np.array([planned_joints(frame, len(scene.arms)) for frame in recorded])
     lead = planned - _joints_of_arms(scene, commanded)
     reference = _joints_of_arms(scene, ahead) + _interpolate(times, stored, lead)
@@ -111,7 +111,7 @@ def _interpolate(times: Array, nodes: Array, values: Array) -> Array:
     return found.reshape(len(times), *values.shape[1:])
 
 
-def _require_same(episode: StoredEpisode, recorded: Sequence[Mapping[str, Any]], found: Array) -> None:
+def _require_reproduced_states(episode: StoredEpisode, recorded: Sequence[Mapping[str, Any]], found: Array) -> None:
     deviation = np.abs(found - np.array([frame["sim_qpos"] for frame in recorded])).max(axis=1)
     if np.nanmax(deviation, initial=0.0) > _MAX_DEVIATION or np.isnan(deviation).any():
         k = int(np.argmax(~(deviation <= _MAX_DEVIATION)))

@@ -98,7 +98,9 @@ def _flag_name(setting: str) -> str:
 
 
 # Opens the sessions of all commands. Its error messages name flags, and its notes go to stderr.
-opener = SessionOpener(os.environ, print_note, _flag_name, import_if_file, resolve_scene_task, fetch_bar, note_at_end)
+session_opener = SessionOpener(
+    os.environ, print_note, _flag_name, import_if_file, resolve_scene_task, fetch_bar, note_at_end
+)
 
 
 # Session settings that a command may have as parameters; `SessionOpener.load_record_config` explains them.
@@ -115,7 +117,7 @@ def session_settings(parameters: Mapping[str, Any]) -> dict[str, Any]:
 
 def _set_offline(wanted: bool) -> bool:
     if wanted:
-        opener.stay_offline()
+        session_opener.stay_offline()
     return wanted
 
 

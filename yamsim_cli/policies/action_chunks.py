@@ -13,7 +13,7 @@ from ..core.errors import UsageError
 from ..core.geometry.se3 import Array
 from .policy_protocol import ActionChunk
 
-_ROUNDING = 1e-6  # ticks; smaller fractions are rounding errors
+_ROUNDING_TICKS = 1e-6  # ticks; smaller fractions are rounding errors
 _MAX_LATENCY = 60.0  # s, largest simulated latency
 
 
@@ -64,11 +64,11 @@ class _TimedChunk:
     chunk: ActionChunk
     requested: int  # control tick from which the times of the actions count
     arrival_tick: int  # control tick from which the chunk acts
-    per_action: float  # duration of an action, ticks
+    ticks_per_action: float  # duration of an action, ticks
 
     def action_index(self, now: int) -> int:
         """Return the index of the action at tick `now`; `action_count` or more after the last."""
-        return math.floor((now - self.requested) / self.per_action + _ROUNDING)
+        return math.floor((now - self.requested) / self.ticks_per_action + _ROUNDING_TICKS)
 
     @property
     def action_count(self) -> int:
@@ -77,7 +77,7 @@ class _TimedChunk:
     @property
     def end_tick(self) -> int:
         """Control tick at which the last action is over."""
-        return self.requested + _round_up_to_ticks(self.action_count * self.per_action)
+        return self.requested + _round_up_to_ticks(self.action_count * self.ticks_per_action)
 
 
 class ChunkScheduler:
@@ -114,12 +114,12 @@ class ChunkScheduler:
     def add_chunk(self, chunk: ActionChunk, now: int, seconds: float) -> None:
         """Add the chunk that was requested at tick `now`, and took `seconds` s of real time."""
         chunking = self._chunking
-        per_action = float(self._hold) if chunk.period is None else chunk.period / self._tick
+        ticks_per_action = float(self._hold) if chunk.period is None else chunk.period / self._tick
         late = _round_up_to_ticks((seconds if chunking.latency is None else chunking.latency) / self._tick)
-        timed = _TimedChunk(chunk, now, now + late, per_action)
+        timed = _TimedChunk(chunk, now, now + late, ticks_per_action)
         execute = min(chunking.execute or timed.action_count, timed.action_count)
         # At least a tick passes between two requests, and a request waits for the previous answer.
-        self._next = max(timed.arrival_tick, now + max(1, _round_up_to_ticks(execute * per_action)))
+        self._next = max(timed.arrival_tick, now + max(1, _round_up_to_ticks(execute * ticks_per_action)))
         self._chunks.append(timed)
         count = self.chunk_stats
         stale = min(timed.action_count, timed.action_index(timed.arrival_tick))
@@ -166,4 +166,4 @@ class ChunkScheduler:
 
 
 def _round_up_to_ticks(amount: float) -> int:
-    return math.ceil(amount - _ROUNDING)
+    return math.ceil(amount - _ROUNDING_TICKS)

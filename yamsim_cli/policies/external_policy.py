@@ -34,7 +34,7 @@ class PolicyClient(Protocol):
 
 
 @dataclass(frozen=True)
-class PolicyStation:
+class PolicyScene:
     """Arms, cameras and objects of the scene in which a policy acts.
 
     Attributes:
@@ -70,22 +70,22 @@ class MappedPolicy:
     """
 
     def __init__(
-        self, client: PolicyClient, config: PolicyConfig, station: PolicyStation, wanted: Sequence[str] | None = None
+        self, client: PolicyClient, config: PolicyConfig, station: PolicyScene, wanted: Sequence[str] | None = None
     ) -> None:
         self._client, self._config, self._station = client, config, station
         self.execute: int | None = getattr(client, "execute", None)
         sides = station.sides if config.arms == "all" else config.arms
         if missing := [side for side in sides if side not in station.sides]:
-            raise self._unfit_error("arms", f"there is no {missing[0]} arm; valid: {', '.join(station.sides)}")
+            raise self._mapping_error("arms", f"there is no {missing[0]} arm; valid: {', '.join(station.sides)}")
         if unused := [side for side in station.sides if side not in sides]:
-            raise self._unfit_error("arms", f"no output drives the {unused[0]} arm")
+            raise self._mapping_error("arms", f"no output drives the {unused[0]} arm")
         # Indices that reorder arms from the station to the client, and back.
         self._to_client = [station.sides.index(side) for side in sides]
         self._to_station = [sides.index(side) for side in station.sides]
         self._scale = np.ones((len(sides), station.drives))
         if config.gripper == "share":
             if not all(station.openings):
-                raise self._unfit_error("gripper", "an arm has no gripper, so openings cannot be shares")
+                raise self._mapping_error("gripper", "an arm has no gripper, so openings cannot be shares")
             self._scale[:, -1] = station.openings
         self._pictures = {
             key: (picture, station.cameras[camera])
@@ -95,7 +95,7 @@ class MappedPolicy:
         rows = [row.key for row in (config.state, config.environment_state) if row is not None]
         known = (*config.images, *rows)
         if lacking := [key for key in wanted or () if key not in known]:
-            raise self._unfit_error(
+            raise self._mapping_error(
                 "images", f"the policy asks for {lacking[0]!r}; {suggest_similar(lacking[0], known)}"
             )
         things = config.environment_state
@@ -175,12 +175,12 @@ class MappedPolicy:
         found = next((name for name in picture.cameras if name in self._station.cameras), None)
         if found is None and (wanted is not None or not picture.optional):
             there = ", ".join(self._station.cameras)
-            raise self._unfit_error(
+            raise self._mapping_error(
                 f"images.{key}", f"there is no camera {' or '.join(picture.cameras)}; there is {there}"
             )
         return found
 
-    def _unfit_error(self, key: str, problem: str) -> UsageError:
+    def _mapping_error(self, key: str, problem: str) -> UsageError:
         return UsageError(f"--policy-config {self._config.name}: {key}: on rig {self._station.rig!r} {problem}")
 
 

@@ -46,7 +46,7 @@ def record(
     config = session.config
     with open_destination(config, output, callbacks) as destination:
         starts = functools.partial(all_starts_fail, session)
-        collector = Collector(destination.config, destination.sink, callbacks, stop, starts)
+        collector = Collector(destination.config, destination.episode_writer, callbacks, stop, starts)
         with _report_on_early_end(config, collector, destination):
             if collector.attempts_needed:
                 # A resumed recording may have reached the retry limit in its earlier run.
@@ -55,7 +55,7 @@ def record(
                 with executor_factory.open(session, workers) as executor:
                     collector.run(executor)
             destination.finish(callbacks, stop)
-        sink, moved = destination.sink, destination.writer.moved_aside
+        sink, moved = destination.episode_writer, destination.writer.moved_aside
     return RecordReport(output.path, sink.episodes, len(sink.attempts), time.monotonic() - began, moved)
 
 
@@ -92,7 +92,7 @@ def _report_on_early_end(
         try:
             yield
         except BaseException:
-            destination.abandon()
+            destination.close_after_error()
             raise
     except (KeyboardInterrupt, InterruptedJobError):
         raise InterruptedJobError(f"interrupted: {progress_text()}") from None

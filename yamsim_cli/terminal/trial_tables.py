@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from .console import note_moved, progress_bar
-from .tables import FactTable
+from .tables import NameValueTable
 
 if TYPE_CHECKING:
     from yamsim_cli.core.config.recording import RecordConfig
@@ -13,14 +13,16 @@ if TYPE_CHECKING:
     from yamsim_cli.core.progress import Progress
 
 
-def trials_table(report: dict[str, Any]) -> FactTable:
+def trials_table(report: dict[str, Any]) -> NameValueTable:
     """Return a table of a batch of trials, the result of `run_batch`."""
-    return FactTable([("trials", str(report["n"])), *_success_rows(report, report), *_batch_rows(report)])
+    return NameValueTable([("trials", str(report["n"])), *_success_rows(report, report), *_batch_rows(report)])
 
 
-def evaluation_table(report: dict[str, Any]) -> FactTable:
+def evaluation_table(report: dict[str, Any]) -> NameValueTable:
     """Return a table of a policy's `evaluation_report`."""
-    return FactTable([("policy", report["policy"]), *_success_rows(report, report["stats"]), *_evaluation_rows(report)])
+    return NameValueTable(
+        [("policy", report["policy"]), *_success_rows(report, report["stats"]), *_evaluation_rows(report)]
+    )
 
 
 def open_films(path: Path, settings: RecordConfig, *, overwrite: bool) -> TrialVideoWriter:

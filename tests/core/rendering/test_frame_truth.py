@@ -121,7 +121,7 @@ def transform(T: Array, point: Array) -> Array:
 
 def test_labels_are_those_of_the_geoms(stage: TruthScene) -> None:
     ids = stage.renderer.render_geom_ids(stage.replica.data, CAMERA)
-    expected = np.append(stage.labels.of_geom, 0)[ids]
+    expected = np.append(stage.labels.label_of_geom, 0)[ids]
     np.testing.assert_array_equal(stage.truth().labels, expected)
 
 

@@ -118,9 +118,9 @@ def test_a_shadow_ends_on_a_table_that_catches_all_of_it() -> None:
     over, beside = (
         box_corners(np.array([[x, 0, 0.5, 0.1, 0.1, 0.1]]), np.zeros((1, 3)), np.eye(3)[None]) for x in (0.0, 0.95)
     )
-    assert volumes.corners(over)[0, :, 2].min() == pytest.approx(0.1)
-    assert volumes.corners(beside)[0, :, 2].min() == pytest.approx(-0.8)
+    assert volumes.hull_points(over)[0, :, 2].min() == pytest.approx(0.1)
+    assert volumes.hull_points(beside)[0, :, 2].min() == pytest.approx(-0.8)
     thin = box_corners(np.array([[0, 0, 0.5, 0.3, 1e-6, 0.3]]), np.zeros((1, 3)), rotation_z(0.7)[None])
-    outside = volumes.corners(thin)[0] @ rotation_z(0.7)[:, 1]
+    outside = volumes.hull_points(thin)[0] @ rotation_z(0.7)[:, 1]
     assert outside.max() >= 0.001
     assert not ShadowVolumes(np.array([1.0, 0.0, 0.0]), 0.0, (), 0.001).is_bounded

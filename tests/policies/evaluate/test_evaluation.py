@@ -27,7 +27,7 @@ from yamsim_cli.policies.evaluate.evaluation import (
     Evaluation,
     evaluate,
     evaluation_report,
-    require_measured,
+    require_measured_trials,
     trials_to_film,
 )
 from yamsim_cli.policies.evaluate.policy_choice import PolicyChoice
@@ -227,7 +227,7 @@ def test_trials_that_did_not_run_measure_nothing(ended: tuple[TrialEnd, ...], ra
         Evaluation(PolicyChoice("mine.py", SAMPLES), results, 1.0, ("banana", "pear")), config, ()
     )
     with contextlib.nullcontext() if ran else pytest.raises(PartialJobError, match=r"no trial of mine.py .*no free"):
-        require_measured(report)
+        require_measured_trials(report)
 
 
 def test_failures_are_shown_and_successes_on_request() -> None:

@@ -24,7 +24,7 @@ from yamsim_cli.policies.evaluate.evaluation import Evaluation, describe_objects
 from yamsim_cli.policies.evaluate.policy_choice import PolicyChoice
 from yamsim_cli.policies.evaluate.policy_factory import make_policy, policy_station
 from yamsim_cli.policies.evaluate.policy_trial import TrialEnd, TrialResult, TrialRunner
-from yamsim_cli.policies.external_policy import MappedPolicy, PolicyStation
+from yamsim_cli.policies.external_policy import MappedPolicy, PolicyScene
 from yamsim_cli.policies.openpi import pack_openpi, unpack_openpi
 
 pytest.importorskip("msgpack", reason="yamsim[remote] is not installed")
@@ -55,7 +55,7 @@ class RecordingClient:
         pass
 
 
-STATION = PolicyStation(
+STATION = PolicyScene(
     "station", ("left", "right"), 7, (0.05, 0.04),
     {"left_wrist": "left_wrist_rgb", "right_wrist": "right_wrist_rgb", "top": "top_rgb", "scene": "scene_rgb"},
 )  # fmt: skip
@@ -158,7 +158,7 @@ def test_a_mapping_that_does_not_fit_the_rig_is_told(config: RecordConfig, locat
     assert str(caught.value) == (
         "--policy-config molmoact2_yam: arms: on rig 'single' there is no left arm; valid: right"
     )
-    lone = PolicyStation("lone", ("left", "right"), 7, (0.05, 0.04), {"scene": "scene_rgb"})
+    lone = PolicyScene("lone", ("left", "right"), 7, (0.05, 0.04), {"scene": "scene_rgb"})
     mapping = load_config(PolicyConfig, "policies", "openpi_aloha", locations)
     with pytest.raises(UsageError, match=r"images.cam_left_wrist: on rig 'lone' there is no camera left_wrist; there"):
         MappedPolicy(RecordingClient(), mapping, lone)

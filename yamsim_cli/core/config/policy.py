@@ -10,13 +10,13 @@ from ..files.documents.config_base import Config, ConflictError, Name
 from ..files.documents.units import QuantityBounds
 
 # A key in a message of another program, such as `observation.images.top`.
-Key = Annotated[str, Field(pattern=r"^[A-Za-z_][A-Za-z0-9_./]*$", max_length=100)]
+MessageKey = Annotated[str, Field(pattern=r"^[A-Za-z_][A-Za-z0-9_./]*$", max_length=100)]
 Dtype = Literal["float32", "float64"]
-Fit = Literal["stretch", "pad"]
-Layout = Literal["rows", "channels"]
+AspectRatioMode = Literal["stretch", "pad"]
+ImageAxisOrder = Literal["rows", "channels"]
 
 CameraName = Name  # "scene", "wrist", "left_wrist", "right_wrist", or the name of a station's camera
-Constant = bool | int | float | str
+ConstantValue = bool | int | float | str
 
 
 class PictureMapping(Config):
@@ -32,15 +32,15 @@ class PictureMapping(Config):
 
     cameras: tuple[CameraName, ...] = Field(min_length=1)
     size_px: tuple[Annotated[int, Field(ge=8, le=2048)], Annotated[int, Field(ge=8, le=2048)]] | None = None
-    fit: Fit = "stretch"
-    layout: Layout = "rows"
+    fit: AspectRatioMode = "stretch"
+    layout: ImageAxisOrder = "rows"
     optional: bool = False
 
 
 class StateMapping(Config):
     """A row of numbers: the arms' joints and grippers, or the poses of objects."""
 
-    key: Key
+    key: MessageKey
     dtype: Dtype = "float32"
 
 
@@ -56,11 +56,11 @@ class ActionsMapping(Config):
         done_key: key of a boolean in the answer that ends the trial after these actions.
     """
 
-    key: Key = "actions"
+    key: MessageKey = "actions"
     weld: bool = False
     hz: Annotated[float, QuantityBounds("a second", 0.1, 1000)]
-    period_ms_key: Key | None = None
-    done_key: Key | None = None
+    period_ms_key: MessageKey | None = None
+    done_key: MessageKey | None = None
 
 
 class PolicyConfig(Config):
@@ -84,12 +84,12 @@ class PolicyConfig(Config):
     gripper: Literal["share", "metres"]
     state: StateMapping | None = None
     environment_state: StateMapping | None = None
-    images: dict[Key, PictureMapping] = Field(default={}, max_length=16)
-    images_under: Key | None = None
-    prompt: Key | None = None
-    time: Key | None = None
-    seed: Key | None = None
-    constants: dict[Key, Constant] = Field(default={}, max_length=32)
+    images: dict[MessageKey, PictureMapping] = Field(default={}, max_length=16)
+    images_under: MessageKey | None = None
+    prompt: MessageKey | None = None
+    time: MessageKey | None = None
+    seed: MessageKey | None = None
+    constants: dict[MessageKey, ConstantValue] = Field(default={}, max_length=32)
     actions: ActionsMapping
 
     @model_validator(mode="after")

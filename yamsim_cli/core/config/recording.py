@@ -11,7 +11,7 @@ from pydantic import Field, ValidationInfo, field_validator, model_validator
 from ..files.documents.config_base import Config, ConfigReference, ConflictError, Name
 from ..files.documents.units import is_recorded_config
 from ..robots.joint_limits import describe_limit_violation
-from .mesh_provenance import PATTERN
+from .mesh_provenance import PROVENANCE_PATTERN
 from .objects.object_config import ObjectConfig
 from .program_task import GraspKind as GraspKind
 from .program_task import ProgramTask, Start
@@ -70,7 +70,7 @@ class RecordConfig(Config):
     image: ImageConfig
     render: Annotated[RenderConfig, ConfigReference("quality")]
     randomization: Annotated[RandomizationConfig, ConfigReference("randomization")] = RandomizationConfig()
-    meshes: Mapping[str, Annotated[str, Field(pattern=PATTERN)]] | None = None
+    meshes: Mapping[str, Annotated[str, Field(pattern=PROVENANCE_PATTERN)]] | None = None
 
     @field_validator("grasp", mode="before")
     @classmethod
@@ -181,7 +181,7 @@ class RecordConfig(Config):
     @property
     def widened_scene(self) -> SceneConfig:
         """The scene, with the table widened and the scene camera moved back by the distance between the rig's arms."""
-        return self.scene.for_span(self.rig.arm_span)
+        return self.scene.widened_for_arm_distance(self.rig.arm_span)
 
     @property
     def acting_indices(self) -> tuple[int, ...]:

@@ -139,7 +139,7 @@ class StoredEpisodes(Sequence[StoredEpisode]):
     def __getitem__(self, key: slice) -> StoredEpisodes: ...
 
     def __getitem__(self, key: SupportsIndex | slice) -> StoredEpisode | StoredEpisodes:
-        """Raise IndexError, or DatasetError for a missing or damaged episode record."""
+        """Return an episode or a slice. Raises IndexError, or DatasetError if a record is missing or damaged."""
         if isinstance(key, slice):
             return StoredEpisodes(self.path, self._directories[key])
         try:

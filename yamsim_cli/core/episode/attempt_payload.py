@@ -41,7 +41,7 @@ APPEARANCE_REVISION = "2"
 # Version of the engine, raised when the same config and seed give other actions. 2: all tasks are programs of skills,
 # with analytic inverse kinematics. 3: waypoints may tilt, containers take objects beside each other, and starts with
 # moving objects are sampled again.
-ENGINE = "3"
+SIMULATION_REVISION = "3"
 
 
 def library_versions() -> dict[str, str]:
@@ -51,7 +51,7 @@ def library_versions() -> dict[str, str]:
         "yamsim": __version__,
         "python": platform.python_version(),
         "looks": APPEARANCE_REVISION,
-        "engine": ENGINE,
+        "engine": SIMULATION_REVISION,
     } | {key: version(name) for key, name in packages.items()}
 
 
@@ -166,7 +166,9 @@ def render_depth(simulator: Simulator, attempt: Attempt, qpos: Array, camera: st
     # Pixels without a label, such as the sky, get no depth, as in recorded ground truth.
     labels = simulator.labels
     return depth_in_mm(
-        renderer.render_labels_and_depth(simulator.state_replay.data, camera, labels.of_geom, labels.of_flex)[1]
+        renderer.render_labels_and_depth(
+            simulator.state_replay.data, camera, labels.label_of_geom, labels.label_of_flex
+        )[1]
     )
 
 

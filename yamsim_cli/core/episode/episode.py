@@ -20,7 +20,7 @@ from .held_objects import HeldObjectSlipMonitor
 from .monitor import StepMonitor, describe_exceeded_limits
 
 # Is called with MuJoCo's state at the start and after every physics step, and must not change it.
-OnStep = Callable[[mujoco.MjData], None]
+PhysicsStepCallback = Callable[[mujoco.MjData], None]
 
 
 class Timing(Protocol):
@@ -105,7 +105,7 @@ class Episode:
         rules: EpisodeRules | None = None,
         *,
         world: Callable[[mujoco.MjData], SimWorld] | None = None,
-        on_step: OnStep | None = None,
+        on_step: PhysicsStepCallback | None = None,
     ) -> None:
         self.scene, self._timing, self._goal = scene, timing, goal
         self._rules, self._on_step = rules or EpisodeRules(), on_step

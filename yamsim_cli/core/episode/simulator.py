@@ -19,7 +19,7 @@ from ..scene.compiled import CompiledScene
 from ..scene.start_sampling import sample_roles
 from ..sim.placement import DistractorPlacer
 from ..sim.state_replay import StateReplay
-from .episode import Episode, EpisodeGoal, OnStep
+from .episode import Episode, EpisodeGoal, PhysicsStepCallback
 from .episode_rules import EpisodeRules
 from .expert import ExpertPlanner, arm_sides
 from .randomized_scene import RandomizedScene
@@ -110,7 +110,7 @@ def _make_scene_labels(session: Session, scene: CompiledScene) -> SceneLabels:
 
 MAX_SIMULATORS = 4  # each holds a compiled scene and, once used, a renderer
 
-_RolesKey = tuple[tuple[str, str, float], ...]
+_RoleAssignmentKey = tuple[tuple[str, str, float], ...]
 
 
 def sample_roles_for(session: Session, job: AttemptJob) -> RoleAssignment:
@@ -129,7 +129,7 @@ class SimulatorCache(Closable):
 
     def __init__(self, session: Session, limit: int = MAX_SIMULATORS) -> None:
         self.session, self._limit = session, limit
-        self._simulators: OrderedDict[_RolesKey, Simulator] = OrderedDict()
+        self._simulators: OrderedDict[_RoleAssignmentKey, Simulator] = OrderedDict()
         self._tools = functools.cache(functools.partial(make_arm_ik_and_dynamics, session.config.rig))
 
     def get(self, job: AttemptJob) -> Simulator:
@@ -154,7 +154,7 @@ def open_episode(
     simulator: Simulator,
     attempt: Attempt,
     rules: EpisodeRules,
-    on_step: OnStep | None = None,
+    on_step: PhysicsStepCallback | None = None,
     *,
     own_model: bool = False,
 ) -> Episode:

@@ -23,7 +23,7 @@ from ..images.video import VideoWriter, require_encoder
 from ..progress import Progress
 from ..rendering.view_cameras import draw_labels
 from ..statistics import summarize_values, wilson_interval_95
-from ..workers.executors import Executor, J, LostJobError, RunnerFactory, run_all
+from ..workers.executors import Executor, J, LostJobError, OpenRunner, run_all
 from ..workers.process_pool import ProcessPool
 from .attempt_payload import render_cameras
 from .episode_rules import EXPERT_RULES
@@ -35,7 +35,7 @@ from .simulator import Simulator, SimulatorCache
 R = TypeVar("R")
 
 _MOTIONLESS_CAUSES = (FailureCause.NO_LAYOUT, FailureCause.UNREACHABLE)  # failures before any motion
-_JPEG_QUALITY = 95  # 0..100, of frames that workers send; the loss is small against that of the video
+_JPEG_QUALITY = 95  # 0..100, of frames that workers send; the video itself loses much more
 
 
 def run_expert_trials(session: Session, thresholds: Sequence[float], progress: Progress) -> dict[str, Any]:
@@ -67,7 +67,7 @@ def run_expert_trials(session: Session, thresholds: Sequence[float], progress: P
     return {
         **count_outcomes([record.outcome for record in records], config.task, thresholds, [True] * n),
         "margins": _worst_margins([record.outcome.margins for record in records if record.outcome.margins]),
-        **describe_run(config),
+        **trial_settings(config),
         "end_rule": EXPERT_RULES.end.value,
         "seconds": seconds,
         "core_seconds_per_trial": seconds * workers / n,
@@ -112,7 +112,7 @@ def run_trials(
     return results
 
 
-def describe_run(config: RecordConfig) -> dict[str, Any]:
+def trial_settings(config: RecordConfig) -> dict[str, Any]:
     """Return the settings of trials, JSON-ready."""
     return {
         "rig": config.rig.name,
@@ -139,7 +139,7 @@ def count_outcomes(
     n, succeeded = len(outcomes), sum(outcome.success for outcome in outcomes)
     target = task.target_predicate
 
-    def rate(threshold: float) -> float:
+    def success_rate_within(threshold: float) -> float:
         within = (outcome.is_within(threshold) for outcome in outcomes)
         return sum(near and counts for near, counts in zip(within, valid, strict=True)) / n
 
@@ -149,7 +149,7 @@ def count_outcomes(
         "success_rate": succeeded / n,
         "wilson95": wilson_interval_95(succeeded, n),
         "threshold_m": target and target.radius,
-        "rates": {f"{threshold:g}": rate(threshold) for threshold in thresholds} if target else {},
+        "rates": {f"{threshold:g}": success_rate_within(threshold) for threshold in thresholds} if target else {},
         "dxy_m": summarize_values([outcome.dxy_m for outcome in outcomes if outcome.dxy_m is not None]),
         "causes": dict(Counter(outcome.cause for outcome in outcomes if outcome.cause)),
         "recovered": sum(bool(outcome.recoveries) for outcome in outcomes if outcome.success),
@@ -266,7 +266,7 @@ def film_trials(
 
 
 def film_jobs(
-    factory: RunnerFactory[J, list[bytes]],
+    factory: OpenRunner[J, list[bytes]],
     trials: Sequence[dict[str, Any]],
     jobs: Sequence[J],
     films: TrialVideoWriter,

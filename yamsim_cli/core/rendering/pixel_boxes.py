@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from ..geometry.se3 import Array
 
-_SIGNS = np.array(list(product((-1.0, 1.0), repeat=3)))  # (8, 3), corners of a box
-_MIN_DESCENT = 0.05  # smallest downward part of a light's unit direction for which shadows are bounded
+_CORNER_SIGNS = np.array(list(product((-1.0, 1.0), repeat=3)))  # (8, 3), corners of a box
+_MIN_LIGHT_DESCENT = 0.05  # smallest downward part of a light's unit direction for which shadows are bounded
 
 
 class Box(NamedTuple):
@@ -36,7 +36,7 @@ def box_corners(aabb: Array, positions: Array, rotations: Array) -> Array:
         aabb: centre and half size (n, 6) of each box in the frame of its geom, as in `MjModel.geom_aabb`, m.
         positions, rotations: poses (n, 3) and (n, 3, 3) of the geoms in `world`.
     """
-    local = aabb[:, None, :3] + _SIGNS * aabb[:, None, 3:]
+    local = aabb[:, None, :3] + _CORNER_SIGNS * aabb[:, None, 3:]
     return np.asarray(local @ rotations.transpose(0, 2, 1) + positions[:, None])
 
 
@@ -113,25 +113,25 @@ class ShadowVolumes:
 
     Attributes:
         direction: unit vector (3,) in which the light travels, in `world`.
-        lowest: height of the lowest surface of the scene, m.
+        lowest_plane: height of the lowest surface of the scene, m.
         tables: boxes that stop shadows.
         margin: growth of a geom on each side, m, for the texels of the shadow map.
     """
 
     direction: Array
-    lowest: float
+    lowest_plane: float
     tables: tuple[ShadowTable, ...]
     margin: float
 
     @property
     def is_bounded(self) -> bool:
         """Whether the light falls so steeply that shadows stay short."""
-        return bool(self.direction[2] < -_MIN_DESCENT)
+        return bool(self.direction[2] < -_MIN_LIGHT_DESCENT)
 
-    def corners(self, corners: Array) -> Array:
+    def hull_points(self, corners: Array) -> Array:
         """Return points (n, 128, 3) whose hull contains the shadows of boxes with the corners (n, 8, 3), m."""
-        grown = (corners[:, :, None] + self.margin * _SIGNS).reshape(len(corners), -1, 3)
-        reach = np.maximum(grown[..., 2] - self.lowest, 0) / -self.direction[2]
+        grown = (corners[:, :, None] + self.margin * _CORNER_SIGNS).reshape(len(corners), -1, 3)
+        reach = np.maximum(grown[..., 2] - self.lowest_plane, 0) / -self.direction[2]
         for table in self.tables:
             reach = np.minimum(reach, self._reach_of_table(table, grown))
         return np.concatenate([grown, grown + reach[..., None] * self.direction], axis=1)
@@ -140,7 +140,7 @@ class ShadowVolumes:
         """Return the distance (n, k) to the top of a table; infinite unless the whole shadow of a box falls on it."""
         R, p = table.T_in_world[:3, :3], table.T_in_world[:3, 3]
         local, direction = (corners - p) @ R, self.direction @ R
-        if direction[2] > -_MIN_DESCENT:
+        if direction[2] > -_MIN_LIGHT_DESCENT:
             return np.full(corners.shape[:2], np.inf)
         reach = (local[..., 2] - table.half_size[2]) / -direction[2]
         there = local + reach[..., None] * direction

@@ -31,7 +31,7 @@ class Stream(IntEnum):
     ROLES = 30
     PHRASING = 31
     PLACES = 32
-    SEARCH = 33
+    PLANNING = 33
     CRUMPLES = 34
 
 

@@ -12,7 +12,7 @@ from ..config.randomization import ArmRanges, LightRanges, LookRanges, Randomiza
 from ..config.variation import AppearanceSample, ArmDynamicsSample, LightSample, RandomizationSample, SurfaceSample
 from .random_streams import Stream, random_generator
 
-_REPEATS = (2, 9)  # half-open range of a pattern's repetitions along each edge of a surface
+_PATTERN_REPEATS = (2, 9)  # half-open range of a pattern's repetitions along each edge of a surface
 _SEEDS = 2**31
 TABLE = "table"  # key in `RandomizationSample.friction`, whose other keys are objects
 
@@ -107,7 +107,7 @@ def _sample_surface(ranges: SurfaceRanges, rng: np.random.Generator) -> SurfaceS
     other = value - contrast if value > 0.5 else value + contrast
     first, second = (colorsys.hsv_to_rgb(hue, saturation, float(np.clip(v, 0, 1))) for v in (value, other))
     colours = (first, first) if texture == "plain" else (first, second)
-    return SurfaceSample(texture, colours, int(rng.integers(*_REPEATS)), int(rng.integers(_SEEDS)))
+    return SurfaceSample(texture, colours, int(rng.integers(*_PATTERN_REPEATS)), int(rng.integers(_SEEDS)))
 
 
 def _weighted_choice(weights: Mapping[Texture, float], share: float) -> Texture:

@@ -52,7 +52,7 @@ class DistractorPlacer:
             for _ in range(_MAX_TRIES):
                 x, y, yaw = rng.uniform(*config.x), rng.uniform(*config.y), rng.uniform(-math.pi, math.pi)
                 disc = _footprint_discs(item, x, y, yaw)
-                if not _on_table(disc, self._table) or any(
+                if not _is_on_table(disc, self._table) or any(
                     _disc_distance(disc, other) < config.clearance for other in discs
                 ):
                     continue
@@ -94,7 +94,7 @@ def _footprint_discs(item: ObjectConfig, x: float, y: float, yaw: float) -> Arra
     return np.array([[x + c * a - s * b, y + s * a + c * b, radius] for a, b, radius in item.footprint_discs])
 
 
-def _on_table(discs: Array, table: Table) -> bool:
+def _is_on_table(discs: Array, table: Table) -> bool:
     middle, half = np.array(table.position[:2]), np.array(table.half_size[:2])
     return bool((np.abs(discs[:, :2] - middle) + discs[:, 2:] <= half).all())
 

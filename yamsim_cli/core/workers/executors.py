@@ -25,7 +25,7 @@ class JobRunner(Protocol[JobIn, ResultOut]):
 
 
 # Creates the runner of a worker, as a context manager; must be picklable.
-RunnerFactory = Callable[[], AbstractContextManager[JobRunner[J, R]]]
+OpenRunner = Callable[[], AbstractContextManager[JobRunner[J, R]]]
 
 
 class WorkerBugError(RuntimeError):
@@ -112,7 +112,7 @@ def run_all(
 class InlineExecutor(Closable, Generic[J, R]):
     """Runs a job in the caller's process, when the job's result is requested."""
 
-    def __init__(self, factory: RunnerFactory[J, R]) -> None:
+    def __init__(self, factory: OpenRunner[J, R]) -> None:
         self._stack = contextlib.ExitStack()
         self._runner = self._stack.enter_context(factory())
         self._waiting: deque[J] = deque()

@@ -22,7 +22,7 @@ from yamsim_cli.core.geometry.se3 import Array, pose, quat_from_rotation
 from yamsim_cli.core.rendering.renderer import SceneRenderer
 from yamsim_cli.core.scene.arm_model import finger_addresses
 from yamsim_cli.core.scene.blueprint import Blueprint, PictureSettings
-from yamsim_cli.core.scene.cameras import WORLD, SceneCamera
+from yamsim_cli.core.scene.cameras import WORLD_BODY, SceneCamera
 from yamsim_cli.core.scene.compilation import compile_spec
 from yamsim_cli.core.scene.compose import compose_scene
 
@@ -46,7 +46,7 @@ class ArmPicture:
 
 
 @dataclass(frozen=True)
-class PinholeArms:
+class ArmsInPinholePicture:
     """Arms in an ideal pinhole picture with camera `intrinsics`.
 
     `labels` (height, width): 0 background, k the k-th arm; `depth` is the surface's z in the camera frame, m.
@@ -75,7 +75,9 @@ class ArmRenderer(Closable):
             raise ConfigError(
                 f"a pinhole picture for this camera has {size[0]} x {size[1]} pixels; at most {_MAX_SIDE}"
             )
-        view = SceneCamera(_CAMERA, WORLD, pose(rotation=opencv_from_mujoco(np.eye(3))), math.degrees(self._warp.fovy))
+        view = SceneCamera(
+            _CAMERA, WORLD_BODY, pose(rotation=opencv_from_mujoco(np.eye(3))), math.degrees(self._warp.fovy)
+        )
         blueprint = Blueprint(
             rig, scene, boards=False, background=False, cameras=(view,), pictures=PictureSettings(quality, size)
         )
@@ -116,20 +118,22 @@ class ArmRenderer(Closable):
     def render(self) -> ArmPicture:
         """Render colours and labels with lens distortion."""
         colour = self._warp.distort_picture(self._renderer.render(self._data, _CAMERA))
-        return ArmPicture(colour, self._warp.distort_picture(self._ideal_labels(), nearest=True))
+        return ArmPicture(colour, self._warp.distort_picture(self._undistorted_labels(), nearest=True))
 
-    def flat_labels(self) -> NDArray[np.uint8]:
+    def undistorted_label_image(self) -> NDArray[np.uint8]:
         """Render labels without lens distortion: 0 background, k the k-th arm."""
         step = self._warp.supersample
-        return np.ascontiguousarray(self._ideal_labels()[::step, ::step])
+        return np.ascontiguousarray(self._undistorted_labels()[::step, ::step])
 
-    def pinhole_arms(self) -> PinholeArms:
+    def pinhole_arms(self) -> ArmsInPinholePicture:
         """Render labels and depth without lens distortion."""
         step = self._warp.supersample
         depth = self._renderer.render_depth(self._data, _CAMERA)[::step, ::step]
-        return PinholeArms(self.flat_labels(), np.ascontiguousarray(depth), self._warp.coarse_intrinsics)
+        return ArmsInPinholePicture(
+            self.undistorted_label_image(), np.ascontiguousarray(depth), self._warp.coarse_intrinsics
+        )
 
-    def _ideal_labels(self) -> NDArray[np.uint8]:
+    def _undistorted_labels(self) -> NDArray[np.uint8]:
         if self._labels is None:
             self._labels = self._arm_of_geom[self._renderer.render_geom_ids(self._data, _CAMERA)]
         return self._labels

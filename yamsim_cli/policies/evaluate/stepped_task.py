@@ -20,7 +20,7 @@ from yamsim_cli.core.errors import SimulationError
 from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.core.images.image import Image
 
-MAX_STARTS = 20  # consecutive trials without a start, after which `begin_trial` fails
+MAX_SKIPPED_TRIALS = 20  # consecutive trials without a start, after which `begin_trial` fails
 
 
 @dataclass(frozen=True)
@@ -127,7 +127,7 @@ class SteppedTask(Closable):
         self._simulators.close()
 
     def _sampled_attempts(self, job: AttemptJob) -> Iterator[Attempt]:
-        for number in range(job.attempt, job.attempt + MAX_STARTS):
+        for number in range(job.attempt, job.attempt + MAX_SKIPPED_TRIALS):
             one = replace(job, attempt=number)
             self.simulator = self._simulators.get(one)
             yield sample_attempt(self.simulator, one)
@@ -139,6 +139,6 @@ class SteppedTask(Closable):
     def _no_start_error(self, job: AttemptJob, does: str) -> SimulationError:
         name = self.config.task.name
         return SimulationError(
-            f"task {name!r}: of {MAX_STARTS} trials of seed {job.seed}, from number {job.attempt} on, none {does}; "
-            f"`yamsim trials --task {name} --seed {job.seed}` shows the causes"
+            f"task {name!r}: of {MAX_SKIPPED_TRIALS} trials of seed {job.seed}, from number {job.attempt} on, "
+            f"none {does}; `yamsim trials --task {name} --seed {job.seed}` shows the causes"
         )

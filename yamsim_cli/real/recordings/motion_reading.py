@@ -33,7 +33,7 @@ _READERS: Mapping[str, Reader] = {
     "lerobot": read_lerobot,
     "mcap": read_mcap,
 }
-_BY_ENDING = {".csv": "csv", ".mcap": "mcap", ".npz": "raiden_raw"}
+_FORMAT_OF_SUFFIX = {".csv": "csv", ".mcap": "mcap", ".npz": "raiden_raw"}
 
 
 def detect_format(path: Path) -> str:
@@ -45,8 +45,8 @@ def detect_format(path: Path) -> str:
     if not path.exists():
         raise DatasetError(f"{path} does not exist")
     if path.is_file():
-        if path.suffix.lower() in _BY_ENDING:
-            return _BY_ENDING[path.suffix.lower()]
+        if path.suffix.lower() in _FORMAT_OF_SUFFIX:
+            return _FORMAT_OF_SUFFIX[path.suffix.lower()]
     elif (path / ROBOT_DATA).is_file():
         return "raiden_raw"
     elif (path / INFO_FILE).is_file():

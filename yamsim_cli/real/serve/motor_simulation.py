@@ -17,7 +17,7 @@ from ..motors.can_config import CanConfig, GripperCanConfig
 from ..motors.motor import Motor
 from ..motors.motor_bus import MotorBus
 
-_STUCK_MASS = 1e9  # kg, armature that no motor can move
+_STUCK_GRIPPER_ARMATURE = 1e9  # kg, armature that no motor can move
 _IMPRATIO = 10.0  # MuJoCo's option; above 1, objects held by friction alone slip less
 _CHECK_STEPS = 50
 
@@ -144,7 +144,7 @@ class MotorSimulation:
     def _set_gripper_stuck(self, arm: int, stuck: bool) -> None:
         self._stuck[arm] = stuck
         if (fingers := self._fingers[arm]) is not None:
-            self._model.dof_armature[fingers.dof] = _STUCK_MASS if stuck else self._armature[fingers.dof]
+            self._model.dof_armature[fingers.dof] = _STUCK_GRIPPER_ARMATURE if stuck else self._armature[fingers.dof]
             self.data.qvel[fingers.dof] = 0.0
 
 

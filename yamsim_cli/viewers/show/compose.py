@@ -36,7 +36,7 @@ class ComposeReport:
 
 
 @dataclass(frozen=True)
-class HomeState:
+class HomeKeyframe:
     """Initial state of a composed scene, for its MuJoCo keyframe `home`.
 
     Attributes:
@@ -50,7 +50,7 @@ class HomeState:
     parts: Mapping[str, float] = field(default_factory=dict)
 
 
-def first_attempt_start(session: Session) -> tuple[RecordConfig, HomeState]:
+def first_attempt_start(session: Session) -> tuple[RecordConfig, HomeKeyframe]:
     """Sample a session's first attempt. Return the config with its objects, and its start state."""
     job = AttemptJob(session.config.seed, 0)
     with SimulatorCache(session.without_meshes()) as simulators:
@@ -66,14 +66,14 @@ def first_attempt_start(session: Session) -> tuple[RecordConfig, HomeState]:
         config.start_joints if number in config.acting_indices else arm.robot.start
         for number, arm in enumerate(config.rig.arms)
     ]
-    return config, HomeState(attempt.layout.T_in_world, joints, opened)
+    return config, HomeKeyframe(attempt.layout.T_in_world, joints, opened)
 
 
 def compose_at_home(
-    blueprint: Blueprint, locations: Locations, home: HomeState | None = None
+    blueprint: Blueprint, locations: Locations, home: HomeKeyframe | None = None
 ) -> tuple[mujoco.MjSpec, mujoco.MjModel]:
     """Compose a scene with keyframe `home`, by default without objects. Return spec and compiled model."""
-    spec, home = compose_scene(blueprint, locations), home or HomeState()
+    spec, home = compose_scene(blueprint, locations), home or HomeKeyframe()
     return spec, add_home_key(spec, blueprint.rig, home.T_in_world, home.joints, home.parts)
 
 
