@@ -67,12 +67,17 @@ FLOORS: dict[str, int] = {
     "flags": 12,
     "api": 13,
     "commands": 13,
-    "gym_env": 14,
+    "gym_options": 14,
     "main": 14,
     "station_settings": 14,
     "__main__": 15,
+    "gym_physics": 15,
+    "gym_pictures": 15,
+    "gym_task": 15,
     "station": 15,
+    "gym_env": 16,
     "live_station": 16,
+    "vector_env": 16,
 }
 WINGS = {unit for unit, floor in FLOORS.items() if floor == FLOORS["photos"]}
 
@@ -96,6 +101,7 @@ CONFINED = {
     "PIL": {"objects.readers", "viewers.scene_nodes"},
     "mujoco": {
         "camera_rendering",
+        "gym_physics",
         "core.episode",
         "core.expert",
         "core.rendering",
@@ -127,7 +133,7 @@ CONFINED = {
     "lerobot": {"policies.lerobot", "lerobot_camera"},
     "raiden": {"raiden_camera"},
     "torch": {"policies.lerobot"},
-    "gymnasium": {"gym_env"},
+    "gymnasium": {"gym_env", "gym_task", "vector_env"},
     "can": {"can_site"},
 }
 
@@ -274,7 +280,7 @@ def test_the_page_on_architecture_names_modules_that_exist() -> None:
 # Started or imported by other programs: the command, plugins of other tools, and the public API.
 ENTRIES = {
     *("__main__", "can_site.yamsim_can", "gym_env", "kinematics", "kitchenbench.own_tasks", "kitchenbench.policy"),
-    *("lerobot_camera", "live_station", "main", "raiden_camera"),
+    *("lerobot_camera", "live_station", "main", "raiden_camera", "vector_env"),
 }
 
 

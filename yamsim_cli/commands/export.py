@@ -220,6 +220,7 @@ def maker(
     top: Top = None,
     workers: Encoders = 2,
     episodes: Episodes = None,
+    selection: SelectionFile = None,
     overwrite: RenameExisting = False,
     json: Json = False,
 ) -> None:
@@ -227,7 +228,7 @@ def maker(
 
     Example: yamsim export maker dataset/ maker_episodes/
     """
-    source = _open_dataset(dataset, episodes, fps)
+    source = _open_dataset(dataset, episodes, selection, fps)
 
     from yamsim_cli.export.export_source import RealSource
     from yamsim_cli.export.maker import export_maker
@@ -238,7 +239,7 @@ def maker(
         done = export_maker(
             source, out, advance, actions=actions or "recorded", top=top, workers=workers, overwrite=overwrite
         )
-    _print(done, json)
+    _print(done, json, source.selection)
 
 
 @app.command()
@@ -253,6 +254,7 @@ def abc(
     top: Top = None,
     workers: Encoders = 2,
     episodes: Episodes = None,
+    selection: SelectionFile = None,
     overwrite: RenameExisting = False,
     json: Json = False,
 ) -> None:
@@ -260,7 +262,7 @@ def abc(
 
     Example: yamsim export abc dataset/ abc_release/
     """
-    source = _open_dataset(dataset, episodes)
+    source = _open_dataset(dataset, episodes, selection)
 
     from yamsim_cli.export.abc import export_abc
     from yamsim_cli.export.export_source import RealSource
@@ -278,7 +280,7 @@ def abc(
             workers=workers,
             overwrite=overwrite,
         )
-    _print(done, json)
+    _print(done, json, source.selection)
 
 
 @app.command()

@@ -1,8 +1,10 @@
 from __future__ import annotations
 
+import copy
 import functools
 from collections import OrderedDict
 from collections.abc import Callable
+from dataclasses import replace
 
 from ...camera_rendering import EffectsCamera, EffectsRenderer, with_lens
 from ..attempt_data import Attempt, AttemptJob
@@ -125,7 +127,7 @@ def _make_scene_labels(session: Session, scene: CompiledScene) -> SceneLabels:
     return make_scene_labels(scene.model, config.rig, names, boards=config.boards, cloths=scene.cloths)
 
 
-_MAX_SIMULATORS = 4  # each holds a compiled scene and, once used, a renderer
+MAX_SIMULATORS = 4  # each holds a compiled scene and, once used, a renderer
 
 _RoleAssignmentKey = tuple[tuple[str, str, float], ...]
 
@@ -142,10 +144,10 @@ def make_simulator(session: Session, job: AttemptJob) -> Simulator:
 
 
 class SimulatorCache(Closable):
-    """Makes simulators for the objects of attempts, and keeps the last few."""
+    """Makes simulators for the objects of attempts, and keeps the last `limit`."""
 
-    def __init__(self, session: Session) -> None:
-        self.session = session
+    def __init__(self, session: Session, limit: int = MAX_SIMULATORS) -> None:
+        self.session, self._limit = session, limit
         self._simulators: OrderedDict[_RoleAssignmentKey, Simulator] = OrderedDict()
         self._tools = functools.cache(functools.partial(make_arm_ik_and_dynamics, session.config.rig))
 
@@ -156,7 +158,7 @@ class SimulatorCache(Closable):
         if key in self._simulators:
             self._simulators.move_to_end(key)
             return self._simulators[key]
-        while len(self._simulators) >= _MAX_SIMULATORS:
+        while len(self._simulators) >= self._limit:
             self._simulators.popitem(last=False)[1].close()
         made = self._simulators[key] = Simulator(session_for_roles(self.session, roles), roles, self._tools)
         return made
@@ -168,11 +170,21 @@ class SimulatorCache(Closable):
 
 
 def open_episode(
-    simulator: Simulator, attempt: Attempt, rules: EpisodeRules, on_step: PhysicsStepCallback | None = None
+    simulator: Simulator,
+    attempt: Attempt,
+    rules: EpisodeRules,
+    on_step: PhysicsStepCallback | None = None,
+    *,
+    own_model: bool = False,
 ) -> Episode:
-    """Return the episode of an attempt at its start."""
+    """Return the episode of an attempt at its start.
+
+    With `own_model`, the episode has a copy of the model, so that other episodes of the simulator can run meanwhile.
+    """
     assert attempt.start is not None, "an attempt without a layout has no episode"
     task = simulator.config.task
     goal = EpisodeGoal(task.goal, simulator.roles, task.hold_ticks)
     scene = simulator.apply_randomization(attempt)
+    if own_model:
+        scene = replace(scene, model=copy.copy(scene.model))
     return Episode(scene, attempt.start, task.timing, arm_sides(simulator.config), goal, rules, on_step=on_step)
