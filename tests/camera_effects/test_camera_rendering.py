@@ -118,7 +118,7 @@ def test_depth_and_labels_are_those_of_rays_through_the_lens(
     right, clear, near = [], [], []
     for (u, v), ray in zip(pixels, simulator.intrinsics(CAMERA).rays(pixels), strict=True):
         z = mujoco.mj_ray(scene.model, replica.data, view.xpos, R @ ray, groups, 1, -1, hit)
-        seen = labels.of_geom[hit[0]] if hit[0] >= 0 else 0
+        seen = labels.label_of_geom[hit[0]] if hit[0] >= 0 else 0
         if seen == 0:
             continue
         right.append(truth.labels[v, u] == seen)

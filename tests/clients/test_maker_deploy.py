@@ -17,7 +17,7 @@ from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.policy import PolicyConfig
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.policies.action_chunks import ChunkScheduler, ChunkSettings
-from yamsim_cli.policies.external_policy import MappedPolicy, PolicyStation
+from yamsim_cli.policies.external_policy import MappedPolicy, PolicyScene
 from yamsim_cli.policies.openpi import OpenpiClient, pack_openpi, unpack_openpi
 from yamsim_cli.policies.policy_protocol import read_chunk
 
@@ -26,7 +26,7 @@ pytest.importorskip("msgpack", reason="yamsim[remote] is not installed")
 pytest.importorskip("websockets", reason="yamsim[remote] is not installed")
 
 STEPS = 40
-STATION = PolicyStation(
+STATION = PolicyScene(
     "station", ("left", "right"), 7, (1.0, 1.0),
     {"top": "top_rgb", "left_wrist": "left_rgb", "right_wrist": "right_rgb"},
 )  # fmt: skip

@@ -11,7 +11,7 @@ import pytest
 from tests.cli.run_cli import yamsim
 from tests.core.dataset.making import CONFIG, made, tree, write_dataset
 from yamsim_cli.core.dataset.reader import open_recorded_episode
-from yamsim_cli.core.dataset.writing.directory_claim import OpenMode
+from yamsim_cli.core.dataset.writing.directory_claim import ExistingDatasetMode
 from yamsim_cli.core.dataset.writing.writer import DatasetWriter
 from yamsim_cli.core.errors import DatasetError
 from yamsim_cli.datasets.derive import (
@@ -63,7 +63,7 @@ def test_the_result_is_a_dataset_without_problems_of_its_own(tmp_path: Path, dat
     )
     assert after <= before
     with pytest.raises(DatasetError, match="made from other datasets"):
-        DatasetWriter(tmp_path / "some", CONFIG, OpenMode.RESUME)
+        DatasetWriter(tmp_path / "some", CONFIG, ExistingDatasetMode.RESUME)
 
 
 def test_datasets_of_other_configs_are_not_merged(tmp_path: Path, dataset: Path) -> None:

@@ -20,7 +20,7 @@ import pytest
 from tests.cli.run_cli import yamsim
 from tests.core.dataset.making import CAMERA, FRAMES, failed_attempt, made, publish, tree, write_dataset
 from yamsim_cli.core.dataset.dataset_paths import episode_directories, image_path
-from yamsim_cli.core.dataset.writing.directory_claim import OpenMode
+from yamsim_cli.core.dataset.writing.directory_claim import ExistingDatasetMode
 from yamsim_cli.core.dataset.writing.writer import DatasetWriter
 from yamsim_cli.core.errors import DatasetError, ResourceError
 from yamsim_cli.review.decisions import DecisionFile
@@ -75,7 +75,7 @@ def token(ask: Ask) -> str:
 
 
 def test_the_overview_knows_the_ledger_without_opening_episodes(tmp_path: Path) -> None:
-    with DatasetWriter(tmp_path / "d", {"task": {"name": "pickplace"}, "seed": 7}, OpenMode.NEW) as writer:
+    with DatasetWriter(tmp_path / "d", {"task": {"name": "pickplace"}, "seed": 7}, ExistingDatasetMode.NEW) as writer:
         publish(writer, made(0))
         writer.log_attempt(failed_attempt(1))
         publish(writer, made(1, attempt=2))
