@@ -87,18 +87,28 @@ def record(
     return run(session, output, executors, watch, StopRequest())
 
 
-def open_dataset(path: str | Path) -> StoredEpisodes:
+def open_dataset(path: str | Path, *, selection: str | Path | None = None) -> StoredEpisodes:
     """Return the episodes of a dataset as a sequence, with `len`, indices, slices and iteration.
 
     Each episode has `record`, `frames()` and `image(camera, number)`. The list of episodes is read immediately, and the
     files of an episode on access.
 
+    Args:
+        selection: a selection file of `yamsim review`. Episodes that it drops are left out. Of a trimmed episode,
+            `record.frames`, `frames()` and `image` are those of the kept part; timestamps are as recorded.
+
     Raises:
-        DatasetError: `path` has no dataset.
+        DatasetError: `path` has no dataset, or the selection belongs to other episodes.
+        ConfigError: the selection is invalid.
     """
     from .core.dataset.reader import open_episodes
 
-    return open_episodes(Path(path))
+    episodes = open_episodes(Path(path))
+    if selection is None:
+        return episodes
+    from .selection import apply_selection, open_selected
+
+    return open_selected(episodes, apply_selection(Path(path), Path(selection)))
 
 
 def evaluate(

@@ -18,7 +18,9 @@ from .commands import assets, config, export, robots, tasks
 from .commands.boards import boards
 from .commands.calibrate import calibrate
 from .commands.compose_xml import compose_xml
+from .commands.derive import filter_dataset, merge, split
 from .commands.doctor import doctor
+from .commands.draw import draw
 from .commands.evaluate import evaluate
 from .commands.gap import gap
 from .commands.identify import excite, identify
@@ -27,6 +29,7 @@ from .commands.overlay import overlay
 from .commands.record import record
 from .commands.render_views import render_views
 from .commands.replay import replay
+from .commands.review import review
 from .commands.serve_policy import serve_policy
 from .commands.serve_robot import run_can_program, serve_robot
 from .commands.summarize import summarize
@@ -47,8 +50,13 @@ app = typer.Typer(
 )
 app.command()(record)
 app.command()(summarize)
+app.command()(draw)
 app.command()(verify)
 app.command()(replay)
+app.command()(review)
+app.command()(merge)
+app.command()(split)
+app.command("filter")(filter_dataset)
 app.command("eval")(evaluate)
 app.command("serve-policy")(serve_policy)
 app.command("serve-robot")(serve_robot)
@@ -96,7 +104,7 @@ def _main_options(
 
 _INTERRUPTED_CODE = 130  # exit code after a signal
 # Commands that run until a signal, which gives exit code 0.
-_ENDED_BY_SIGNAL = ("view", "serve-policy")
+_ENDED_BY_SIGNAL = ("view", "serve-policy", "review")
 
 
 def main(interrupted: Callable[[], bool] = lambda: False) -> NoReturn:

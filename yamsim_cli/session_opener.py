@@ -49,6 +49,7 @@ _KEY_PATH_OF_SETTING: dict[str, tuple[str, ...]] = {
     "camera": ("cameras",),
     "boards": ("boards",),
     "truth": ("truth",),
+    "camera_effects": ("camera_effects",),
     "size": ("image", "size_px"),
     "jpeg_quality": ("image", "jpeg_quality"),
     "action": ("action",),
@@ -135,6 +136,8 @@ class SessionOpener:
             given["task"] = self.resolve_task(task)
         if isinstance(size := given.get("size"), str):
             given["size"] = parse_size(size)
+        if effects := given.get("camera_effects"):
+            given["camera_effects"] = parse_camera_effects(effects)
         if (randomize := given.get("randomize")) is not None:
             if not randomize and given.get("randomization"):
                 named, no = self.setting_label("randomization"), self.setting_label("no_randomize")
@@ -346,6 +349,12 @@ class SessionOpener:
             self.notify(f"The meshes of {name} are shown in full, which takes longer: {error}")
             return folder
         return found.directory
+
+
+def parse_camera_effects(given: Sequence[str]) -> list[dict[str, str | None]]:
+    """Convert texts `[CAMERA=]NAME|FILE` to entries of the key `camera_effects` of a record config."""
+    split = [text.rpartition("=") for text in given]
+    return [{"camera": camera or None, "effects": effects} for camera, _, effects in split]
 
 
 def parse_size(text: str) -> tuple[int, int]:

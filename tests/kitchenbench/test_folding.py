@@ -52,7 +52,7 @@ def folded(points: Array) -> Array:
 def test_a_flat_cloth_is_folded_through_lines_of_points(turned_deg: float) -> None:
     points = sheet(turned_deg)
     whole = [way for way in possible_folds(points, single=True) if len(way.corners) == 2 and way.folded_share > 0.49]
-    assert len(whole) == 4 and all(way.layers == way.layers_beneath == 0 for way in whole)
+    assert len(whole) == 4 and all(way.layers == way.points_beneath == 0 for way in whole)
     corners = {point for way in whole for point, _ in way.corners}
     assert corners == {(0, 0), (0, 8), (12, 0), (12, 8)}
     for way in whole:
@@ -69,8 +69,8 @@ def test_of_several_layers_all_are_counted() -> None:
     ways = possible_folds(folded(sheet()), single=False)
     halves = {frozenset(point for point, _ in way.corners): way for way in ways if way.folded_share > 0.49}
     crease, opening = halves[frozenset({(6, 0), (6, 8)})], halves[frozenset({(0, 0), (0, 8)})]
-    assert (crease.layers, crease.layers_beneath) == (1, 0)
-    assert (opening.layers, opening.layers_beneath) == (1, 2)
+    assert (crease.layers, crease.points_beneath) == (1, 0)
+    assert (opening.layers, opening.points_beneath) == (1, 2)
     assert crease.area == pytest.approx(0.4 * 0.15)
 
 

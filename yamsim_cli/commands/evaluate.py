@@ -132,9 +132,9 @@ def evaluate(
     session = session_opener.open(config, renders=renders, wrist=True, **session_settings(locals()))
 
     from yamsim_cli.core.episode.episode_rules import EndRule
-    from yamsim_cli.core.episode.trials import require_success
     from yamsim_cli.policies.evaluate import evaluation
     from yamsim_cli.policies.evaluate.policy_choice import PolicyChoice
+    from yamsim_cli.trials import require_success
 
     films = open_films(video, session.config, overwrite=overwrite) if video else None
     known = _read_reports(others, session)
@@ -170,8 +170,8 @@ def _read_reports(names: list[str], session: Session) -> dict[str, dict[str, Any
     """Return name -> report of an earlier evaluation, for names that end in .json. Its trials must equal this
     session's.
     """
-    from yamsim_cli.core.episode.trials import trial_settings
     from yamsim_cli.policies.evaluate.compare import read_report, require_same_trials
+    from yamsim_cli.trials import trial_settings
 
     reports = {name: read_report(Path(name)) for name in names if name.endswith(".json")}
     for report in reports.values():

@@ -15,7 +15,8 @@ def import_recording(
     source: Annotated[
         list[Path],
         typer.Argument(
-            help="A .csv, .mcap or robot_data.npz; a folder with rgb/ and lowdim/, or of such; a LeRobot dataset.",
+            help="A .csv, .mcap or robot_data.npz; a folder with rgb/ and lowdim/, or of such; a LeRobot dataset; "
+            "episodes of the maker's or of ABC's, or folders of such.",
             show_default=False,
         ),
     ],
@@ -24,7 +25,7 @@ def import_recording(
     ] = "single",
     out: Annotated[Path, typer.Option(help="The dataset to write.")] = Path("real"),
     kind: Annotated[
-        Literal["csv", "lowdim", "raiden_raw", "lerobot", "mcap"] | None,
+        Literal["csv", "lowdim", "raiden_raw", "lerobot", "mcap", "maker", "abc_training"] | None,
         typer.Option("--format", help="Format of the recordings.  [default: detected]"),
     ] = None,
     mapping: Annotated[

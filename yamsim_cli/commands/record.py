@@ -39,6 +39,7 @@ def record(
     grasp: flags.Grasp = None,
     wrist: flags.Wrist = None,
     camera: flags.Cameras = None,
+    camera_effects: flags.CameraEffects = None,
     randomize: flags.Randomize = None,
     randomization: flags.Randomization = None,
     boards: Annotated[bool | None, typer.Option("--boards/--no-boards", help="Also show the base boards.")] = None,

@@ -9,6 +9,7 @@ import typer
 
 from yamsim_cli.core.errors import DatasetError, UsageError
 from yamsim_cli.flags.output_files import RenameExisting
+from yamsim_cli.flags.selection_file import SelectionFile
 from yamsim_cli.flags.session_options import Json, Offline, session_opener
 from yamsim_cli.flags.viewer_options import Host, Port, WebOrNative, choose_viewer, prepare_viewer
 from yamsim_cli.session_opener import parse_size
@@ -34,6 +35,7 @@ def replay(
     camera: Annotated[
         list[str] | None, typer.Option(help="Camera of the video; several are put side by side.  [default: the first]")
     ] = None,
+    selection: SelectionFile = None,
     render: Annotated[bool, typer.Option("--render", help="Render the video anew from recorded states.")] = False,
     size: Annotated[str | None, typer.Option(metavar="WxH", help="With --render: size of each image.")] = None,
     speed: Annotated[float, typer.Option(help="How fast time passes; 0.5 is slow motion.")] = 1.0,
@@ -45,6 +47,8 @@ def replay(
     json: Json = False,
 ) -> None:
     """Play a recorded episode in a viewer, or write a video. Also repeat its actions in physics, and compare states.
+
+    --selection refuses a dropped episode, and shows only the kept frames. Physics repeats the whole episode.
 
     Example: yamsim replay dataset/ep_000003 --video ep3.mp4
     """
@@ -63,11 +67,12 @@ def replay(
     stored, where = find_episode(episode, number), session_opener.find_locations()
     if render and not isinstance(stored, StoredEpisode):
         raise UsageError("--render: a real recording was not simulated; leave --render out to show its pictures")
+    shown = _trim(stored, selection) if selection else stored
     if video is None:
-        play_episode(stored, where, speed, choose_viewer(web, port, host), json)
+        play_episode(shown, where, speed, choose_viewer(web, port, host), json)
         return
     pixels = parse_size(size) if size else None
-    report = _film_episode(stored, where, video, camera or [], render, pixels, speed, overwrite)
+    report = _film_episode(shown, where, video, camera or [], render, pixels, speed, overwrite)
     report |= _repeat_in_physics(stored, where) if isinstance(stored, StoredEpisode) else _UNREPRODUCIBLE_RESULT
     if json:
         print_json(report)
@@ -75,6 +80,16 @@ def replay(
     frames = f"{report['frames']} frames, {report['seconds']:.2f} s, {'x'.join(map(str, report['size']))}"
     print_line(f"{report['video']}: {frames}, {', '.join(report['cameras'])}")
     _print_physics(report)
+
+
+def _trim(stored: RecordedEpisode, file: Path) -> RecordedEpisode:
+    """Return an episode with its kept frames. Raise UsageError if the selection leaves it out."""
+    from yamsim_cli.selection import apply_selection
+
+    applied = apply_selection(stored.dataset_directory, file)
+    if stored.record.episode not in applied.kept:
+        raise UsageError(f"{stored.directory} is left out by --selection {file}; leave --selection out to see it")
+    return applied.trim(stored)
 
 
 def _film_episode(
@@ -135,7 +150,7 @@ def play_episode(
         session = session_opener.with_scene_meshes(_dataset_session(stored, locations))
         # A server or window that Ctrl-C interrupts during its start cannot be closed.
         with defer_signals() as stopped:
-            physics = _repeat_in_physics(stored, locations)
+            physics = _repeat_in_physics(_whole(stored), locations)
             play_simulated(stored, session, speed, page, announce_ready, stopped)
         return
     from yamsim_cli.core.config.loader import load_config
@@ -153,6 +168,12 @@ def play_episode(
     locations = session_opener.with_mesh_folders(locations, visual_mesh_sets(blueprint))
     with defer_signals() as stopped:
         play_real(stored, motion, blueprint, locations, speed, page, announce_ready, stopped)
+
+
+def _whole(stored: StoredEpisode) -> StoredEpisode:
+    from yamsim_cli.core.dataset.reader import open_episode
+
+    return open_episode(stored.directory)
 
 
 def _dataset_session(stored: StoredEpisode, locations: Locations) -> Session:

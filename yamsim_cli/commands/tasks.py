@@ -101,7 +101,7 @@ def check(
     with progress_bar(f"checking {session.config.task.name}", "attempts") as advance:
         report = validate_task(session, least, advance)
     if films:
-        from yamsim_cli.core.episode.trials import film_trials
+        from yamsim_cli.trials import film_trials
 
         report["videos"] = film_with_progress(
             films, lambda shown: film_trials(report["trials"], video_trials, films, session, shown)

@@ -58,8 +58,8 @@ def trials(
     require_unused_reports(out, html, overwrite=overwrite)
     session = session_opener.open(config, renders=video is not None, **session_settings(locals()))
 
-    from yamsim_cli.core.episode.trials import film_trials, require_success, run_expert_trials
     from yamsim_cli.core.statistics import THRESHOLDS
+    from yamsim_cli.trials import film_trials, require_success, run_expert_trials
 
     films = open_films(video, session.config, overwrite=overwrite) if video else None
     with progress_bar("trials", "trials") as advance:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from yamsim_cli.core.errors import DatasetError, UsageError
+from yamsim_cli.flags.selection_file import SelectionFile, selection_of
 from yamsim_cli.flags.session_options import Json, Offline, session_opener
 from yamsim_cli.terminal.console import print_report, progress_bar
 from yamsim_cli.terminal.tables import NameValueTable
@@ -33,6 +34,7 @@ def verify(
     sample: Annotated[
         int | None, typer.Option(min=1, metavar="N", help="N episodes, spread evenly over the dataset.")
     ] = None,
+    selection: SelectionFile = None,
     workers: Annotated[int, typer.Option(min=1, help="Worker processes.")] = 2,
     tolerance: Annotated[
         float,
@@ -47,7 +49,7 @@ def verify(
 ) -> None:
     """Reproduce episodes from their seeds and from their actions, and report the first value that differs.
 
-    Exit code 4 if a value differs.
+    Exit code 4 if a value differs. Whole episodes are reproduced, also those that --selection trims.
 
     Example: yamsim verify dataset/ --sample 20
     """
@@ -59,8 +61,10 @@ def verify(
     from yamsim_cli.core.config.session import Session
     from yamsim_cli.core.dataset.reader import read_recording_config, select_episodes
 
-    where = session_opener.find_locations()
-    chosen = select_episodes(dataset, episodes, sample)
+    where, applied = session_opener.find_locations(), selection_of(dataset, selection)
+    chosen = select_episodes(dataset, episodes, sample, applied.kept if applied else None)
+    if not chosen and applied:
+        raise UsageError(f"--episodes {episodes}: {applied.path} keeps none of these; give others")
     session = Session(read_recording_config(dataset, where), where)
     if images:
         session_opener.choose_gl_backend(where, workers=True)
@@ -74,7 +78,7 @@ def verify(
     limits = Tolerances(tolerance, image_tolerance if images else None)
     with progress_bar("verifying", "episodes") as advance:
         report = run(chosen, session, limits, workers, advance)
-    report = {"path": str(dataset)} | report
+    report = {"path": str(dataset)} | report | {"selection": applied and applied.report()}
     print_report(report, lambda: NameValueTable(_result_rows(report)), json)
     if report["agree"] < report["episodes"]:
         raise DatasetError(_verdict_line(report))

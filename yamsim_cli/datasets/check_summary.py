@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +29,13 @@ class CheckResults:
     episodes: Sequence[EpisodeFacts]
     attempts: Sequence[AttemptRecord]
     problems: Sequence[DatasetProblem]
+
+    def restricted(self, numbers: Collection[int]) -> CheckResults:
+        """Return the results of the episodes with these numbers, and the problems of the dataset as a whole."""
+        episodes = [episode for episode in self.episodes if episode.number in numbers]
+        left_out = {episode.name for episode in self.episodes} - {episode.name for episode in episodes}
+        problems = [problem for problem in self.problems if problem.episode not in left_out]
+        return replace(self, episodes=episodes, problems=problems)
 
 
 def combine_checks(

@@ -46,6 +46,8 @@ from .compare import EpisodeComparison, ValueDifference, compare_frames, compare
 SEED, ACTIONS, IMAGES = "seed", "actions", "images"
 CHECK_NAMES = (SEED, ACTIONS, IMAGES)
 
+_CAMERA_KEYS = ("intrinsics", "extrinsics", "K_wrist")  # of frames; cameras may be on the arm
+
 RecordedFrames = Sequence[Mapping[str, Any]]
 
 
@@ -94,6 +96,13 @@ class EpisodeVerifier(Closable):
     def __init__(self, session: Session, tolerances: Tolerances) -> None:
         self._simulators = SimulatorCache(session)
         self._session = session
+        drawn = session.config.drawn
+        self._drawn = drawn is not None
+        self._physics, self._other_rig = self._simulators, drawn is not None and drawn.rig is not None
+        if drawn is not None and drawn.rig is not None:
+            # The images show another rig than that of the states.
+            source = session.with_values(rig=drawn.rig, cameras=None, camera_effects=())
+            self._physics = SimulatorCache(source.without_meshes())
         self._tolerances = tolerances
 
     def run(self, job: tuple[int, Path]) -> EpisodeVerdict:
@@ -117,13 +126,14 @@ class EpisodeVerifier(Closable):
                     f"it was made by engine revision {engine} of yamsim {version}; this version's revision "
                     f"{SIMULATION_REVISION} makes other episodes from the same seeds; only its actions are repeated"
                 )
-                if self._tolerances.images is not None:
+                if self._tolerances.images is not None and not self._drawn:
                     skipped[IMAGES] = skipped[SEED]
             else:
                 checks |= self._verify_from_seed(episode, frames, skipped)
-            if repeated := reproduce_frames(
-                self._simulator_of(episode.record), episode, frames, self._tolerances.values
-            ):
+            if self._drawn and self._tolerances.images is not None:
+                checks |= self._verify_drawing(episode, frames, skipped)
+            physics = self._physics.get(AttemptJob(episode.record.seed, episode.record.attempt))
+            if repeated := reproduce_frames(physics, episode, self._physical(frames), self._tolerances.values):
                 checks[ACTIONS] = repeated
             else:
                 skipped[ACTIONS] = "its frames hold no sim_qpos, sim_ctrl and sim_magnet"
@@ -136,9 +146,10 @@ class EpisodeVerifier(Closable):
         self, episode: StoredEpisode, frames: RecordedFrames, skipped: dict[str, str]
     ) -> dict[str, EpisodeComparison]:
         """Simulate the attempt from its seed. Add to `skipped` why images are not compared."""
-        record, simulator = episode.record, self._simulator_of(episode.record)
-        done = simulate_expert(simulator, sample_attempt(simulator, AttemptJob(record.seed, record.attempt)))
-        made = made_frames(simulator, done.attempt, done.recorded_states)
+        record = episode.record
+        simulator = self._physics.get(job := AttemptJob(record.seed, record.attempt))
+        done = simulate_expert(simulator, sample_attempt(simulator, job))
+        made = self._physical(made_frames(simulator, done.attempt, done.recorded_states))
         once = compare_values(
             {"outcome": _outcome_numbers(record.outcome), "start": _pose_arrays(record.layout)}
             | {"randomized": asdict(record.randomized)},
@@ -149,18 +160,41 @@ class EpisodeVerifier(Closable):
             | {"randomized": asdict(done.attempt.variation)},
             self._tolerances.values,
         )
-        checks = {SEED: _merge_comparisons(compare_frames(frames, made, self._tolerances.values), once)}
-        if self._tolerances.images is None:
+        compared = compare_frames(self._physical(frames), made, self._tolerances.values)
+        checks = {SEED: _merge_comparisons(compared, once)}
+        if self._tolerances.images is None or self._drawn or self._has_other_looks(record, skipped):
             return checks
-        if (looks := record.versions["looks"]) != APPEARANCE_REVISION:
-            skipped[IMAGES] = (
-                f"its images have appearance revision {looks}, but this version renders revision "
-                f"{APPEARANCE_REVISION}: they differ as intended and are not damaged"
-            )
-        elif done.recorded_states:
+        if done.recorded_states:
             images = encode_images(simulator, done.attempt, [state.qpos for state in done.recorded_states])
             checks[IMAGES] = _compare_images(episode, images, self._tolerances.images)
         return checks
+
+    def _verify_drawing(
+        self, episode: StoredEpisode, frames: RecordedFrames, skipped: dict[str, str]
+    ) -> dict[str, EpisodeComparison]:
+        """Render the stored states again, as `yamsim draw` did. Add to `skipped` why images are not compared."""
+        assert self._tolerances.images is not None
+        if self._has_other_looks(episode.record, skipped):
+            return {}
+        positions = [frame["sim_qpos"] for frame in frames]
+        simulator = self._simulator_of(episode.record)
+        images = encode_images(simulator, attempt_from_record(episode.record), positions)
+        return {IMAGES: _compare_images(episode, images, self._tolerances.images)}
+
+    @staticmethod
+    def _has_other_looks(record: EpisodeRecord, skipped: dict[str, str]) -> bool:
+        """Return whether the images have another appearance revision, and then say so in `skipped`."""
+        if (looks := record.versions["looks"]) == APPEARANCE_REVISION:
+            return False
+        skipped[IMAGES] = (
+            f"its images have appearance revision {looks}, but this version renders revision "
+            f"{APPEARANCE_REVISION}: they differ as intended and are not damaged"
+        )
+        return True
+
+    def _physical(self, frames: RecordedFrames) -> RecordedFrames:
+        """Return frames without the values of cameras, if the images show another rig than physics has."""
+        return _without_cameras(frames) if self._other_rig else frames
 
     def _simulator_of(self, record: EpisodeRecord) -> Simulator:
         return self._simulators.get(AttemptJob(record.seed, record.attempt))
@@ -186,6 +220,7 @@ class EpisodeVerifier(Closable):
     def close(self) -> None:
         """Free the renderers."""
         self._simulators.close()
+        self._physics.close()
 
 
 def reproduce_frames(
@@ -211,9 +246,10 @@ def reproduce_frames(
     once = compare_values(
         {"outcome": _outcome_numbers(stored, keys)}, {"outcome": _outcome_numbers(judged, keys)}, tolerance
     )
-    return _merge_comparisons(
-        compare_frames(frames, made_frames(simulator, attempt, done.recorded_states), tolerance), once
-    )
+    made: RecordedFrames = made_frames(simulator, attempt, done.recorded_states)
+    if "extrinsics" not in frames[0]:
+        made = _without_cameras(made)
+    return _merge_comparisons(compare_frames(frames, made, tolerance), once)
 
 
 def reproduce_episode(episode: StoredEpisode, session: Session) -> EpisodeComparison | None:
@@ -221,6 +257,10 @@ def reproduce_episode(episode: StoredEpisode, session: Session) -> EpisodeCompar
     job = AttemptJob(episode.record.seed, episode.record.attempt)
     with make_simulator(session.without_meshes(), job) as simulator:
         return reproduce_frames(simulator, episode, episode.frames(), tolerance=0.0)
+
+
+def _without_cameras(frames: RecordedFrames) -> list[dict[str, Any]]:
+    return [{key: value for key, value in frame.items() if key not in _CAMERA_KEYS} for frame in frames]
 
 
 def _read_frames(episode: StoredEpisode, problems: dict[str, str]) -> list[dict[str, Any]]:

@@ -321,6 +321,7 @@ class _LeRobotWriter(Closable):
             schema.PROVENANCE_FILE: {
                 "dataset": source.path.absolute().name,
                 **self._content.about,
+                **({"selection": source.selection.report()} if source.selection else {}),
                 "episodes": self._provenance,
             },
         }

@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import io
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -18,19 +18,16 @@ from ..core.dataset.reader import RecordedEpisode
 from ..core.errors import DatasetError, UsageError
 from ..core.files.resources import Locations
 from ..core.progress import Progress
-from ..core.workers.executors import Executor, InlineExecutor, OpenRunner
-from ..core.workers.process_pool import ProcessPool
 from . import raiden_schema as schema
+from .episode_jobs import run_episode_jobs
 from .export_source import ActionSource, Frames, RealEpisode, RealSource, SimulatedSource, depth_cameras
 from .output_directory import ExportResult, export_directory
-from .raiden_episode import ConvertedEpisode, EpisodeConverter, copy_images
+from .raiden_episode import EpisodeConverter, copy_images
 from .raiden_frames import FrameConverter, calibration_json, camera_names, hand_frame
 from .raiden_schema import RaidenOptions
 
 _CONTROL_BY_SOURCE = {"record": "plan"}  # `source` of an episode -> `control` in metadata.json, where they differ
 _REAL_CONTROL = "unknown"  # `control` of real recordings, which do not state how the arm was controlled
-
-Job = tuple[Path, Path]  # episode directory, and output directory
 
 
 def export_raiden(
@@ -53,12 +50,15 @@ def export_raiden(
         source.rig, camera_names(source), locations, options.hand_frame, single=options.as_single_arm
     )
     config = _with_recorded_size(source) if options.renders_images else source.config
-    factory = functools.partial(EpisodeConverter, Session(config, locations), converter.names, options)
+    factory = functools.partial(
+        EpisodeConverter, Session(config, locations), converter.names, options, source.selection
+    )
     frames: dict[str, int] = {}
     with export_directory(out, overwrite=overwrite) as stage:
         episodes = {schema.episode_name(k): episode for k, episode in enumerate(source.open_episodes())}
         jobs = [(episode.directory, stage.path / name) for name, episode in episodes.items()]
-        for folder, made in _convert_all(factory, jobs, workers if options.renders_images else 0):
+        processes = min(workers, len(jobs)) if options.renders_images else 0
+        for (_, folder), made in run_episode_jobs(factory, jobs, processes):
             episode = episodes[folder.name]
             record = episode.record
             data = [converter.convert_simulated_step(frame) for frame in made.frames]
@@ -90,22 +90,6 @@ def _with_recorded_size(source: SimulatedSource) -> RecordConfig:
         )
     image = source.config.image.model_copy(update={"size_px": sizes.pop()})
     return source.config.model_copy(update={"image": image})
-
-
-def _convert_all(
-    factory: OpenRunner[Job, ConvertedEpisode], jobs: Sequence[Job], workers: int
-) -> Iterator[tuple[Path, ConvertedEpisode]]:
-    """Yield output folder and content of each complete episode. 0 `workers` means this process."""
-    executor: Executor[Job, ConvertedEpisode] = InlineExecutor(factory)
-    if workers:
-        executor = ProcessPool[Job, ConvertedEpisode](factory, min(workers, len(jobs)))
-    waiting = list(reversed(jobs))
-    with executor as pool:
-        for _ in jobs:
-            while pool.idle and waiting:
-                pool.submit(waiting.pop())
-            (_, folder), made = pool.next_result()
-            yield folder, made
 
 
 def export_real_raiden(

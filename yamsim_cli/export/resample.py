@@ -54,8 +54,13 @@ def nearest_frames(times: Array, frames: int, period: float) -> list[int]:
     return [min(round(time / period), frames - 1) for time in times]
 
 
-def resample_episode(simulator: Simulator, episode: StoredEpisode, fps: float) -> ResampledEpisode:
+def resample_episode(
+    simulator: Simulator, episode: StoredEpisode, fps: float, first: int = 0, count: int | None = None
+) -> ResampledEpisode:
     """Resample an episode to `fps` frames per second. States are simulated, not interpolated.
+
+    Only the time of `count` recorded frames, by default all, from frame `first` on is resampled. The whole episode is
+    simulated nevertheless, because the recorded state of a later frame has no velocities.
 
     `action_joints`, the planned joints one control tick ahead, was recorded once per frame. Between frames, it is the
     simulated joints plus the interpolated difference between plan and simulation. The finger opening is interpolated.
@@ -71,7 +76,7 @@ def resample_episode(simulator: Simulator, episode: StoredEpisode, fps: float) -
     start, actions = found
     period = record.frame_period_s
     tick = period / len(recorded[0]["sim_ctrl"])
-    times = frame_times(len(recorded), period, fps)
+    times = first * period + frame_times(len(recorded) if count is None else count, period, fps)
     stored = np.arange(float(len(recorded))) * period
     # One tick after a frame is the target time of its command.
     moments, places = np.unique(

@@ -40,6 +40,15 @@ Cameras = Annotated[
     list[str] | None,
     typer.Option("--camera", metavar="NAME", help="A camera to record; may be repeated."),
 ]
+CameraEffects = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--camera-effects",
+        metavar="[CAMERA=]NAME|FILE",
+        help="Lens, noise and shutter of a camera, or of all: a name from configs/camera_effects/ or a YAML file. May "
+        "be repeated.",
+    ),
+]
 Task = Annotated[str | None, typer.Option(help="Task: a name from configs/tasks/ or a YAML file.")]
 Object = Annotated[
     str | None,
@@ -107,6 +116,7 @@ session_opener = SessionOpener(
 _SETTINGS = (
     "rig", "revision", "robot", "task", "target", "n", "workers", "seed", "grasp", "arm", "wrist", "camera", "boards",
     "truth", "size", "jpeg_quality", "action", "fps", "quality", "threshold", "randomize", "randomization",
+    "camera_effects",
 )  # fmt: skip
 
 

@@ -8,11 +8,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from yamsim_cli.camera_effects.lens_distortion import project_points
+
 from ..core.geometry.board import Board
 from ..core.geometry.camera import CameraModel
 from ..core.geometry.se3 import Array
 from ..core.images.image import Image
-from .lens_distortion import project_points
 
 Labels = NDArray[np.uint8]
 

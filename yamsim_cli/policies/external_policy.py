@@ -61,6 +61,7 @@ class MappedPolicy:
     Attributes:
         wants: `objects` if the messages contain poses of objects.
         execute: default of executed actions of a chunk before the next inference; None for all.
+        lead: for real-time chunking: remaining actions at which the next inference is requested; None without it.
 
     Args:
         wanted: keys of the config whose values the client needs; None for all.
@@ -74,6 +75,9 @@ class MappedPolicy:
     ) -> None:
         self._client, self._config, self._station = client, config, station
         self.execute: int | None = getattr(client, "execute", None)
+        chunking = config.realtime_chunking
+        self.lead = None if chunking is None else chunking.lead
+        self._plan_end: Array | None = None  # last planned actions, as the client sent them
         sides = station.sides if config.arms == "all" else config.arms
         if missing := [side for side in sides if side not in station.sides]:
             raise self._mapping_error("arms", f"there is no {missing[0]} arm; valid: {', '.join(station.sides)}")
@@ -107,7 +111,7 @@ class MappedPolicy:
 
     def reset(self, seed: int) -> None:
         """Begin a trial."""
-        self._seed = seed
+        self._seed, self._plan_end = seed, None
         self._client.begin_trial(seed)
 
     def __call__(self, observation: Observation) -> Mapping[str, Any]:
@@ -118,11 +122,17 @@ class MappedPolicy:
         """Convert an observation to the client's message."""
         config = self._config
         message: dict[str, Any] = dict(config.constants)
+        row = (np.asarray(observation["joints"]).reshape(self._scale.shape) / self._scale)[self._to_client]
+        if config.gripper == "share":
+            row[:, -1] = np.clip(row[:, -1], 0.0, 1.0)
         if config.state is not None:
-            row = (np.asarray(observation["joints"]).reshape(self._scale.shape) / self._scale)[self._to_client]
-            if config.gripper == "share":
-                row[:, -1] = np.clip(row[:, -1], 0.0, 1.0)
             message[config.state.key] = row.ravel().astype(config.state.dtype)
+        if (chunking := config.realtime_chunking) is not None:
+            prefix = self._plan_end
+            if prefix is None:
+                welds = np.zeros(len(row) if config.actions.weld else 0)
+                prefix = np.tile(np.append(row, welds), (chunking.length, 1))
+            message |= {chunking.prefix_key: prefix.astype(np.float32), chunking.length_key: chunking.length}
         if config.environment_state is not None and self._has_things:
             message[config.environment_state.key] = self._object_poses(observation).astype(
                 config.environment_state.dtype
@@ -150,6 +160,13 @@ class MappedPolicy:
             )
         arms, drives = self._scale.shape
         rows = action_rows(answer[actions.key], actions.key, arms * (drives + actions.weld))
+        if (chunking := self._config.realtime_chunking) is not None:
+            if len(rows) <= chunking.length:
+                raise InvalidActionError(
+                    f"{actions.key} has {len(rows)} actions, and its first {chunking.length} repeat the plan: give more"
+                )
+            rows = rows[chunking.length : chunking.length + chunking.execute]
+            self._plan_end = rows[-chunking.length :]
         ctrl: Array = rows[:, : arms * drives].reshape(-1, arms, drives)[:, self._to_station] * self._scale
         period = (
             action_period(answer.get(actions.period_ms_key), actions.period_ms_key) if actions.period_ms_key else None

@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 from ..core.attempt_data import Attempt, AttemptJob, AttemptPayload, FailureCause, Outcome
 from ..core.config.recording import RecordConfig
 from ..core.dataset.dataset_paths import episode_name
-from ..core.dataset.records import attempt_record, episode_record
+from ..core.dataset.records import AttemptRecord, EpisodeRecord, attempt_record, episode_record
 from ..core.dataset.writing.ledger import missing_episode
 from ..core.dataset.writing.staged_writer import EpisodeWriter
 from ..core.errors import DatasetError, InterruptedJobError, PartialJobError
@@ -96,6 +96,9 @@ class Collector:
                 raise InterruptedJobError("interrupted")
             self._receive(executor)
 
+    def finish(self) -> None:
+        """Do what is left when all episodes are written: nothing in a recording."""
+
     def _receive(self, executor: EpisodeExecutor) -> None:
         try:
             job, payload = executor.next_result(_POLL_SECONDS)
@@ -169,7 +172,7 @@ class Collector:
         episode = self._sink.episodes if payload.outcome.success else None
         if episode is not None:
             self._publish_episode(payload, episode)
-        self._sink.log_attempt(attempt_record(payload, episode))
+        self._sink.log_attempt(self._attempt_record(payload, episode))
         self.check_retry_limit()
 
     def check_retry_limit(self) -> None:
@@ -206,11 +209,17 @@ class Collector:
         elif number is not None and number < self._sink.episodes and len(self._sink.lost_lines) == 1:
             # Later episodes exist, and no other attempt can have given this episode.
             raise self._not_reproduced_error(payload, number)
-        self._sink.log_attempt(attempt_record(payload, episode))
+        self._sink.log_attempt(self._attempt_record(payload, episode))
         self.check_retry_limit()
 
     def _publish_episode(self, payload: AttemptPayload, episode: int) -> None:
-        self._sink.publish_episode(episode_record(self._config, payload, episode), payload.files)
+        self._sink.publish_episode(self._episode_record(payload, episode), payload.files)
+
+    def _episode_record(self, payload: AttemptPayload, episode: int) -> EpisodeRecord:
+        return episode_record(self._config, payload, episode)
+
+    def _attempt_record(self, payload: AttemptPayload, episode: int | None) -> AttemptRecord:
+        return attempt_record(payload, episode)
 
     def _compare_renderers(self, payload: AttemptPayload) -> None:
         """Warn if workers render with different OpenGL drivers, which give different image bytes."""

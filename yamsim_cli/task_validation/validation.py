@@ -21,13 +21,13 @@ from ..core.episode.episode_rules import REPLAY_RULES
 from ..core.episode.execution import SimulatedAttempt, simulate_expert
 from ..core.episode.sampling import sample_attempt
 from ..core.episode.simulator import Simulator, SimulatorCache, open_episode
-from ..core.episode.trials import run_expert_trials
 from ..core.errors import SimulationError
 from ..core.expert.skills.program import parse_program
 from ..core.expert.skills.program_checks import program_contradiction
 from ..core.geometry.se3 import Array, quat_from_rotation, rotation_from_vector
 from ..core.progress import Progress
 from ..core.scene.compiled import CompiledScene, Ids
+from ..trials import run_expert_trials
 
 MIN_REACH = 0.9  # share of a start region's points that hands must reach
 _GRID_POINTS = 8  # along each side of a start region

@@ -9,8 +9,8 @@ from .tables import NameValueTable
 
 if TYPE_CHECKING:
     from yamsim_cli.core.config.recording import RecordConfig
-    from yamsim_cli.core.episode.trials import FilmedTrial, TrialVideoWriter
     from yamsim_cli.core.progress import Progress
+    from yamsim_cli.trials import FilmedTrial, TrialVideoWriter
 
 
 def trials_table(report: dict[str, Any]) -> NameValueTable:
@@ -27,7 +27,7 @@ def evaluation_table(report: dict[str, Any]) -> NameValueTable:
 
 def open_films(path: Path, settings: RecordConfig, *, overwrite: bool) -> TrialVideoWriter:
     """Return a writer of trial videos. An unusable path raises an error now, before any trial runs."""
-    from yamsim_cli.core.episode.trials import TrialVideoWriter
+    from yamsim_cli.trials import TrialVideoWriter
 
     timing = settings.task.timing
     return TrialVideoWriter(path, timing.tick_seconds * timing.ticks_per_frame, overwrite=overwrite)

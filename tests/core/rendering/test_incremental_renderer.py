@@ -41,6 +41,7 @@ def draw_all(renderer: SceneRenderer, model: mujoco.MjModel, states: Sequence[Ar
 
 
 @pytest.mark.render
+@pytest.mark.parametrize("smooth", [False, True], ids=["stepped", "smooth"])
 @pytest.mark.parametrize(
     "settings",
     [
@@ -51,7 +52,9 @@ def draw_all(renderer: SceneRenderer, model: mujoco.MjModel, states: Sequence[Ar
     ],
     ids=lambda settings: settings["task"],
 )
-def test_the_pixels_are_those_of_whole_images(settings: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_pixels_are_those_of_whole_images(
+    settings: dict[str, Any], smooth: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
     boxes: list[Box | None] = []
     draw = IncrementalRenderer.draw
 
@@ -68,13 +71,33 @@ def test_the_pixels_are_those_of_whole_images(settings: dict[str, Any], monkeypa
         fine = simulator.config.render.fine_size(SIZE)
         images = []
         for incremental in (True, False):
-            with SceneRenderer(model, SIZE, fine, incremental=incremental) as renderer:
+            with SceneRenderer(model, SIZE, fine, incremental=incremental, smooth_shadows=smooth) as renderer:
                 images.append(draw_all(renderer, model, states, cameras))
     np.testing.assert_array_equal(*images)
     if boxes:  # a GPU draws whole images
+        del boxes[len(images[0]) :]
         shares = [box.width * box.height / (fine[0] * fine[1]) for box in boxes[:: len(cameras)] if box is not None]
         assert len(shares) == len(states)
         assert np.mean(shares) < 0.7
+
+
+@pytest.mark.render
+def test_smooth_shadows_differ_only_at_edges_of_shadows_and_have_grey_levels() -> None:
+    with SimulatorCache(open_session(task="pickplace")) as simulators:
+        simulator = simulators.get(AttemptJob(0, 0))
+        model, (camera, *_) = simulator.scene.model, simulator.scene.cameras
+        start = sample_attempt(simulator, AttemptJob(0, 0)).start
+        assert start is not None
+        pictures = []
+        for smooth in (False, True):
+            with SceneRenderer(model, SIZE, smooth_shadows=smooth) as renderer:
+                pictures.append(draw_all(renderer, model, [start], [camera])[0].astype(int))
+    difference = np.abs(pictures[1] - pictures[0]).max(axis=2)
+    assert (difference > 1).mean() < 0.02
+    # Filtering gives levels between light and shadow, so many pixels change by less than a whole shadow.
+    edge = difference[difference > 1]
+    assert len(np.unique(edge)) > 10
+    assert np.median(edge) < edge.max() / 2
 
 
 @pytest.mark.render

@@ -10,6 +10,7 @@ import pytest
 
 from tests.board_photos import CAMERA, ONE, TWO, facing, photograph, picture, pose_error, with_noise
 from tests.strangers import KINDS, stranger
+from yamsim_cli.camera_effects.lens_distortion import project_points
 from yamsim_cli.core.geometry.board import Board
 from yamsim_cli.core.geometry.se3 import Array, invert_pose, pose, rotation_from_vector
 from yamsim_cli.photos.fiducials.board_detection import BoardStatus
@@ -28,7 +29,6 @@ from yamsim_cli.photos.fiducials.recognition.marker_bits import (
     measure_bit_agreement,
     most_significant_markers,
 )
-from yamsim_cli.photos.lens_distortion import project_points
 
 
 def corners_of(board: Board, T: Array) -> Array:

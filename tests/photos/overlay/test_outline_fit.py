@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 from tests.rig_photos import RigPhoto
+from yamsim_cli.camera_effects.lens_distortion import project_points
 from yamsim_cli.core.config.loader import load_config
 from yamsim_cli.core.config.rendering import RenderConfig
 from yamsim_cli.core.config.scene import SceneConfig
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.geometry.se3 import Array, invert_pose, pose, rotation_from_vector
 from yamsim_cli.core.images.image_files import to_grey
-from yamsim_cli.photos.lens_distortion import project_points
 from yamsim_cli.photos.overlay.outline_fit import mask_iou, refine_poses, score_outlines
 from yamsim_cli.photos.overlay.photo_arm_poses import STATUS_RECORDED, ArmBasePose, RigInPhoto
 from yamsim_cli.photos.overlay.photo_cameras import PhotoCamera

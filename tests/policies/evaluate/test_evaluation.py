@@ -20,7 +20,6 @@ from yamsim_cli.core.dataset.records import OutcomeRecord
 from yamsim_cli.core.episode.attempt_payload import frame_records
 from yamsim_cli.core.episode.episode_rules import EndRule, EpisodeRules
 from yamsim_cli.core.episode.simulator import Simulator, open_episode
-from yamsim_cli.core.episode.trials import run_expert_trials
 from yamsim_cli.core.errors import PartialJobError, UsageError
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.policies.evaluate.evaluation import (
@@ -32,6 +31,7 @@ from yamsim_cli.policies.evaluate.evaluation import (
 )
 from yamsim_cli.policies.evaluate.policy_choice import PolicyChoice
 from yamsim_cli.policies.evaluate.policy_trial import TrialEnd, TrialResult, TrialRunner
+from yamsim_cli.trials import run_expert_trials
 
 SAMPLES = Path(__file__).parents[1]
 N = 12

@@ -8,6 +8,7 @@ from typing import Any, TypeVar
 
 from pydantic import ValidationError
 
+from ...camera_effects.config import CameraEffects
 from ..errors import ConfigError, UsageError, suggest_similar
 from ..files.documents.config_base import Config, ConfigReference, ConflictError
 from ..files.documents.units import SKIP_BOUNDS_CONTEXT
@@ -42,6 +43,7 @@ CONFIG_KINDS: Mapping[str, type[Config]] = {
     "tasks": ProgramTask,
     "objects": ObjectConfig,
     "cameras": CameraConfig,
+    "camera_effects": CameraEffects,
     "quality": RenderConfig,
     "randomization": RandomizationConfig,
     "policies": PolicyConfig,

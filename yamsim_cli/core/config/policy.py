@@ -16,6 +16,7 @@ AspectRatioMode = Literal["stretch", "pad"]
 ImageAxisOrder = Literal["rows", "channels"]
 
 CameraName = Name  # "scene", "wrist", "left_wrist", "right_wrist", or the name of a station's camera
+_CHUNKING_KEYS = ("prefix_key", "length_key")
 ConstantValue = bool | int | float | str
 
 
@@ -63,6 +64,33 @@ class ActionsMapping(Config):
     done_key: MessageKey | None = None
 
 
+class RealtimeChunking(Config):
+    """Real-time chunking: a request has the end of the current plan, from which the next chunk continues.
+
+    A chunk begins when the one before it is over. The first request has the current state, repeated.
+
+    Attributes:
+        prefix_key: key of the last planned actions (length, numbers), float32.
+        length_key: key of their number.
+        length: number of these actions. An answer begins with them, and they are not executed again.
+        execute: executed actions of an answer, after those.
+        lead: actions of the current chunk that are left when the next chunk is requested.
+    """
+
+    prefix_key: MessageKey = "action_prefix"
+    length_key: MessageKey = "prefix_length"
+    length: Annotated[int, Field(ge=1, le=100)] = 4
+    execute: Annotated[int, Field(ge=1, le=1000)] = 15
+    lead: Annotated[int, Field(ge=0, le=999)] = 4
+
+    @model_validator(mode="after")
+    def _fits_a_chunk(self) -> RealtimeChunking:
+        for key in ("length", "lead"):
+            if getattr(self, key) > self.execute:
+                raise ConflictError(f"{getattr(self, key)} actions are more than execute, {self.execute}", (key,))
+        return self
+
+
 class PolicyConfig(Config):
     """Names, units and order of a policy's observations and actions.
 
@@ -77,6 +105,7 @@ class PolicyConfig(Config):
         time: key of the time since the trial's start, s.
         seed: key of the trial's seed.
         constants: key -> constant value in every observation.
+        realtime_chunking: how chunks continue each other; if left out, each chunk is for its own observation alone.
     """
 
     name: Name
@@ -91,6 +120,7 @@ class PolicyConfig(Config):
     seed: MessageKey | None = None
     constants: dict[MessageKey, ConstantValue] = Field(default={}, max_length=32)
     actions: ActionsMapping
+    realtime_chunking: RealtimeChunking | None = None
 
     @model_validator(mode="after")
     def _keys_are_unique(self) -> PolicyConfig:
@@ -103,6 +133,7 @@ class PolicyConfig(Config):
             (self.prompt, ("prompt",)),
             (self.time, ("time",)),
             (self.seed, ("seed",)),
+            *((getattr(self.realtime_chunking, key, None), ("realtime_chunking", key)) for key in _CHUNKING_KEYS),
             *((key, ("constants", key)) for key in self.constants),
         ]
         seen: dict[str, tuple[str, ...]] = {}

@@ -30,8 +30,8 @@ _VERSION_DEFAULTS: Mapping[str, Any] = {"looks": "1", "engine": "1"}
 # Keys that identify a part of a config -> values that older configs left out there. A part that is absent, null or
 # empty means the same, so only other values are listed.
 _CONFIG_DEFAULTS: tuple[tuple[frozenset[str], Mapping[str, Any]], ...] = (
-    (frozenset({"rig", "task", "seed"}), {"arm": "right", "action": "drives"}),
-    (frozenset({"multisamples", "shadow_map_px"}), {"shadow_reach_m": 0.8}),
+    (frozenset({"rig", "task", "seed"}), {"arm": "right", "action": "drives", "look": 0}),
+    (frozenset({"multisamples", "shadow_map_px"}), {"shadow_reach_m": 0.8, "smooth_shadows": False}),
     (
         frozenset({"things", "starts", "expert"}),
         {"arms": "all", "grasps": ["contact"], "held_at_the_end": False, "language_task": ""},

@@ -41,9 +41,7 @@ def sample_attempt(simulator: Simulator, job: AttemptJob) -> Attempt:
     no start if its objects have no room, or if its goal holds in every sampled start; see `describe_missing_start`.
     """
     config, task, roles = simulator.config, simulator.config.task, simulator.roles
-    attempt = Attempt(
-        job, None, _sample_attempt_randomization(config, job), roles=roles, phrasing=sample_phrasing(task, job)
-    )
+    attempt = Attempt(job, None, sample_variation(config, job), roles=roles, phrasing=sample_phrasing(task, job))
     scene = simulator.apply_randomization(attempt)
     moving: Attempt | None = None
     for number in range(MAX_DRAWS):
@@ -76,11 +74,13 @@ def describe_missing_start(simulator: Simulator, attempt: Attempt) -> str:
     return f"{GOAL_HOLDS_AT_START}, in each of {MAX_DRAWS} samples"
 
 
-def _sample_attempt_randomization(config: RecordConfig, job: AttemptJob) -> RandomizationSample:
+def sample_variation(config: RecordConfig, job: AttemptJob) -> RandomizationSample:
+    """Sample an attempt's variation in the look of the config, without distractors."""
     if not config.randomization.varied_parts:
         return RandomizationSample()
     dofs = [config.rig.arms[number].robot.dof for number in config.rig.recording_order]
-    return sample_randomization(config.randomization, job, len(config.scene.lights), config.task.objects, dofs)
+    lights, objects = len(config.scene.lights), config.task.objects
+    return sample_randomization(config.randomization, job, lights, objects, dofs, config.look)
 
 
 def _local_box_function(simulator: Simulator) -> LocalBoxFunction:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..dataset.ground_truth_files import DEPTH_TOLERANCE, JOINT_COVER_RADIUS, Visibility, visible_points_key
-from ..geometry.camera import opencv_from_mujoco, project_points
+from ..geometry.camera import Intrinsics, opencv_from_mujoco
 from ..geometry.se3 import Array, invert_pose, pose
 from ..images.image import Image
 from ..scene.cloth import grid_triangles
@@ -46,14 +46,14 @@ def measure_frame(
     """Render and compute the ground truth of a camera's image. `data` has up-to-date poses of bodies and cameras."""
     labels, distance = renderer.render_labels_and_depth(data, camera, scene.label_of_geom, scene.label_of_flex)
     depth = depth_in_mm(distance)
-    K = renderer.intrinsics(camera).K
+    lens = renderer.intrinsics(camera)
     view = data.cam(camera)
     T_cam_in_world = pose(view.xpos, opencv_from_mujoco(view.xmat))
     T_world_in_cam = invert_pose(T_cam_in_world)
     boxes, pixels = instance_boxes(labels, scene.instance_of_label, len(scene.names.instances))
-    sheets = [measure_cloth_visibility(cloth, data.qpos, T_world_in_cam, K, labels, depth) for cloth in scene.cloths]
+    sheets = [measure_cloth_visibility(cloth, data.qpos, T_world_in_cam, lens, labels, depth) for cloth in scene.cloths]
     corners = [(sheet.places, sheet.depths, sheet.visibility) for sheet in sheets]
-    points = (_project_keypoints(scene.keypoints, data, T_world_in_cam, K, labels, depth), *corners)
+    points = (_project_keypoints(scene.keypoints, data, T_world_in_cam, lens, labels, depth), *corners)
     places, depths, visibility = (np.concatenate(parts) for parts in zip(*points, strict=True))
     T_object_in_cam = _body_poses_in_camera(data, scene.objects, T_world_in_cam)
     for cloth in scene.cloths:
@@ -109,7 +109,7 @@ def _project_keypoints(
     points: tuple[LabelledKeypoint, ...],
     data: mujoco.MjData,
     T_world_in_cam: Array,
-    K: Array,
+    lens: Intrinsics,
     labels: Image,
     depth_mm: DepthImage,
 ) -> tuple[Array, Array, NDArray[np.uint8]]:
@@ -122,11 +122,11 @@ def _project_keypoints(
         p = T[:3, :3] @ point.position + T[:3, 3]
         if p[2] < _MIN_DEPTH:
             continue
-        places[k], depths[k] = project_points(K, p)[0], p[2]
+        places[k], depths[k] = lens.project(p)[0], p[2]
         u, v = np.rint(places[k])
         if 0 <= u < width and 0 <= v < height:
             normal = None if point.normal is None else T[:3, :3] @ point.normal
-            seen = is_visible(point, p, normal, K, (int(u), int(v)), labels, depth_mm)
+            seen = is_visible(point, p, normal, lens, (int(u), int(v)), labels, depth_mm)
             visibility[k] = Visibility.VISIBLE if seen else Visibility.HIDDEN
     return places, depths, visibility
 
@@ -135,7 +135,7 @@ def is_visible(
     point: LabelledKeypoint,
     p: Array,
     normal: Array | None,
-    K: Array,
+    lens: Intrinsics,
     pixel: tuple[int, int],
     labels: Image,
     depth_mm: DepthImage,
@@ -160,7 +160,7 @@ def is_visible(
         for u in range(max(0, pixel[0] - reach), min(width, pixel[0] + reach + 1)):
             if int(labels[v, u]) not in point.labels:
                 continue
-            ray = np.array([(u - K[0, 2]) / K[0, 0], (v - K[1, 2]) / K[1, 1], 1.0])
+            ray = lens.rays((u, v))[0]
             if abs(facing / float(normal @ ray) - depth_mm[v, u] / 1000.0) <= DEPTH_TOLERANCE:
                 return True
     return False
@@ -187,16 +187,21 @@ class ClothVisibility:
 
 
 def measure_cloth_visibility(
-    cloth: LabelledCloth, qpos: Array, T_world_in_cam: Array, K: Array, labels: Image, depth_mm: NDArray[np.uint16]
+    cloth: LabelledCloth,
+    qpos: Array,
+    T_world_in_cam: Array,
+    lens: Intrinsics,
+    labels: Image,
+    depth_mm: NDArray[np.uint16],
 ) -> ClothVisibility:
     """Return the visibility of a cloth at MuJoCo's positions `qpos` (nq,), in labels and depths (height, width)."""
     points = cloth.scene.points(qpos) @ T_world_in_cam[:3, :3].T + T_world_in_cam[:3, 3]
-    visible = _visible_points(points, cloth, K, labels, depth_mm)
+    visible = _visible_points(points, cloth, lens, labels, depth_mm)
     numbers = np.array(list(cloth.corner_point_indices.values()))
     corners = points[numbers]
     before = corners[:, 2] >= _MIN_DEPTH
     places, depths = np.zeros((len(corners), 2)), np.zeros(len(corners))
-    places[before], depths[before] = project_points(K, corners[before]), corners[before, 2]
+    places[before], depths[before] = lens.project(corners[before]), corners[before, 2]
     height, width = labels.shape
     inside = before & (np.rint(places) >= 0).all(axis=1) & (np.rint(places) < (width, height)).all(axis=1)
     shown = np.where(visible[numbers], Visibility.VISIBLE, Visibility.HIDDEN)
@@ -218,7 +223,7 @@ def rendered_cloth_sides(points: Array, corners: NDArray[np.int_], radius: float
 
 
 def _visible_points(
-    points: Array, cloth: LabelledCloth, K: Array, labels: Image, depth_mm: NDArray[np.uint16]
+    points: Array, cloth: LabelledCloth, lens: Intrinsics, labels: Image, depth_mm: NDArray[np.uint16]
 ) -> NDArray[np.bool_]:
     """Return whether each point (n, 3) of a cloth, in the camera's frame, m, is visible, as (n,).
 
@@ -239,14 +244,14 @@ def _visible_points(
         faces, ends = np.repeat(np.flatnonzero(offsets < 0), 3), corners[offsets < 0].ravel()
         before = side[ends, 2] >= _MIN_DEPTH
         faces, ends = faces[before], ends[before]
-        at = np.rint(project_points(K, side[ends])).astype(np.int64)
+        at = np.rint(lens.project(side[ends])).astype(np.int64)
         for beside in _PIXEL_NEIGHBOURS:
             u, v = (at + beside).T
             counts = (u >= 0) & (v >= 0) & (u < labels.shape[1]) & (v < labels.shape[0])
             if any(beside):
                 counts &= rim[ends]
             u, v, face = u[counts], v[counts], faces[counts]
-            rays = np.column_stack([(u - K[0, 2]) / K[0, 0], (v - K[1, 2]) / K[1, 1], np.ones(len(u))])
+            rays = lens.rays(np.column_stack([u, v]))
             slant = np.einsum("ij,ij->i", normals[face], rays)
             apart = np.abs(offsets[face] - depth_mm[v, u] / 1000.0 * slant)
             shown = (labels[v, u] == cloth.label) & (apart <= DEPTH_TOLERANCE * np.abs(slant))

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .opengl import OpenGlFunctions, address, floats
+from .shadow_shaders import ShadowShaders, TextureKind
 
 _TYPE = mujoco.mjtGeom
 # Primitives with texture coordinates.
@@ -57,12 +58,19 @@ class GeomDisplayLists:
     Args:
         gl: OpenGL functions. The context `context` must be current here and in all methods.
         geoms: the geoms of an updated `MjvScene`.
+        shaders: programs for the lists of `Mode.LIT`.
     """
 
-    def __init__(self, gl: OpenGlFunctions, context: mujoco.MjrContext, geoms: Sequence[mujoco.MjvGeom]) -> None:
+    def __init__(
+        self,
+        gl: OpenGlFunctions,
+        context: mujoco.MjrContext,
+        geoms: Sequence[mujoco.MjvGeom],
+        shaders: ShadowShaders | None = None,
+    ) -> None:
         from OpenGL import GL
 
-        self._gl, self._constants, self._context = gl, GL, context
+        self._gl, self._constants, self._context, self._shaders = gl, GL, context, shaders
         self._count = len(DrawMode) * len(geoms)
         self._first: int = gl.glGenLists(self._count)
         for number, geom in enumerate(geoms):
@@ -86,6 +94,8 @@ class GeomDisplayLists:
         texture = _Texture(self._context, geom) if geom.matid >= 0 else None
         if texture is not None:
             self._map_texture(texture)
+        if self._shaders is not None:
+            self._gl.glUseProgram(self._shaders.names[texture.kind if texture else TextureKind.NONE])
         self._set_material(geom, mode)
         if geom.type == _TYPE.mjGEOM_FLEX:
             return  # `end_flex` disables the texture
@@ -195,6 +205,15 @@ class _Texture:
         self.has_coordinates = bool(geom.texcoord) or (flat and int(geom.type) in _TEXTURED_PRIMITIVES)
         self.is_2d = flat or self.has_coordinates
         self.is_infinite_plane = geom.type == _TYPE.mjGEOM_PLANE and not self._size[:2].all()
+
+    @property
+    def kind(self) -> TextureKind:
+        """How a program finds the texture's colour."""
+        if self.number < 0:
+            return TextureKind.NONE
+        if self.has_coordinates:
+            return TextureKind.COORDINATES
+        return TextureKind.FLAT if self.is_2d else TextureKind.CUBE
 
     def opengl_states(self, GL: Any) -> tuple[Any, ...]:
         """Return OpenGL's states that must be enabled while the geom is drawn."""

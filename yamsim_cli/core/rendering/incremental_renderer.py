@@ -19,6 +19,7 @@ from ..geometry.se3 import Array, pose
 from .geom_display_lists import Builtin, DrawMode, GeomDisplayLists
 from .opengl import OpenGlFunctions, address, floats
 from .pixel_boxes import Box, Projection, ShadowTable, ShadowVolumes, box_corners, overlaps, union
+from .shadow_shaders import ShadowShaders
 
 _Floats = NDArray[np.float32]
 GEOM, FLEX = int(mujoco.mjtObj.mjOBJ_GEOM), int(mujoco.mjtObj.mjOBJ_FLEX)
@@ -87,6 +88,7 @@ class IncrementalRenderer:
         model: the scene's model.
         scene, context: MuJoCo's scene and context; the context must be current in all methods.
         size: width and height of drawn images, px.
+        smooth: whether to filter the edges of shadows, in which pixels then differ from `mjr_render`.
 
     Raises:
         AttributeError: the platform's OpenGL library lacks a function.
@@ -94,7 +96,12 @@ class IncrementalRenderer:
     """
 
     def __init__(
-        self, model: mujoco.MjModel, scene: mujoco.MjvScene, context: mujoco.MjrContext, size: tuple[int, int]
+        self,
+        model: mujoco.MjModel,
+        scene: mujoco.MjvScene,
+        context: mujoco.MjrContext,
+        size: tuple[int, int],
+        smooth: bool = False,
     ) -> None:
         from OpenGL import GL
 
@@ -102,6 +109,8 @@ class IncrementalRenderer:
         if b"GL_ARB_clip_control" not in (GL.glGetString(GL.GL_EXTENSIONS) or b""):
             raise RuntimeError("OpenGL lacks GL_ARB_clip_control")
         self._model, self._scene, self._context, self._size = model, scene, context, size
+        self._smooth = smooth
+        self._shaders: ShadowShaders | None = None
         self._lists: GeomDisplayLists | None = None
         self._layout: _Layout | None = None
         self._appearance = b""
@@ -171,7 +180,6 @@ class IncrementalRenderer:
             self._lists = None
         if not self._is_supported(geoms):
             return None
-        self._lists = GeomDisplayLists(self._gl, self._context, geoms)
         ids = np.array([geom.objid for geom in geoms], np.int_)
         is_flex = np.array([geom.objtype == FLEX for geom in geoms], np.bool_)
         decoration = int(mujoco.mjtCatBit.mjCAT_DECOR)
@@ -183,6 +191,15 @@ class IncrementalRenderer:
         shadows = scene.flags[SHADOW] and self._context.shadowFBO
         light = next((k for k in range(scene.nlight) if shadows and scene.lights[k].castshadow), None)
         aabb = model.geom_aabb[geom_ids]
+        if self._shaders is not None:
+            self._shaders.free()
+            self._shaders = None
+        if self._smooth and light is not None:
+            try:
+                self._shaders = ShadowShaders(self._gl, scene.nlight, light, self._context.shadowSize)
+            except RuntimeError:  # OpenGL cannot link the programs
+                return None
+        self._lists = GeomDisplayLists(self._gl, self._context, geoms, self._shaders)
         return _Layout(ids, geom_ids, is_flex, casts, planes, aabb, np.flatnonzero(boxes), light)
 
     def _is_supported(self, geoms: Sequence[mujoco.MjvGeom]) -> bool:
@@ -249,12 +266,17 @@ class IncrementalRenderer:
         """Return the camera between the two eyes, which `mjr_render` draws."""
         return mujoco.mjv_averageCamera(*self._scene.camera)
 
-    def _image_projection(self) -> Projection:
+    def _camera_matrix(self) -> Array:
+        """Return the matrix (4, 4) from `world` to the camera's frame, in OpenGL's convention."""
         view = self._camera()
         forward, up = np.array(view.forward, np.float64), np.array(view.up, np.float64)
         R = np.array([np.cross(forward, up), up, -forward])
         T = np.eye(4)
         T[:3, :3], T[:3, 3] = R, -R @ np.array(view.pos, np.float64)
+        return T
+
+    def _image_projection(self) -> Projection:
+        view, T = self._camera(), self._camera_matrix()
         half_height = (view.frustum_top - view.frustum_bottom) / 2
         middle = (view.frustum_top + view.frustum_bottom) / 2
         near = view.frustum_near
@@ -384,6 +406,21 @@ class IncrementalRenderer:
         gl.glEnable(GL.GL_SCISSOR_TEST)
         gl.glScissor(*box)
         gl.glClear(GL.GL_COLOR_BUFFER_BIT | GL.GL_DEPTH_BUFFER_BIT)
+        if self._shaders is not None:
+            gl.glActiveTexture(GL.GL_TEXTURE1)
+            gl.glBindTexture(GL.GL_TEXTURE_2D, self._context.shadowTex)
+            self._shaders.use((self._shadow_matrix @ np.linalg.inv(self._camera_matrix())).astype(np.float32))
+            self._draw_geoms(view, drawn, DrawMode.LIT)
+            gl.glUseProgram(0)
+        else:
+            self._draw_lights(view, drawn, light)
+        if self._scene.flags[_SKYBOX]:
+            self._draw_sky()
+        gl.glDisable(GL.GL_SCISSOR_TEST)
+
+    def _draw_lights(self, view: _View, drawn: NDArray[np.int_], light: int | None) -> None:
+        """Draw geoms as `mjr_render` does: with the lights without shadows, then with the one that casts shadows."""
+        gl, GL = self._gl, self._constants
         lights = [GL.GL_LIGHT0 + k for k in range(self._scene.nlight) if k != light]
         for number in lights:
             gl.glEnable(number)
@@ -392,9 +429,6 @@ class IncrementalRenderer:
             gl.glDisable(number)
         if light is not None:
             self._add_shadow_light(view, drawn, GL.GL_LIGHT0 + light)
-        if self._scene.flags[_SKYBOX]:
-            self._draw_sky()
-        gl.glDisable(GL.GL_SCISSOR_TEST)
 
     def _set_up_image(self) -> None:
         """Let `mjr_render` set OpenGL's matrices, lights and states, by drawing no geom into one pixel."""

@@ -107,6 +107,7 @@ class SceneRenderer(Closable):
         size: width and height of images, px.
         fine: width and height in which colour images are rendered before averaging to `size`; by default `size`.
         incremental: without a GPU, render only the changed part of a camera's image. The pixels are the same.
+        smooth_shadows: filter the edges of shadows, see `core.rendering.shadow_shaders`.
 
     Raises:
         ResourceError: OpenGL cannot create a context, or this process was forked from one that had used OpenGL. The
@@ -120,6 +121,7 @@ class SceneRenderer(Closable):
         fine: tuple[int, int] | None = None,
         *,
         incremental: bool = True,
+        smooth_shadows: bool = False,
     ) -> None:
         _enter_opengl()
         self._contexts = _RenderContexts()
@@ -145,13 +147,15 @@ class SceneRenderer(Closable):
         self._camera.type = mujoco.mjtCamera.mjCAMERA_FIXED
         self.description = _opengl_name()
         # A GPU draws a whole image in less time than the changed part takes to be found.
-        incremental = incremental and is_software_renderer(self.description)
+        self._draws_changes = incremental and is_software_renderer(self.description)
         self._images: dict[str, Image] = {}
-        self._incremental = self._make_incremental_renderer(fine) if incremental else None
+        self._incremental = (
+            self._make_incremental_renderer(fine, smooth_shadows) if self._draws_changes or smooth_shadows else None
+        )
 
-    def _make_incremental_renderer(self, size: tuple[int, int]) -> IncrementalRenderer | None:
+    def _make_incremental_renderer(self, size: tuple[int, int], smooth: bool) -> IncrementalRenderer | None:
         try:
-            return IncrementalRenderer(self._model, self._scene, self._make_context_current(), size)
+            return IncrementalRenderer(self._model, self._scene, self._make_context_current(), size, smooth)
         except (AttributeError, RuntimeError):  # OpenGL lacks something
             return None
 
@@ -255,6 +259,8 @@ class SceneRenderer(Closable):
         if camera not in self._images:
             self._images[camera] = np.empty_like(self._pixels)
         image = self._images[camera]
+        if not self._draws_changes:
+            self._incremental.invalidate()
         box = self._incremental.draw(data, camera)
         if box is None:
             return None

@@ -275,16 +275,17 @@ class CompiledScene:
         It applies each joint's gravity compensation error: MuJoCo's own `gravcomp` scales that of a body, not of a
         joint.
         """
-        if not self._gravity_errors:
+        if not self.gravity_errors:
             mujoco.mj_step(self.model, data, steps)
             return
         for _ in range(steps):
-            for dof, gravity in self._gravity_errors:
+            for dof, gravity in self.gravity_errors:
                 data.qfrc_applied[dof] = gravity * data.qfrc_gravcomp[dof]
             mujoco.mj_step(self.model, data)
 
     @functools.cached_property
-    def _gravity_errors(self) -> list[tuple[Ids, Array]]:
+    def gravity_errors(self) -> list[tuple[Ids, Array]]:
+        """Addresses in `qvel` of arms with gravity compensation errors, and their errors (dof,) as shares."""
         return [(arm.joint_dof, arm.gravity_error) for arm in self.arms if arm.gravity_error is not None]
 
 

@@ -14,19 +14,25 @@ from .random_streams import Stream, random_generator
 
 _PATTERN_REPEATS = (2, 9)  # half-open range of a pattern's repetitions along each edge of a surface
 _SEEDS = 2**31
+_PHYSICAL = (Stream.MASS, Stream.FRICTION, Stream.ARMS)  # streams that do not depend on the look
 TABLE = "table"  # key in `RandomizationSample.friction`, whose other keys are objects
 
 
 def sample_randomization(
-    config: RandomizationConfig, job: AttemptJob, lights: int, objects: Sequence[ObjectConfig], dofs: Sequence[int]
+    config: RandomizationConfig,
+    job: AttemptJob,
+    lights: int,
+    objects: Sequence[ObjectConfig],
+    dofs: Sequence[int],
+    look: int = 0,
 ) -> RandomizationSample:
     """Sample an attempt's variation without distractors, which `sim.placement` places when the motion is known.
 
-    `lights` and `dofs` are the numbers of lights and of each arm's joints.
+    `lights` and `dofs` are the numbers of lights and of each arm's joints. `look` affects all parts but the physical.
     """
 
     def rng(stream: Stream) -> np.random.Generator:
-        return random_generator(job, stream)
+        return random_generator(job if stream in _PHYSICAL else job.for_look(look), stream)
 
     def uniform(stream: Stream, low: float, high: float) -> float:
         return float(rng(stream).uniform(low, high))

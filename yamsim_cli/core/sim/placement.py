@@ -28,6 +28,7 @@ class DistractorPlacer:
     def __init__(self, config: RecordConfig, scene: CompiledScene) -> None:
         self._distractors = config.randomization.distractors
         self._table = config.widened_table
+        self._look = config.look
         self._model = copy.copy(scene.model)
         self._randomized_model = RandomizedModel(self._model, config.randomization, config.scene)
 
@@ -42,7 +43,7 @@ class DistractorPlacer:
             return {}
         for item in config.objects:
             self._randomized_model.place_distractor(item.name, None)
-        rng = random_generator(job, Stream.DISTRACTORS)
+        rng = random_generator(job.for_look(self._look), Stream.DISTRACTORS)
         wanted = int(rng.integers(config.count[0], config.count[1] + 1))
         order = rng.permutation(len(config.objects))[:wanted]
         data = mujoco.MjData(self._model)

@@ -15,6 +15,7 @@ from yamsim_cli.core.dataset.dataset_paths import (
     EPISODE_FILE,
     LEDGER_FILE,
     MANIFEST_FILE,
+    PROVENANCE_FILE,
     RECORDINGS_FOLDER,
     STAGING_FOLDER,
     episode_name,
@@ -175,6 +176,8 @@ def compare_ledger(
 ) -> list[DatasetProblem]:
     """Return faults of episodes that differ from the ledger. Add faults of the ledger itself to `problems`."""
     recorded = [episode for episode in episodes if episode.record]
+    if (dataset / PROVENANCE_FILE).is_file():
+        return []  # a dataset made from others has only some attempts of its sources, and no ledger
     if not (dataset / LEDGER_FILE).is_file():
         if recorded:
             problems.add("ledger.missing", LEDGER_FILE)

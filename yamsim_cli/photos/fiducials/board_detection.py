@@ -11,12 +11,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from yamsim_cli.camera_effects.lens_distortion import project_points
 from yamsim_cli.core.geometry.board import Board
 from yamsim_cli.core.geometry.camera import CameraModel
 from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.core.images.board_image import marker_cells
 
-from ..lens_distortion import project_points
 from .fitting.blur_kernel import BlurKernel
 from .fitting.normal_equations import MarkerTile
 from .fitting.pose_alignment import Alignment, marginalize_shape, measure_agreement

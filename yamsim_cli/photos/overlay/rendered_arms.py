@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from yamsim_cli.camera_effects.lens_distortion import LensWarp
 from yamsim_cli.core.attempt_data import ArmPosture
 from yamsim_cli.core.closable import Closable
 from yamsim_cli.core.config.rendering import RenderConfig
@@ -25,8 +26,6 @@ from yamsim_cli.core.scene.blueprint import Blueprint, PictureSettings
 from yamsim_cli.core.scene.cameras import WORLD_BODY, SceneCamera
 from yamsim_cli.core.scene.compilation import compile_spec
 from yamsim_cli.core.scene.compose import compose_scene
-
-from ..lens_distortion import LensWarp
 
 _CAMERA = "photo"
 _HIDDEN_GROUP = 5

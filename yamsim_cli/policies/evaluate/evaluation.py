@@ -14,7 +14,13 @@ from yamsim_cli.core.dataset.records import OutcomeRecord, record_data
 from yamsim_cli.core.episode.episode_rules import REPLAY_RULES
 from yamsim_cli.core.episode.execution import simulate_actions
 from yamsim_cli.core.episode.simulator import sample_roles_for
-from yamsim_cli.core.episode.trials import (
+from yamsim_cli.core.errors import PartialJobError
+from yamsim_cli.core.progress import Progress
+from yamsim_cli.core.statistics import summarize_values, wilson_interval_95
+from yamsim_cli.core.workers.executors import LostJobError
+from yamsim_cli.core.workers.process_pool import ProcessPool
+from yamsim_cli.core.workers.worker_pool import JOB_TIMEOUT
+from yamsim_cli.trials import (
     FilmedTrial,
     TrialFrameRenderer,
     TrialVideoWriter,
@@ -23,12 +29,6 @@ from yamsim_cli.core.episode.trials import (
     run_trials,
     trial_settings,
 )
-from yamsim_cli.core.errors import PartialJobError
-from yamsim_cli.core.progress import Progress
-from yamsim_cli.core.statistics import summarize_values, wilson_interval_95
-from yamsim_cli.core.workers.executors import LostJobError
-from yamsim_cli.core.workers.process_pool import ProcessPool
-from yamsim_cli.core.workers.worker_pool import JOB_TIMEOUT
 
 from .policy_choice import PolicyChoice
 from .policy_trial import MEASURED_ENDS, TrialEnd, TrialResult, TrialRunner

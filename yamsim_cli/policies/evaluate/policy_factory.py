@@ -159,6 +159,12 @@ def _make_external(choice: PolicyChoice, session: Session) -> MappedPolicy:
     kind, _, rest = choice.name.partition(":")
     mapping = load_config(PolicyConfig, "policies", choice.mapping or _CONFIGS[kind], session.locations)
     station = policy_station(session.config)
+    chunking = choice.chunking
+    if mapping.realtime_chunking is not None and (chunking.execute is not None or chunking.ensemble is not None):
+        raise UsageError(
+            f"--execute and --ensemble are not for real-time chunking, which --policy-config {mapping.name} asks for: "
+            "set execute in its realtime_chunking"
+        )
     if kind == lerobot.SCHEME:
         local = choice.folder / rest
         checkpoint = lerobot.LeRobotClient(str(local) if local.is_dir() else rest, mapping)

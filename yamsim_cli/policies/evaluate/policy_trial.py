@@ -100,7 +100,7 @@ class TrialRunner(Closable):
         self.simulators = SimulatorCache(session)
         self._wanted = wanted_images(self.policy), wanted_state(self.policy)
         execute = choice.chunking.execute or getattr(self.policy, "execute", None)
-        self._chunking = replace(choice.chunking, execute=execute)
+        self._chunking = replace(choice.chunking, execute=execute, lead=getattr(self.policy, "lead", None))
         policy_cameras(session.config, self._wanted[0])
 
     def run(self, job: AttemptJob) -> TrialResult:

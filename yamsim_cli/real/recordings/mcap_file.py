@@ -29,8 +29,27 @@ _MAX_START_DELAY = _EARLIEST_END = 1.0
 TopicRows = list[tuple[int, Array]]  # time (ns) and values of a topic's messages
 
 
+def mcap_files(path: Path) -> list[Path]:
+    """Return a file itself, or the MCAP files in a folder and its subfolders."""
+    return sorted(path.rglob("*.mcap")) if path.is_dir() else [path]
+
+
 def read_mcap(path: Path, rig: RigConfig, mapping: str | None, locations: Locations) -> list[Recording]:
-    """Return the one recording of an MCAP file.
+    """Return the recordings of an MCAP file, or of all in a folder.
+
+    Raises:
+        DatasetError: the folder has no such file; or as for a file.
+        ConfigError: `mapping` does not exist or does not fit.
+        ResourceError: mcap is not installed.
+    """
+    files = mcap_files(path)
+    if not files:
+        raise DatasetError(f"{path}: contains no .mcap file; give a file, or a folder with such files")
+    return [_read_file(file, rig, mapping, locations) for file in files]
+
+
+def _read_file(path: Path, rig: RigConfig, mapping: str | None, locations: Locations) -> Recording:
+    """Return the recording of an MCAP file.
 
     Samples are the first arm's state messages; other topics give their last value before each.
 
@@ -66,7 +85,7 @@ def read_mcap(path: Path, rig: RigConfig, mapping: str | None, locations: Locati
     pictures = {
         camera: _camera_images(path, topic, stamps) for topic, camera in names.cameras.items() if topic in topics
     }
-    return [Recording(motion, names.gripper, pictures, prompt, problems=tuple(_early_end_problems(rows, stamps)))]
+    return Recording(motion, names.gripper, pictures, prompt, problems=tuple(_early_end_problems(rows, stamps)))
 
 
 def _arm_motions(

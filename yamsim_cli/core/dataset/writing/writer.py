@@ -12,7 +12,15 @@ from ...config.recording import RecordConfig
 from ...errors import DatasetError, ResourceError, join_ranges
 from ...files.documents.yaml_document import dump_yaml, parse_yaml
 from ...files.writing import append_line, publish_directory, sha256_bytes, write_file
-from ..dataset_paths import CONFIG_FILE, EPISODE_FILE, LEDGER_FILE, MANIFEST_FILE, STAGING_FOLDER, episode_name
+from ..dataset_paths import (
+    CONFIG_FILE,
+    EPISODE_FILE,
+    LEDGER_FILE,
+    MANIFEST_FILE,
+    PROVENANCE_FILE,
+    STAGING_FOLDER,
+    episode_name,
+)
 from ..disk_errors import describe_disk_error
 from ..records import AttemptRecord, EpisodeRecord, Manifest, ManifestEntry, to_json
 from ..upgrade import upgrade_config
@@ -175,6 +183,11 @@ class DatasetWriter(AttemptLog, Closable):
 
     def _check_config(self, config: Mapping[str, Any]) -> None:
         file = self.path / CONFIG_FILE
+        if (self.path / PROVENANCE_FILE).is_file():
+            raise DatasetError(
+                f"{self.path} was made from other datasets, so it cannot be resumed; record into another --out, and "
+                "merge the two with `yamsim merge`"
+            )
         if not file.is_file():
             raise DatasetError(f"{self.path} has no {CONFIG_FILE}, so it cannot be resumed; choose another --out")
         recorded = upgrade_config(parse_yaml(file.read_bytes(), str(file)).data)

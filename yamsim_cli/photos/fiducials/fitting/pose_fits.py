@@ -10,11 +10,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from yamsim_cli.camera_effects.lens_distortion import project_points, viewing_rays
 from yamsim_cli.core.geometry.board import Board
 from yamsim_cli.core.geometry.camera import CameraModel
 from yamsim_cli.core.geometry.se3 import Array, pose, rotation_vector
 
-from ...lens_distortion import project_points, viewing_rays
 from ..markers import MarkerGroup
 from .normal_equations import MarkerTile
 from .pose_alignment import Alignment, align_pose, measure_agreement

@@ -10,12 +10,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from yamsim_cli.camera_effects.lens_distortion import project_points, viewing_ray_grid
 from yamsim_cli.core.geometry.board import Board
 from yamsim_cli.core.geometry.camera import CameraModel
 from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.core.images.board_image import board_image, marker_cells
 
-from ...lens_distortion import project_points, viewing_ray_grid
 from .blur_kernel import BlurKernel
 
 Grey = NDArray[np.float32]

@@ -15,11 +15,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from yamsim_cli.camera_effects.lens_distortion import viewing_rays
 from yamsim_cli.core.geometry.board import Board
 from yamsim_cli.core.geometry.camera import CameraModel
 from yamsim_cli.core.geometry.se3 import Array
 
-from ...lens_distortion import viewing_rays
 from ..fitting.blur_kernel import BlurKernel
 from ..fitting.normal_equations import (
     NormalEquations,

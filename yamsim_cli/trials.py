@@ -10,27 +10,27 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
-from ..attempt_data import AttemptJob, AttemptPayload, FailureCause
-from ..closable import Closable
-from ..config.program_task import ProgramTask
-from ..config.recording import SCENE_CAMERA, RecordConfig
-from ..config.session import Session
-from ..dataset.records import MarginsRecord, OutcomeRecord, attempt_record, record_data
-from ..errors import InterruptedJobError, ResourceError, SimulationError, UsageError
-from ..files.writing import move_to_backup
-from ..images.jpeg import decode_jpeg, encode_jpeg
-from ..images.video import VideoWriter, require_encoder
-from ..progress import Progress
-from ..rendering.view_cameras import draw_labels
-from ..statistics import summarize_values, wilson_interval_95
-from ..workers.executors import Executor, J, LostJobError, OpenRunner, run_all
-from ..workers.process_pool import ProcessPool
-from .attempt_payload import render_cameras
-from .episode_rules import EXPERT_RULES
-from .execution import SimulatedAttempt, simulate_expert
-from .runner import AttemptRunner
-from .sampling import sample_attempt
-from .simulator import Simulator, SimulatorCache
+from .core.attempt_data import AttemptJob, AttemptPayload, FailureCause
+from .core.closable import Closable
+from .core.config.program_task import ProgramTask
+from .core.config.recording import SCENE_CAMERA, RecordConfig
+from .core.config.session import Session
+from .core.dataset.records import MarginsRecord, OutcomeRecord, attempt_record, record_data
+from .core.episode.attempt_payload import render_cameras
+from .core.episode.episode_rules import EXPERT_RULES
+from .core.episode.execution import SimulatedAttempt, simulate_expert
+from .core.episode.runner import AttemptRunner
+from .core.episode.sampling import sample_attempt
+from .core.episode.simulator import Simulator, SimulatorCache
+from .core.errors import InterruptedJobError, ResourceError, SimulationError, UsageError
+from .core.files.writing import move_to_backup
+from .core.images.jpeg import decode_jpeg, encode_jpeg
+from .core.images.video import VideoWriter, require_encoder
+from .core.progress import Progress
+from .core.rendering.view_cameras import draw_labels
+from .core.statistics import summarize_values, wilson_interval_95
+from .core.workers.executors import Executor, J, LostJobError, OpenRunner, run_all
+from .core.workers.process_pool import ProcessPool
 
 R = TypeVar("R")
 
