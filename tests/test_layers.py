@@ -88,8 +88,8 @@ CONFINED = {
     "mink": {"core.expert.planning.ik"},
     "manifold3d": {"core.scene.assets.mesh_reduction", "objects.convex_decomposition"},
     "fast_simplification": {"core.scene.assets.mesh_reduction"},
-    "cv2": {"calibration", "core.images", "core.rendering", "photos"},
     "cv2": {
+        "calibration",
         "camera_effects",
         "camera_rendering",
         "core.images",
