@@ -53,7 +53,7 @@ def _calibration(x: float) -> Calibration:
         rotation_95_deg=(0.0, 0.0, 0.0),
         joint_offsets_deg=(0.0, 1.0),
         joint_offsets_95_deg=(0.0, 0.3),
-        told=(False, True),
+        joint_offsets_estimated=(False, True),
     )
     return Calibration(rig="single", reference="arm1", cameras=(camera,), arms=(arm,))
 

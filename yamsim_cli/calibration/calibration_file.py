@@ -69,7 +69,8 @@ class CalibratedArm(Config):
         position, quat: pose of its base in the base of `Calibration.reference`, m.
         joint_offsets_deg: measured minus true joints. That of the first joint is 0: an offset of it looks like a turn
             of the base.
-        told: whether the pictures tell each offset; if not, its interval is mostly that of the assumption.
+        joint_offsets_estimated: whether the pictures determine each offset; if not, its interval is mostly that of the
+            assumption.
     """
 
     name: str
@@ -79,7 +80,7 @@ class CalibratedArm(Config):
     rotation_95_deg: Numbers3
     joint_offsets_deg: tuple[float, ...]
     joint_offsets_95_deg: tuple[float, ...]
-    told: tuple[bool, ...]
+    joint_offsets_estimated: tuple[bool, ...]
 
     @property
     def T_base_in_reference(self) -> Array:

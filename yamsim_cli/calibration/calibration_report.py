@@ -31,7 +31,7 @@ from .station_fit import FitPriors, StationFit
 from .uncertainty import Z95, PoseInterval, StationIntervals
 
 CALIBRATION_FILE, REPORT_FILE, PAGE_FILE = "calibration.yaml", "calibration.json", "calibration.html"
-_TOLD = 0.7  # an offset is told if its interval is at most this share of that before the fit
+_MAX_INTERVAL_RATIO = 0.7  # an offset counts as estimated if its interval is at most this share of that before the fit
 _SHOWN_FRAMES = 12  # pictures of a camera on the page
 _OPACITY = 0.35  # of the arms over a picture, 0..1
 _JPEG_QUALITY = 85  # 0..100
@@ -106,7 +106,7 @@ def _calibrated_arm(name: str, number: int, fit: StationFit, intervals: StationI
         **_widths(intervals.bases[number]),
         joint_offsets_deg=tuple(float(value) for value in np.degrees(offsets).round(4)),
         joint_offsets_95_deg=tuple(float(value) for value in np.degrees(widths).round(4)),
-        told=(False, *(bool(width < _TOLD * before) for width in widths[1:])),
+        joint_offsets_estimated=(False, *(bool(width < _MAX_INTERVAL_RATIO * before) for width in widths[1:])),
     )
 
 
@@ -120,13 +120,28 @@ def make_report(rig: RigConfig, outcome: StationOutcome, calibration: Calibratio
                 "name": one.name,
                 "status": "ok" if one.refusal is None else "refused",
                 "reason": one.refusal,
+                **_pose_figures(calibration, one.name),
                 **one.figures,
             }
             for one in outcome.cameras
         ],
+        "joint_offsets_rad": {arm.name: arm.offsets.tolist() for arm in calibration.arms} if calibration else {},
         "frames": frame_residuals(outcome),
         "calibration": calibration.model_dump(mode="json") if calibration else None,
     }
+
+
+def _pose_figures(calibration: Calibration | None, name: str) -> dict[str, Any]:
+    """Return pose, largest standard deviations (m, rad) and delay (s) of a camera; null if it was refused."""
+    for camera in calibration.cameras if calibration else ():
+        if camera.name == name:
+            return {
+                "T_cam_in_base": camera.T_cam_in_base.tolist(),
+                "sigma_m": max(camera.position_95_mm) / Z95 / 1000,
+                "sigma_rad": math.radians(max(camera.rotation_95_deg)) / Z95,
+                "delay_s": camera.delay_ms / 1000,
+            }
+    return {"T_cam_in_base": None, "sigma_m": None, "sigma_rad": None, "delay_s": None}
 
 
 def frame_residuals(outcome: StationOutcome) -> list[dict[str, Any]]:
@@ -230,14 +245,14 @@ def _cameras_section(outcome: StationOutcome, calibration: Calibration | None) -
 def _arms_section(calibration: Calibration) -> Markup:
     cells = []
     for arm in calibration.arms:
-        rows = zip(arm.joint_offsets_deg, arm.joint_offsets_95_deg, arm.told, strict=True)
+        rows = zip(arm.joint_offsets_deg, arm.joint_offsets_95_deg, arm.joint_offsets_estimated, strict=True)
         cells.append(
             [
                 arm.name,
                 ", ".join(f"{1000 * value:.1f}" for value in arm.position),
                 ", ".join(
-                    f"{value:.2f} \N{PLUS-MINUS SIGN} {width:.2f}" if told else "not told"
-                    for value, width, told in rows
+                    f"{value:.2f} \N{PLUS-MINUS SIGN} {width:.2f}" if estimated else "not estimated"
+                    for value, width, estimated in rows
                 ),
             ]
         )
@@ -282,13 +297,19 @@ def result_lines(outcome: StationOutcome, calibration: Calibration | None) -> li
 
 
 def _offset_text(arm: CalibratedArm) -> str:
-    told = [
+    estimated = [
         f"joint{k} {value:.2f}"
-        for k, (value, known) in enumerate(zip(arm.joint_offsets_deg, arm.told, strict=True), start=1)
+        for k, (value, known) in enumerate(
+            zip(arm.joint_offsets_deg, arm.joint_offsets_estimated, strict=True), start=1
+        )
         if known
     ]
-    held = [f"joint{k}" for k, known in enumerate(arm.told, start=1) if not known]
-    text = f"joint offsets {', '.join(told)} degrees" if told else "no joint offset is told by the pictures"
+    held = [f"joint{k}" for k, known in enumerate(arm.joint_offsets_estimated, start=1) if not known]
+    text = (
+        f"joint offsets {', '.join(estimated)} degrees"
+        if estimated
+        else "no joint offset is estimated from the pictures"
+    )
     return f"{text}; held: {', '.join(held)}" if held else text
 
 
