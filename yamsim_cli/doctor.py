@@ -49,7 +49,7 @@ _RECORDER_BYTES = 150_000_000  # of the recording process
 _FRAMES_PER_EPISODE = 57  # frames per episode
 _IMAGE_BYTES = 22_000
 _LOWDIM_BYTES = 2_000
-_BLOCK_BYTES = 4096  # bytes to which a filesystem rounds file sizes up
+_FILESYSTEM_BLOCK_BYTES = 4096  # bytes to which a filesystem rounds file sizes up
 
 _DISK_TEST_EPISODES = 3  # to measure the speed of the disk
 _MAX_EPISODE_WRITE_SECONDS = 1.0  # s to write an episode; a slower disk keeps up with one worker at most
@@ -219,7 +219,7 @@ def _check_disk(out: Path) -> Iterator[HealthCheck]:
         yield HealthCheck("disk", Health.FAULT, detail, "choose another --out")
         return
     free = shutil.disk_usage(place).free
-    fit = free // (_FRAMES_PER_EPISODE * (_IMAGE_BYTES + _LOWDIM_BYTES + _BLOCK_BYTES))
+    fit = free // (_FRAMES_PER_EPISODE * (_IMAGE_BYTES + _LOWDIM_BYTES + _FILESYSTEM_BLOCK_BYTES))
     detail = (
         f"{place}: {free / 1e9:.1f} GB free, room for some {fit} episodes; writing one takes {seconds * 1000:.0f} ms"
     )

@@ -14,7 +14,7 @@ from tests.cli.run_cli import Run, yamsim
 from tests.unrendered import SIZE, change_frame, change_record, frame_count, read_frame, write_dataset
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.session import Session
-from yamsim_cli.core.dataset.reader import read_recording_config, select_episodes
+from yamsim_cli.core.dataset.reader import read_recording_config, select_episode_directories
 from yamsim_cli.core.episode.attempt_payload import APPEARANCE_REVISION, SIMULATION_REVISION
 from yamsim_cli.core.errors import DatasetError, UsageError
 from yamsim_cli.core.files.resources import Locations
@@ -170,7 +170,7 @@ def test_an_episode_without_simulation_is_skipped_with_the_reason(dataset: Path,
 
 def test_which_episodes(original: Path, tmp_path: Path) -> None:
     def numbers(episodes: str | None = None, sample: int | None = None) -> list[int]:
-        return [number for number, _ in select_episodes(original, episodes, sample)]
+        return [number for number, _ in select_episode_directories(original, episodes, sample)]
 
     assert numbers() == numbers("0-2") == numbers("2,0-1,1") == numbers("ep_000000-ep_000002") == [0, 1, 2]
     assert numbers(sample=1) == [0]
@@ -187,9 +187,9 @@ def test_which_episodes(original: Path, tmp_path: Path) -> None:
         with pytest.raises(UsageError, match=fault):
             numbers(text)
     with pytest.raises(DatasetError, match="is not a directory"):
-        select_episodes(tmp_path / "nowhere", None, None)
+        select_episode_directories(tmp_path / "nowhere", None, None)
     with pytest.raises(DatasetError, match="holds no episodes"):
-        select_episodes(tmp_path, None, None)
+        select_episode_directories(tmp_path, None, None)
 
 
 def test_without_a_usable_config_nothing_can_be_made_again(dataset: Path, locations: Locations) -> None:

@@ -59,10 +59,10 @@ def verify(
         raise UsageError(f"--image-tolerance {image_tolerance:g} needs --images")
 
     from yamsim_cli.core.config.session import Session
-    from yamsim_cli.core.dataset.reader import read_recording_config, select_episodes
+    from yamsim_cli.core.dataset.reader import read_recording_config, select_episode_directories
 
     where, applied = session_opener.find_locations(), selection_of(dataset, selection)
-    chosen = select_episodes(dataset, episodes, sample, applied.kept if applied else None)
+    chosen = select_episode_directories(dataset, episodes, sample, applied.kept if applied else None)
     if not chosen and applied:
         raise UsageError(f"--episodes {episodes}: {applied.path} keeps none of these; give others")
     session = Session(read_recording_config(dataset, where), where)

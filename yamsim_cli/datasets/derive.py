@@ -26,7 +26,7 @@ from ..core.dataset.dataset_paths import (
 )
 from ..core.dataset.disk_errors import explain_disk_error
 from ..core.dataset.imported_records import is_imported_dataset
-from ..core.dataset.reader import RecordedEpisode, open_recorded_episode, select_episodes
+from ..core.dataset.reader import RecordedEpisode, open_recorded_episode, select_episode_directories
 from ..core.dataset.records import EpisodeRecord, Manifest, ManifestEntry, to_json
 from ..core.dataset.upgrade import upgrade_config
 from ..core.dataset.writing.directory_claim import DirectoryLock
@@ -100,7 +100,7 @@ def open_source_dataset(
     applied = apply_selection(path, selection) if selection else None
     decisions = read_selection(selection).decisions if selection else {}
     found = []
-    for number, directory in select_episodes(path, episodes, None, applied.kept if applied else None):
+    for number, directory in select_episode_directories(path, episodes, None, applied.kept if applied else None):
         episode = open_recorded_episode(directory)
         if episode.record.episode != number:
             raise DatasetError(f"{directory / EPISODE_FILE} is that of episode {episode.record.episode}")

@@ -23,7 +23,7 @@ from ..core.dataset.reader import (
     open_episode,
     open_recorded_episode,
     read_recording_config,
-    select_episodes,
+    select_episode_directories,
 )
 from ..core.dataset.row_format import arm_prefixes, drive_names, weld_names
 from ..core.errors import DatasetError, UsageError
@@ -251,7 +251,7 @@ def open_source(
 
 
 def _select_directories(dataset: Path, episodes: str | None, selection: AppliedSelection | None) -> tuple[Path, ...]:
-    chosen = select_episodes(dataset, episodes, None, selection.kept if selection else None)
+    chosen = select_episode_directories(dataset, episodes, None, selection.kept if selection else None)
     if not chosen and selection:
         raise UsageError(f"--episodes {episodes}: {selection.path} keeps none of these; give others")
     return tuple(directory for _, directory in chosen)

@@ -265,7 +265,7 @@ class _LeRobotWriter(Closable):
         videos = {schema.image_key(camera): video.result() for camera, video in encoding.items()}
         stats = {key: found for key, (_, found) in videos.items()}
         stats |= {key: column_stats(value) for key, value in values.items()}
-        place, rows_place = self._data.next_file(), self._episodes.next_file()
+        place, rows_place = self._data.file_for_next_table(), self._episodes.file_for_next_table()
         row: dict[str, Any] = {
             "episode_index": number,
             "tasks": [task],

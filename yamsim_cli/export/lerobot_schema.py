@@ -198,7 +198,7 @@ class TableSeries(Closable):
         self._place = SeriesFile(0)
         self._path = root
 
-    def next_file(self) -> SeriesFile:
+    def file_for_next_table(self) -> SeriesFile:
         """Return the file for the next table."""
         if self._writer is not None and self._path.stat().st_size >= self._limit:
             self.close()
@@ -209,7 +209,7 @@ class TableSeries(Closable):
         """Append a table."""
         import pyarrow.parquet
 
-        place = self.next_file()
+        place = self.file_for_next_table()
         if self._writer is None:
             self._path = self._root / place.path(self._pattern)
             self._path.parent.mkdir(parents=True, exist_ok=True)

@@ -113,7 +113,7 @@ session_opener = SessionOpener(
 
 
 # Session settings that a command may have as parameters; `SessionOpener.load_record_config` explains them.
-_SETTINGS = (
+_SESSION_SETTING_NAMES = (
     "rig", "revision", "robot", "task", "target", "n", "workers", "seed", "grasp", "arm", "wrist", "camera", "boards",
     "truth", "size", "jpeg_quality", "action", "fps", "quality", "threshold", "randomize", "randomization",
     "camera_effects",
@@ -122,7 +122,9 @@ _SETTINGS = (
 
 def session_settings(parameters: Mapping[str, Any]) -> dict[str, Any]:
     """Return the session settings among a command's parameters; `item` becomes `object`."""
-    return {"object": parameters["item"]} | {name: parameters[name] for name in _SETTINGS if name in parameters}
+    return {"object": parameters["item"]} | {
+        name: parameters[name] for name in _SESSION_SETTING_NAMES if name in parameters
+    }
 
 
 def _set_offline(wanted: bool) -> bool:

@@ -39,7 +39,7 @@ def scene_task_data(name: str) -> dict[str, Any]:
     The name is `TASK/INSTANCE`, such as `stack/cups`; with `@K`, of the scene's epoch K instead of 0. That epoch gives
     objects, instruction and expert. It has one arrangement for each of up to 100 epochs with the same objects.
     """
-    scene, epoch = _find_scene(name)
+    scene, epoch = _parse_scene_and_realization(name)
     first = _scene_blueprint(scene, epoch)
     if first.target_kind not in _SUPPORTED_GOAL_KINDS:
         raise UsageError(
@@ -81,7 +81,7 @@ def scene_task_data(name: str) -> dict[str, Any]:
     }
 
 
-def _find_scene(name: str) -> tuple[Scene, int]:
+def _parse_scene_and_realization(name: str) -> tuple[Scene, int]:
     path, _, epoch = name.partition("@")
     task, _, instance = path.partition("/")
     if task not in tasks.TASK_FACTORIES:

@@ -68,7 +68,7 @@ class PlaceInCompartment(PlaceSkill):
     """Place a long object along a compartment, beside objects of the role `beside` if there is room, else on them."""
 
     ROLES: ClassVar[tuple[str, ...]] = ("thing", "into", "beside")
-    LOWERING: ClassVar[float] = 0.25
+    LOWERING_SPEED: ClassVar[float] = 0.25
     into: str
     beside: str
 

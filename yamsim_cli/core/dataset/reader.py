@@ -220,7 +220,7 @@ def read_recorded_rig(dataset: Path, locations: Locations) -> RigConfig:
     )
 
 
-def select_episodes(
+def select_episode_directories(
     dataset: Path, episodes: str | None, sample: int | None, among: Collection[int] | None = None
 ) -> list[tuple[int, Path]]:
     """Return the number and directory of the selected episodes, in order.

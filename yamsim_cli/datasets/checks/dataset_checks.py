@@ -49,7 +49,7 @@ def check_dataset(
         listed, differing = check_manifest(dataset, numbers, problems) if episodes or attempts else (set(), [])
         logged = {attempt.episode for attempt in attempts if attempt.episode is not None}
         found += differing + _find_missing_episodes(set(numbers), listed | logged)
-        _report_leftover_files(dataset, {episode.name for episode in episodes}, problems)
+        _report_interrupted_writes(dataset, {episode.name for episode in episodes}, problems)
     else:
         if not context.real:
             problems.add("dataset.plain")
@@ -132,7 +132,7 @@ def _report_differing_settings(what: str, values: Iterable[str], problems: Probl
         problems.add("dataset.mixed", "", f"{what}: " + "; ".join(f"{n} x {text}" for text, n in counts.most_common()))
 
 
-def _report_leftover_files(dataset: Path, known: set[str], problems: ProblemCollector) -> None:
+def _report_interrupted_writes(dataset: Path, known: set[str], problems: ProblemCollector) -> None:
     for path in sorted(dataset.iterdir()):
         if path.name in (STAGING_FOLDER, RECORDINGS_FOLDER):
             for staged in sorted(path.glob("*")):

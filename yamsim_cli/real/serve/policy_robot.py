@@ -201,7 +201,7 @@ class PolicyRobot:
         if self.stop_reason or self.is_going_home:
             return
         row = numbers if len(numbers) == self._joint_numbers else self._joints_from_hand_poses(numbers)
-        if fault := self._is_too_far(row):
+        if fault := self._jump_message(row):
             self.stop(fault)
             return
         self._commanded = row
@@ -266,7 +266,7 @@ class PolicyRobot:
             found.append(np.append(hand.solve_joints(pose_from_rotation_rows(position, row), start[:-1]), grip))
         return np.concatenate(found)
 
-    def _is_too_far(self, row: Array) -> str:
+    def _jump_message(self, row: Array) -> str:
         off = np.abs(row - self._measured_row())
         ends = np.cumsum(self._widths)
         off[ends - 1] = 0.0  # may move through their whole range

@@ -100,14 +100,14 @@ def write_scene(
         if (out.exists() or out.is_symlink()) and not overwrite:
             raise UsageError(f"{out} exists; move it aside with --overwrite, or choose another --out")
         out.parent.mkdir(parents=True, exist_ok=True)
-        moved = _write_zip(files, out) if as_zip else _write_folder(files, out)
+        moved = _write_zip(files, out) if as_zip else _replace_folder(files, out)
     except OSError as error:
         raise ResourceError(f"{out} cannot be written: {describe_refusal(error, out)}; choose another --out") from error
     bodies = tuple(model.body(k).name for k in range(1, model.nbody))
     return ComposeReport(out, tuple(files), model.nq, model.nu, bodies, moved)
 
 
-def _write_folder(files: dict[str, bytes], out: Path) -> Path | None:
+def _replace_folder(files: dict[str, bytes], out: Path) -> Path | None:
     with staged_directory(out, overwrite=True) as stage:
         for name, data in files.items():
             path = stage.path / name

@@ -302,13 +302,13 @@ class _HandoverOrientation:
     """Orientation of an object in which two hands grasp it from their own sides.
 
     Attributes:
-        R_thing: rotation from the object's frame to the handover frame. Its first axis leads from the giver to the
-            receiver, and its second axis points along both hands.
+        R_thing_in_handover: rotation from the object's frame to the handover frame. Its first axis leads from
+            the giver to the receiver, and its second axis points along both hands.
         hand_distance: distance between hands that point in similar directions, m; infinite for other hands.
         facing: whether the hands face each other, so that the object may roll about the line between them.
     """
 
-    R_thing: Array
+    R_thing_in_handover: Array
     hand_distance: float
     facing: bool
 
@@ -334,7 +334,7 @@ class _HandoverPoseSampler:
         attitudes, (least, most) = [self.orientation_for(grip) for grip in grips], self.hand_distances
         fitting = [(k, found) for k, found in enumerate(attitudes) if found and least <= found.hand_distance <= most]
         numbers = np.array([k for k, _ in fitting], np.intp)
-        R = self._rolled_frames @ np.array([found.R_thing for _, found in fitting]).reshape(-1, 1, 3, 3)
+        R = self._rolled_frames @ np.array([found.R_thing_in_handover for _, found in fitting]).reshape(-1, 1, 3, 3)
         rolls = np.array([found.facing for _, found in fitting], bool)[:, None] | (
             np.arange(len(_OBJECT_ROLL_ANGLES)) == 0
         )
@@ -370,5 +370,5 @@ def _handover_orientation(T_giving: Array, T_receiving: Array) -> _HandoverOrien
         return None
     second = second / length
     (a, b, c), (x, y, z) = first.tolist(), second.tolist()
-    R_thing = np.array([first, second, (b * z - c * y, c * x - a * z, a * y - b * x)])
-    return _HandoverOrientation(R_thing, apart, angle > _FACING_ANGLE)
+    R_thing_in_handover = np.array([first, second, (b * z - c * y, c * x - a * z, a * y - b * x)])
+    return _HandoverOrientation(R_thing_in_handover, apart, angle > _FACING_ANGLE)

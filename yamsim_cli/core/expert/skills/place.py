@@ -42,7 +42,7 @@ class PlaceSkill(Skill):
     ROLES: ClassVar[tuple[str, ...]] = ("thing",)
     REQUIRES_HELD_OBJECT: ClassVar[bool | None] = True
     LEAVES_OBJECT_HELD: ClassVar[bool | None] = False
-    LOWERING: ClassVar[float] = 0.15  # m/s, speed at which an object comes down
+    LOWERING_SPEED: ClassVar[float] = 0.15  # m/s, speed at which an object comes down
     thing: str
     drop: Annotated[FiniteFloat, QuantityBounds("m", 0, 0.05)] = 0.0
 
@@ -149,7 +149,7 @@ class PlaceSkill(Skill):
         self, context: PlanningContext, hand: Hand, thing: str, T_goal: Array
     ) -> Iterator[MotionSegment]:
         yield context.make_segment(
-            {hand: plan_held_object_line(context, hand, pose_raised_by(T_goal, _RELEASE_GAP), self.LOWERING)}
+            {hand: plan_held_object_line(context, hand, pose_raised_by(T_goal, _RELEASE_GAP), self.LOWERING_SPEED)}
         )
         yield rest_segment(context)
         yield from release_and_retreat(context, hand, context.release_clearance(thing))
