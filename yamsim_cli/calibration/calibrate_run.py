@@ -305,7 +305,7 @@ def _is_other_pose(one: StationFit, other: StationFit) -> bool:
 
 
 def _joined_state(states: Sequence[StationState]) -> StationState:
-    """Return the state of all cameras; offsets and bases are the means."""
+    """Return the state of all cameras; joint offsets are the means, bases those of the first."""
     first = states[0]
     return StationState(
         tuple(one.T_base_in_cam[0] for one in states),
