@@ -8,6 +8,7 @@ from typing import Any, cast
 
 import numpy as np
 
+from yamsim_cli.calibration.calibrate_run import offset_refusal
 from yamsim_cli.calibration.station_fit import DELAY, FitPriors, StationProblem, start_state
 from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.geometry.se3 import pose, rotation_z
@@ -27,3 +28,11 @@ def test_the_priors_hold_the_rig_and_not_the_start_of_the_fit(station: RigConfig
     np.testing.assert_allclose(moved[problem.layout.offsets(other)], 0.03)
     place = problem.layout.base(other)
     np.testing.assert_allclose(moved[place], [0, 0, 0.01, 0, 0, 0.02], atol=1e-9)
+
+
+def test_implausible_joint_offsets_are_refused(station: RigConfig) -> None:
+    state = start_state(station, [pose((0.0, 0.0, 1.0))], [0.0])
+    assert offset_refusal(station, state) is None
+    state.offsets[0][4] = np.radians(-4.0)
+    refusal = offset_refusal(station, state)
+    assert refusal is not None and f"joint 5 of {station.arms[0].name} would have an offset of -4.0" in refusal
