@@ -300,8 +300,8 @@ def offset_refusal(rig: RigConfig, state: StationState) -> str | None:
         joint = int(np.abs(offsets).argmax())
         if abs(offsets[joint]) > _MAX_OFFSET:
             return (
-                f"joint {joint + 1} of {arm.name} would have an offset of {math.degrees(offsets[joint]):.1f} degrees, at "
-                f"most {math.degrees(_MAX_OFFSET):g} are plausible: is the rig's arm and gripper the one in the "
+                f"joint {joint + 1} of {arm.name} would have an offset of {math.degrees(offsets[joint]):.1f} degrees, "
+                f"at most {math.degrees(_MAX_OFFSET):g} are plausible: is the rig's arm and gripper the one in the "
                 "pictures, and are its joints zeroed?"
             )
     return None
