@@ -1,10 +1,11 @@
 """Errors, coverage of intervals and refusals of `yamsim calibrate` for stations with planted truth, and its cost.
 
-    python -m tools.bench.calibrate [--stations N] [--first SEED] [--keep out/bench/calibrate]
+    python -m tools.bench.calibrate [--stations N] [--first SEED] [--size 640x480] [--task swap] [--keep out/bench]
 
-Each station has one arm, its own camera, lights, table and floor, four episodes of `pickplace` with distractors, joint
-offsets, a delay of the pictures and an error of the given focal length. Pictures have full meshes, shadows, noise, blur
-and JPEG; the fit renders reduced meshes without light. Seeds below 1000 served development, those above did not.
+Each station has one arm, its own camera, lights, table and floor, four episodes of `pickplace` with distractors (or as
+`--task` and `--episodes` say), joint offsets, a delay of the pictures and an error of the given focal length. Pictures
+have full meshes, shadows, noise, blur and JPEG; the fit renders reduced meshes without light. Seeds below 1000 served
+development, those above did not.
 """
 
 from __future__ import annotations
@@ -93,7 +94,7 @@ def scene_of(rng: np.random.Generator) -> dict[str, Any]:
     }
 
 
-def record_station(seed: int, folder: Path, size: str) -> Planted:
+def record_station(seed: int, folder: Path, size: str, task: str, episodes: int) -> Planted:
     """Record a station's episodes with planted errors into `folder`/episodes, and its camera file."""
     rng = np.random.default_rng(seed)
     files = {
@@ -116,10 +117,10 @@ def record_station(seed: int, folder: Path, size: str) -> Planted:
     config = {
         key: str((folder / f"{file}.yaml").absolute())
         for key, file in (("scene", "scene"), ("randomization", "randomization"), ("render", "quality"))
-    } | {"task": "pickplace", "wrist": False, "image": {"size_px": [640, 480], "jpeg_quality": 98}}
+    } | {"task": task, "wrist": False, "image": {"size_px": [640, 480], "jpeg_quality": 98}}
     (folder / "record.yaml").write_text(yaml.safe_dump(config))
     _yamsim(
-        *("record", "--config", folder / "record.yaml", "--rig", RIG, "--n", EPISODES, "--seed", seed, "--workers", 1),
+        *("record", "--config", folder / "record.yaml", "--rig", RIG, "--n", episodes, "--seed", seed, "--workers", 1),
         *("--size", size, "--jpeg-quality", 98, "--out", folder / "clean", "--overwrite"),
     )
     offsets = rng.uniform(-MAX_OFFSET, MAX_OFFSET, 6)
@@ -231,6 +232,8 @@ def main() -> None:
     parser.add_argument("--first", type=int, default=1000, help="seed of the first station")
     parser.add_argument("--frames", type=int, default=40)
     parser.add_argument("--size", default="320x240")
+    parser.add_argument("--task", default="pickplace")
+    parser.add_argument("--episodes", type=int, default=EPISODES, help="of each station")
     parser.add_argument("--unknown-focal", action="store_true", help="do not give the camera's calibration")
     parser.add_argument("--max-shift", type=float, default=5.0, help="mm, as of the command")
     parser.add_argument("--max-turn", type=float, default=0.5, help="degrees, as of the command")
@@ -239,13 +242,13 @@ def main() -> None:
     console, rows = Console(width=160), []
     with scratch_directory("yamsim-calibrate-") as scratch:
         for seed in range(options.first, options.first + options.stations):
-            folder = (options.keep or scratch) / f"{seed}_{options.size}"
+            folder = (options.keep or scratch) / f"{seed}_{options.size}_{options.task}_{options.episodes}"
             truth = folder / "truth.json"
             if truth.is_file():
                 known = json.loads(truth.read_text())
                 planted = Planted(np.array(known["T"]), np.array(known["offsets"]), known["delay"])
             else:
-                planted = record_station(seed, folder, options.size)
+                planted = record_station(seed, folder, options.size, options.task, options.episodes)
                 known = {"T": planted.T_cam_in_base.tolist(), "offsets": planted.offsets.tolist()}
                 truth.write_text(json.dumps({**known, "delay": planted.delay}))
             limits = options.max_shift, options.max_turn

@@ -30,6 +30,7 @@ _MIN_OVERLAP = 0.25  # intersection over union of the moving bodies with what ch
 _MAX_CHANCE = 0.85  # the overlap for exchanged poses, as a share of that for each picture's own pose
 _MIN_FOUND = 0.6  # share of outline points with an edge within the last reach
 _RIVAL = 0.04  # a second pose whose share of found edges is less by this or less explains the pictures as well
+_MAX_OFFSET = math.radians(3.5)  # rad of a joint, 3.5 standard deviations of the assumed ones; a wrong gripper gave 4.4
 _FOCAL_GUESS = 0.9  # of the longer side: first guess of an unknown focal length
 _FOCAL_SCALES = (0.7, 0.9, 1.15, 1.5)  # tried factors of that guess
 _FOCAL_SIGMA = 0.4  # of the logarithm of an unknown focal length
@@ -267,8 +268,8 @@ class StationCalibrator:
             "halves_shift_m": intervals.halves_position[number],
             "halves_turn_rad": intervals.halves_turn[number],
         }
-        refusal = None
-        if shift > self._request.max_shift or turn > self._request.max_turn:
+        refusal = offset_refusal(self._rig, fit.state)
+        if refusal is None and (shift > self._request.max_shift or turn > self._request.max_turn):
             limits = f"{1000 * self._request.max_shift:g} mm and {math.degrees(self._request.max_turn):g} degrees"
             refusal = (
                 f"its pose is uncertain by {1000 * shift:.1f} mm and {math.degrees(turn):.2f} degrees (95 %), more "
@@ -293,6 +294,19 @@ def found_share(fit: StationFit, camera: int | None = None) -> float:
     return sum(one.found for one in chosen) / max(sum(one.points for one in chosen), 1)
 
 
+def offset_refusal(rig: RigConfig, state: StationState) -> str | None:
+    """Return why the joint offsets of a fit are not plausible; None if they are."""
+    for arm, offsets in zip(rig.arms, state.offsets, strict=True):
+        joint = int(np.abs(offsets).argmax())
+        if abs(offsets[joint]) > _MAX_OFFSET:
+            return (
+                f"joint {joint + 1} of {arm.name} would have an offset of {math.degrees(offsets[joint]):.1f} degrees, "
+                f"at most {math.degrees(_MAX_OFFSET):g} are plausible: is the rig's arm and gripper the one in the "
+                "pictures, and are its joints zeroed?"
+            )
+    return None
+
+
 def outline_px(fit: StationFit, camera: int) -> float:
     """Return the median over a camera's pictures of their outlines' median distance to edges, px."""
     values = [one.median for one in fit.equations if one.camera == camera and math.isfinite(one.median)]
@@ -305,7 +319,7 @@ def _is_other_pose(one: StationFit, other: StationFit) -> bool:
 
 
 def _joined_state(states: Sequence[StationState]) -> StationState:
-    """Return the state of all cameras; offsets and bases are the means."""
+    """Return the state of all cameras; joint offsets are the means, bases those of the first."""
     first = states[0]
     return StationState(
         tuple(one.T_base_in_cam[0] for one in states),

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ..core.attempt_data import ArmPosture
 from ..core.config.rig import RigConfig
-from ..core.geometry.se3 import Array, invert_pose, pose, rotation_from_vector
+from ..core.geometry.se3 import Array, invert_pose, pose, rotation_from_vector, rotation_vector
 from ..photos.edge_alignment import EdgeOffsets, MaskOutline, edge_offsets, grain_px, mask_outline
 from ..photos.overlay.body_views import BodyPicture, BodyRenderer, JointAxes
 from .chosen_frames import ChosenFrame
@@ -217,17 +217,14 @@ class StationProblem:
         self.prior = np.diag(sigma**-2.0)
 
     def fit(self, state: StationState, reaches: Sequence[float] = _REACHES) -> StationFit:
-        """Return the fit that starts at a state."""
-        moved = np.zeros(self.layout.size)
+        """Return the fit that starts at a state; the start does not change what the priors assume."""
         for number, reach in enumerate(reaches):
             equations, centres = self.linearize(state, reach)
             normal = self.prior + sum(one.normal for one in equations)
-            gradient = sum(one.gradient for one in equations) - self.prior @ moved
+            gradient = sum(one.gradient for one in equations) - self.prior @ self.prior_deviation(state)
             damped = normal + 1e-9 * np.diag(np.diag(normal) + 1e-12)
             step: Array = np.linalg.solve(damped, gradient).astype(np.float64)
             state = self.apply(state, step, centres)
-            free = ~np.isfinite(self.sigma)
-            moved += np.where(free, 0.0, step)
             if number >= len(reaches) - 3 and self._displacement(step) < _CONVERGED:
                 break
         equations, centres = self.linearize(state, reaches[-1])
@@ -236,6 +233,23 @@ class StationProblem:
     def with_views(self, views: Sequence[CameraView]) -> StationProblem:
         """Return the same problem with other pictures of its cameras."""
         return StationProblem(self._rig, views, self.episodes, self._priors)
+
+    def prior_deviation(self, state: StationState) -> Array:
+        """Return how far (k,) a state is from the priors' means; 0 for the cameras' poses, which have no prior."""
+        deviation = np.zeros(self.layout.size)
+        for number in range(self.layout.cameras):
+            start = self.layout.camera(number).start
+            deviation[start + FOCAL] = state.log_focal[number]
+            deviation[start + DELAY] = state.delays[number]
+            deviation[start + MARGIN] = state.margins[number]
+        for arm, (offsets, T, T_prior) in enumerate(
+            zip(state.offsets, state.T_arm_in_base, rig_bases(self._rig), strict=True)
+        ):
+            deviation[self.layout.offsets(arm)] = offsets
+            if (place := self.layout.base(arm)) is not None:
+                deviation[place.start : place.start + 3] = rotation_vector(T[:3, :3] @ T_prior[:3, :3].T)
+                deviation[place.start + 3 : place.stop] = T[:3, 3] - T_prior[:3, 3]
+        return deviation
 
     def _displacement(self, step: Array) -> float:
         cameras = [step[self.layout.camera(k)] for k in range(self.layout.cameras)]
@@ -424,8 +438,6 @@ def _weighted(rows: Sequence[_FrameRows], size: int) -> Iterator[FrameEquations]
 
 def start_state(rig: RigConfig, T_base_in_cam: Sequence[Array], log_focal: Sequence[float]) -> StationState:
     """Return the state before the fit: the rig's bases, no offsets and no delays."""
-    reference = rig.recording_order[0]
-    to_reference = invert_pose(rig.T_base_in_world(reference))
     cameras = len(T_base_in_cam)
     return StationState(
         tuple(T_base_in_cam),
@@ -433,5 +445,11 @@ def start_state(rig: RigConfig, T_base_in_cam: Sequence[Array], log_focal: Seque
         (0.0,) * cameras,
         (0.0,) * cameras,
         tuple(np.zeros(arm.robot.dof) for arm in rig.arms),
-        tuple(to_reference @ rig.T_base_in_world(k) for k in range(len(rig.arms))),
+        rig_bases(rig),
     )
+
+
+def rig_bases(rig: RigConfig) -> tuple[Array, ...]:
+    """Return the pose (4, 4) of each arm's base in the reference arm's base, by the rig."""
+    to_reference = invert_pose(rig.T_base_in_world(rig.recording_order[0]))
+    return tuple(to_reference @ rig.T_base_in_world(k) for k in range(len(rig.arms)))

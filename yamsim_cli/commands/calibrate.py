@@ -46,7 +46,7 @@ def calibrate(
     check: Annotated[
         Path | None, typer.Option(help="Compare with this calibration.yaml; exit 5 if the pictures contradict it.")
     ] = None,
-    frames: Annotated[int, typer.Option(min=8, max=200, help="Most pictures of each camera.")] = 40,
+    frames: Annotated[int, typer.Option(min=16, max=200, help="Most pictures of each camera.")] = 40,
     max_shift: Annotated[
         float, typer.Option(min=0, help="Half width of the position's 95 % interval, beyond which it is refused, mm.")
     ] = 5.0,
