@@ -67,5 +67,10 @@ def frame_name(frame: int, extension: str) -> str:
 
 
 def nearest_pictures(frames: Sequence[int], period: float) -> dict[str, Any]:
-    """Return the entry of metadata.json on images of the recorded `frames`, `period` s apart."""
+    """Return metadata.json's entry for images that are copied from the nearest recorded frames.
+
+    Args:
+        frames: for each exported frame, the number of the recorded frame whose image it has.
+        period: time between recorded frames, s.
+    """
     return {"source": "nearest", "recorded_frames": list(frames), "recorded_period_s": period}

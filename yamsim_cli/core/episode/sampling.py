@@ -26,7 +26,7 @@ from .expert import arm_sides
 from .simulator import Simulator, SimulatorCache, open_episode
 
 MAX_DRAWS = 20  # samples of the start, after which an attempt has no start because the goal already held in each
-_MAX_START_SPEED = 0.1  # m/s and rad/s, of an object at the start; rolling objects get below it
+_MAX_START_SPEED = 0.1  # m/s and rad/s, of an object after settling; a faster one has not come to rest
 GOAL_HOLDS_AT_START = "the goal holds already at the start"
 
 DROP_HEIGHT = 0.5  # m over the table, where the search for an object's resting height starts

@@ -93,7 +93,8 @@ def run_all(
 ) -> Iterator[tuple[J, R]]:
     """Yield every job with its result, in the order in which jobs finish. Raises as `Executor.next_result`.
 
-    `lost` returns the result of a job that ended every worker; with None, the `LostJobError` is raised.
+    `lost` returns a substitute result for a job that ended every worker that tried it; with None, the `LostJobError`
+    is raised.
     """
     waiting = iter(jobs)
     while True:

@@ -70,7 +70,8 @@ def resample_and_smooth(times: Array, values: Array, *, steps: bool = False, lik
 def _parabola_derivatives(rows: Array, half: int) -> tuple[Array, Array]:
     offsets = np.arange(-half, half + 1) * RESAMPLING_STEP
     _, slope, bend = np.linalg.pinv(np.vander(offsets, 3, increasing=True))
-    # Beyond an end, the curve is turned by half a turn, which keeps the slope.
+    # Each end is extended by its last `half` samples, rotated by 180 degrees about the end sample. A mirror image would
+    # reverse the slope.
     reach = np.clip(np.arange(half, 0, -1), 0, len(rows) - 1)
     before = 2 * rows[0] - rows[reach]
     after = 2 * rows[-1] - rows[-1 - reach[::-1]]

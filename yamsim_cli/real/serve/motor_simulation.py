@@ -105,8 +105,8 @@ class MotorSimulation:
     def step(self) -> None:
         """Advance physics and motors by one timestep. Raises `SimulationError` if physics breaks down."""
         self._apply_control_laws()
-        # MuJoCo's gravity compensation cancels the links' weight; this force restores it, scaled by each joint's load.
-        # `qfrc_gravcomp` is the previous step's.
+        # The model's gravity compensation cancels the links' weight, which the motors have to carry here. So the weight
+        # is applied again, times each joint's load from the CAN config. `qfrc_gravcomp` is that of the previous step.
         data = self.data
         data.qfrc_applied[:] = -self._weight_factors * data.qfrc_gravcomp
         mujoco.mj_step(self._model, data)

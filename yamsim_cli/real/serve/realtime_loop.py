@@ -14,7 +14,7 @@ from ..motors.can_frames import CanFrame
 from .can_bus import KernelBus, UnixBus
 from .motor_simulation import MotorSimulation
 
-_MAX_CATCH_UP = 0.1  # s; a later simulation skips the lost time
+_MAX_CATCH_UP = 0.1  # s; a simulation that is further behind real time skips the lost time
 _MAX_EARLY_ANSWERS = 7  # without gaps, so that a late program regains its rate
 _MAX_QUEUED = 64  # answers of a bus; further frames are lost, as in a full adapter
 

@@ -26,7 +26,7 @@ _DEPTH_STEP = 0.002
 RETRY_DEPTHS = (_DEPTH_STEP, 2 * _DEPTH_STEP, 3 * _DEPTH_STEP, 4 * _DEPTH_STEP)
 _OPEN_TICKS = 4  # control ticks in which fingers open before a retry
 
-_MAX_OPEN_OPENING = 2 * APPROACH_OPENING  # m, fingers that stay more open are stuck
+_MAX_OPEN_OPENING = 2 * APPROACH_OPENING  # m, before a grasp; fingers that are more open are stuck
 _MAX_CLOSED_OPENING = 0.006  # m, more than cloth is thick
 
 _RETREAT_DISTANCE = 0.04  # m, of a hand out from under the cloth that it placed
