@@ -21,7 +21,7 @@ from .calibration_file import Calibration
 from .camera_views import PreparedCamera, prepare_camera, with_clean_backgrounds
 from .episode_pictures import EpisodePictures
 from .pose_search import Hypothesis, mask_overlap, search_poses
-from .station_fit import CameraView, FitPriors, StationFit, StationProblem, StationState, start_state
+from .station_fit import FitPriors, FittedCameraView, StationFit, StationProblem, StationState, start_state
 from .uncertainty import StationIntervals, estimate_intervals
 
 _MIN_FRAMES = 16  # pictures; with fewer, the scatter between groups of them tells little
@@ -89,7 +89,7 @@ class StationOutcome:
 
     cameras: tuple[CameraOutcome, ...]
     fitted: tuple[str, ...]
-    views: tuple[CameraView, ...]
+    views: tuple[FittedCameraView, ...]
     episodes: tuple[EpisodePictures, ...]
     fit: StationFit | None
     intervals: StationIntervals | None

@@ -27,7 +27,7 @@ from .chosen_frames import (
 )
 from .episode_pictures import EpisodePictures
 from .pose_search import MaskView
-from .station_fit import MOVING, STILL, UNCLEAR, CameraView, StationState
+from .station_fit import MOVING, STILL, UNCLEAR, FittedCameraView, StationState
 
 _POINT_SPACING = 0.008  # m between the surface points of a body
 _SAME_PLACE = 0.01  # m; a body that moved less has the same place in two pictures, about
@@ -45,7 +45,7 @@ class PreparedCamera:
         backgrounds: the pictures of each background.
     """
 
-    view: CameraView
+    view: FittedCameraView
     masks: tuple[MaskView, ...]
     backgrounds: tuple[tuple[BackgroundPicture, ...], ...]
 
@@ -93,7 +93,7 @@ def prepare_camera(
     masks = tuple(
         MaskView(frame.changed, places.points(frame, kind == MOVING)) for frame, kind in zip(frames, kinds, strict=True)
     )
-    return PreparedCamera(CameraView(name, renderer, tuple(frames), np.array(kinds)), masks, tuple(own))
+    return PreparedCamera(FittedCameraView(name, renderer, tuple(frames), np.array(kinds)), masks, tuple(own))
 
 
 def with_clean_backgrounds(

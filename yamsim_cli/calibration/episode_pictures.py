@@ -27,7 +27,7 @@ from ..real.recordings.recording import Recording
 
 
 @dataclass(frozen=True)
-class CameraPictures:
+class TimedPictures:
     """One camera's pictures of an episode.
 
     Attributes:
@@ -56,7 +56,7 @@ class EpisodePictures:
     times: Array
     joints: tuple[Array, ...]
     openings: tuple[Array, ...]
-    cameras: Mapping[str, CameraPictures]
+    cameras: Mapping[str, TimedPictures]
 
     def postures_at(self, time: float, offsets: Sequence[Array] | None = None) -> ArmPostures:
         """Return the arms' postures at a time, s, by linear interpolation; `offsets` (dof,) by arm are subtracted."""
@@ -112,7 +112,7 @@ def _from_stored(episode: RecordedEpisode, rig: RigConfig) -> EpisodePictures:
     cameras = {}
     for name in episode.record.cameras:
         K = None if matrices.get(name) is None else np.asarray(matrices[name], dtype=np.float64)
-        cameras[name] = CameraPictures(times - times[0], functools.partial(_read_stored, episode, name), K)
+        cameras[name] = TimedPictures(times - times[0], functools.partial(_read_stored, episode, name), K)
     return _episode_pictures(read_episode(episode, rig), rig, cameras)
 
 
@@ -122,7 +122,7 @@ def _read_stored(episode: RecordedEpisode, camera: str, indices: Sequence[int]) 
 
 def _from_recording(recording: Recording, rig: RigConfig) -> EpisodePictures:
     cameras = {
-        name: CameraPictures(
+        name: TimedPictures(
             recording.motion.times[images.samples],
             functools.partial(_read_recording, recording, name),
             recording.intrinsics.get(name),
@@ -149,7 +149,7 @@ def _decode(data: bytes, where: str) -> Image:
     return image
 
 
-def _episode_pictures(motion: RecordedMotion, rig: RigConfig, cameras: Mapping[str, CameraPictures]) -> EpisodePictures:
+def _episode_pictures(motion: RecordedMotion, rig: RigConfig, cameras: Mapping[str, TimedPictures]) -> EpisodePictures:
     require_units(motion.name, find_faults(motion, rig))
     known = np.logical_and.reduce([np.isfinite(arm.joints).all(axis=1) for arm in motion.arms])
     joints: dict[int, Array] = {}

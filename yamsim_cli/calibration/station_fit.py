@@ -93,7 +93,7 @@ class StationState:
 
 
 @dataclass(frozen=True)
-class CameraView:
+class FittedCameraView:
     """A camera's pictures.
 
     Attributes:
@@ -194,7 +194,7 @@ class StationProblem:
     """The fit of a station to its pictures."""
 
     def __init__(
-        self, rig: RigConfig, views: Sequence[CameraView], episodes: Sequence[EpisodePictures], priors: FitPriors
+        self, rig: RigConfig, views: Sequence[FittedCameraView], episodes: Sequence[EpisodePictures], priors: FitPriors
     ) -> None:
         self.views, self.episodes = views, episodes
         self._rig, self._priors = rig, priors
@@ -230,7 +230,7 @@ class StationProblem:
         equations, centres = self.linearize(state, reaches[-1])
         return StationFit(self.layout, state, tuple(equations), self.prior, self._biases, tuple(centres))
 
-    def with_views(self, views: Sequence[CameraView]) -> StationProblem:
+    def with_views(self, views: Sequence[FittedCameraView]) -> StationProblem:
         """Return the same problem with other pictures of its cameras."""
         return StationProblem(self._rig, views, self.episodes, self._priors)
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ..core.geometry.se3 import Array, invert_pose, rotation_vector
 from ..core.statistics import student_t_quantile_95
-from .station_fit import DELAY, FOCAL, CameraView, StationFit, StationProblem, StationState
+from .station_fit import DELAY, FOCAL, FittedCameraView, StationFit, StationProblem, StationState
 
 Z95 = 1.959963984540054  # two-sided 95 % quantile of the normal distribution
 _BLOCKS = 6  # groups of pictures, if there are fewer episodes than `_MIN_EPISODES`
@@ -51,7 +51,7 @@ class StationIntervals:
     halves_turn: tuple[float, ...]
 
 
-def picture_groups(views: Sequence[CameraView]) -> list[Groups]:
+def picture_groups(views: Sequence[FittedCameraView]) -> list[Groups]:
     """Return the group of each picture, by camera: its episode or, with few episodes, a block of pictures."""
     episodes = sorted({frame.episode for view in views for frame in view.frames})
     if len(episodes) >= _MIN_EPISODES:
