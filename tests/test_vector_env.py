@@ -66,10 +66,10 @@ def require_same_as_single(ticks: int, mode: str = "NextStep", count: int = COUN
     ("ticks", "options"),
     [
         (40, {"max_ticks": 15, "reach": "object"}),
-        (20, {"task": "handover", "rig": "russet", "max_ticks": 12}),
-        (12, {"task": "drawer", "max_ticks": 8}),
-        (12, {"task": "cans_into_bin", "max_ticks": 8}),
-        (4, {"task": "fold_napkin", "max_ticks": 3}),
+        pytest.param(20, {"task": "handover", "rig": "russet", "max_ticks": 12}, marks=pytest.mark.slow),
+        pytest.param(12, {"task": "drawer", "max_ticks": 8}, marks=pytest.mark.slow),
+        pytest.param(12, {"task": "cans_into_bin", "max_ticks": 8}, marks=pytest.mark.slow),
+        pytest.param(4, {"task": "fold_napkin", "max_ticks": 3}, marks=pytest.mark.slow),
     ],
 )
 def test_it_equals_single_environments(ticks: int, options: dict[str, Any]) -> None:
