@@ -46,11 +46,11 @@ def draw_all(renderer: SceneRenderer, model: mujoco.MjModel, states: Sequence[Ar
     "settings",
     [
         {"task": "pickplace", "wrist": True, "boards": True},
-        {"task": "handover", "rig": "russet", "wrist": True},
+        pytest.param({"task": "handover", "rig": "russet", "wrist": True}, marks=pytest.mark.slow),
         {"task": "fold_napkin"},
-        {"task": "tower", "randomize": "default", "seed": 3},
+        pytest.param({"task": "tower", "randomize": "default", "seed": 3}, marks=pytest.mark.slow),
     ],
-    ids=lambda settings: settings["task"],
+    ids=["pickplace", "handover", "fold_napkin", "tower"],
 )
 def test_the_pixels_are_those_of_whole_images(
     settings: dict[str, Any], smooth: bool, monkeypatch: pytest.MonkeyPatch
