@@ -66,9 +66,10 @@ def test_its_converter_gives_the_recorded_rows_which_come_in_again(
     """Its rows begin one tick after the first message, so that it leaves out the first frame."""
     if not shutil.which("ffprobe"):
         pytest.skip("ffmpeg and ffprobe, which its converter calls, are not here")
+    converter = client("abc-export")
     release, converted = export("release"), tmp_path / "converted"
     script = checkout("YAMSIM_ABC") / "export_mcap.py"
-    done = client("abc-export").call([str(script), str(release), str(converted), "1"], timeout_s=PATIENCE_S)
+    done = converter.call([str(script), str(release), str(converted), "1"], timeout_s=PATIENCE_S)
     assert done.returncode == 0, done.stderr
     assert "exported 1/1" in done.stdout
     (folder,) = converted.iterdir()
