@@ -95,7 +95,6 @@ CONFINED = {
         "core.images",
         "core.rendering",
         "photos",
-        "review.episode_detail",
     },
     "coacd": {"objects"},
     "scipy": {"calibration.pose_search", "core.statistics"},

@@ -210,6 +210,7 @@ class AppliedSelection:
         path: the selection file.
         sha256: hash of that file.
         kept: numbers of the episodes that stay.
+        decisions: episode number -> decision.
         trims: episode number -> first and last recorded frame that stay, for trimmed kept episodes.
         dropped: number of episodes that a person dropped.
         undecided: number of episodes without a decision that are left out.
@@ -218,6 +219,7 @@ class AppliedSelection:
     path: Path
     sha256: str
     kept: frozenset[int]
+    decisions: Mapping[int, EpisodeDecision]
     trims: Mapping[int, tuple[int, int]]
     dropped: int
     undecided: int
@@ -274,7 +276,7 @@ def apply_selection(dataset: Path, path: Path) -> AppliedSelection:
         if selection.decisions[number].is_trimmed
     }
     undecided = len(directories) - len(kept) - dropped
-    return AppliedSelection(path, sha256_file(path), kept, trims, dropped, undecided)
+    return AppliedSelection(path, sha256_file(path), kept, selection.decisions, trims, dropped, undecided)
 
 
 def require_current(selection: Selection, dataset: Path, directories: Mapping[int, Path], path: Path) -> None:

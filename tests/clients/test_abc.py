@@ -20,7 +20,8 @@ from tests.real.recordings.foreign import PROMPT, shares
 from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.dataset.reader import open_recorded_episode
 from yamsim_cli.core.files.resources import Locations
-from yamsim_cli.export.abc import AbcLayout, export_abc, fit_square
+from yamsim_cli.core.images.resize import resize_image
+from yamsim_cli.export.abc import AbcLayout, export_abc
 from yamsim_cli.export.export_source import open_real_source
 from yamsim_cli.real.recordings.motion_reading import read_motions
 
@@ -51,7 +52,7 @@ def both_arms(station: RigConfig) -> np.ndarray:
 
 
 def squares(recorded: Path, camera: str) -> np.ndarray:
-    return np.stack([fit_square(image, 224) for image in images_of(recorded, 0, camera)])
+    return np.stack([resize_image(image, (224, 224), pad=True) for image in images_of(recorded, 0, camera)])
 
 
 @pytest.mark.client

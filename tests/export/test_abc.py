@@ -30,7 +30,8 @@ from yamsim_cli.core.dataset.reader import open_recorded_episode
 from yamsim_cli.core.errors import DatasetError
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.images.jpeg import encode_jpeg
-from yamsim_cli.export.abc import TICK_NS, AbcLayout, export_abc, fit_square, frame_stamps, latest_frames
+from yamsim_cli.core.images.resize import resize_image
+from yamsim_cli.export.abc import TICK_NS, AbcLayout, export_abc, frame_stamps, latest_frames
 from yamsim_cli.export.export_source import open_real_source, open_source
 from yamsim_cli.real.recordings.motion_reading import detect_format, format_reader, read_motions
 
@@ -182,7 +183,7 @@ def test_a_round_trip_by_training_keeps_numbers_and_scaled_pictures(
     again = bring_in(tmp_path / "again", by_length(list(training.iterdir())), station, locations)
     compare(again, recorded, station, locations)
     for camera in CAMERAS:
-        wanted = np.stack([fit_square(image, 224) for image in images_of(recorded, 0, camera)])
+        wanted = np.stack([resize_image(image, (224, 224), pad=True) for image in images_of(recorded, 0, camera)])
         assert image_error(images_of(again, 0, camera), wanted) < CODEC_ERROR
 
 

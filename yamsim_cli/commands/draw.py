@@ -56,20 +56,15 @@ def draw(
     revision: flags.Revision = None,
     randomize: flags.Randomize = None,
     randomization: flags.Randomization = None,
-    boards: Annotated[bool | None, typer.Option("--boards/--no-boards", help="Also show the base boards.")] = None,
+    boards: flags.Boards = None,
     truth: Annotated[
         bool | None, typer.Option("--truth/--no-truth", help="Also depth, segmentation, keypoints and boxes.")
     ] = None,
     workers: flags.Workers = None,
     resume: Annotated[bool, typer.Option("--resume", help="Continue a dataset that was interrupted.")] = False,
     overwrite: RenameExisting = False,
-    stage: Annotated[
-        Path | None,
-        typer.Option(help="A local directory where episodes are written before they are moved to a slow --out."),
-    ] = None,
-    attempt_timeout: Annotated[
-        float, typer.Option(min=1, help="Seconds after which a worker counts as hung and is replaced.")
-    ] = 600.0,
+    stage: flags.Stage = None,
+    attempt_timeout: flags.AttemptTimeout = 600.0,
     offline: flags.Offline = False,
     json: flags.Json = False,
 ) -> None:

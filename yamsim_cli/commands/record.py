@@ -42,7 +42,7 @@ def record(
     camera_effects: flags.CameraEffects = None,
     randomize: flags.Randomize = None,
     randomization: flags.Randomization = None,
-    boards: Annotated[bool | None, typer.Option("--boards/--no-boards", help="Also show the base boards.")] = None,
+    boards: flags.Boards = None,
     truth: Annotated[
         bool | None, typer.Option("--truth/--no-truth", help="Also record depth, segmentation, keypoints and boxes.")
     ] = None,
@@ -61,10 +61,7 @@ def record(
     quality: flags.Quality = None,
     resume: Annotated[bool, typer.Option("--resume", help="Continue a dataset that was interrupted.")] = False,
     overwrite: RenameExisting = False,
-    stage: Annotated[
-        Path | None,
-        typer.Option(help="A local directory where episodes are written before they are moved to a slow --out."),
-    ] = None,
+    stage: flags.Stage = None,
     executor: Annotated[
         Literal["process", "ray"], typer.Option(help="Workers: processes of this machine, or actors of a Ray cluster.")
     ] = "process",
@@ -72,9 +69,7 @@ def record(
         str | None,
         typer.Option(help="Address of a running Ray cluster, such as auto; without it, a cluster is started here."),
     ] = None,
-    attempt_timeout: Annotated[
-        float, typer.Option(min=1, help="Seconds after which a worker counts as hung and is replaced.")
-    ] = 600.0,
+    attempt_timeout: flags.AttemptTimeout = 600.0,
     config: flags.ConfigOption = "default",
     offline: flags.Offline = False,
     json: flags.Json = False,

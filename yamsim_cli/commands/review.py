@@ -70,6 +70,7 @@ def _merge(paths: list[Path], out: Path | None, overwrite: bool, json: bool) -> 
         raise UsageError("--merge needs --out FILE, the merged selection")
     require_unused_paths("--out", out, overwrite=overwrite)
 
+    from yamsim_cli.core.dataset.dataset_paths import episode_name
     from yamsim_cli.core.files.writing import write_output
     from yamsim_cli.selection import merge_selections, read_selection, selection_text
 
@@ -81,11 +82,11 @@ def _merge(paths: list[Path], out: Path | None, overwrite: bool, json: bool) -> 
     else:
         print_line(f"{count_noun(len(merged.decisions), 'decision')} in {out}")
         for conflict in conflicts:
-            print_line(f"conflict in ep_{conflict.episode:06d}: {conflict.first}, and {conflict.second}")
+            print_line(f"conflict in {episode_name(conflict.episode)}: {conflict.first}, and {conflict.second}")
     if conflicts:
         raise PartialJobError(
             f"{count_noun(len(conflicts), 'conflict')}: these episodes are undecided in {out}, first "
-            f"ep_{conflicts[0].episode:06d}; decide them with `yamsim review`"
+            f"{episode_name(conflicts[0].episode)}; decide them with `yamsim review`"
         )
 
 

@@ -34,7 +34,7 @@ from ..core.errors import ConfigError, DatasetError, InterruptedJobError, Partia
 from ..core.files.documents.yaml_document import load_yaml
 from ..core.files.writing import fsync_directory, publish_directory, sha256_bytes, sha256_file, write_file
 from ..core.progress import Progress
-from ..selection import SELECTION_FILE, EpisodeDecision, Selection, apply_selection, read_selection, write_selection
+from ..selection import SELECTION_FILE, EpisodeDecision, Selection, apply_selection, write_selection
 
 PROVENANCE_FORMAT = "yamsim-provenance"  # value of `format` in provenance.json
 PROVENANCE_VERSION = 1  # value of `format_version`
@@ -98,7 +98,7 @@ def open_source_dataset(
 ) -> SourceDataset:
     """Open the episodes of a dataset that a selection keeps, and that `episodes` (such as `0,3,5-9`) lists."""
     applied = apply_selection(path, selection) if selection else None
-    decisions = read_selection(selection).decisions if selection else {}
+    decisions = applied.decisions if applied else {}
     found = []
     for number, directory in select_episode_directories(path, episodes, None, applied.kept if applied else None):
         episode = open_recorded_episode(directory)

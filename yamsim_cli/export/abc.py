@@ -8,7 +8,6 @@ from __future__ import annotations
 import functools
 import json
 import uuid
-from abc import abstractmethod
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, Literal
@@ -18,15 +17,13 @@ from numpy.typing import NDArray
 
 from yamsim_cli.core.extras import require_library
 
-from ..core.closable import Closable
-from ..core.dataset.disk_errors import explain_disk_error
 from ..core.dataset.reader import RecordedEpisode, read_side_by_side_images
-from ..core.errors import DatasetError, PartialJobError, UsageError
+from ..core.errors import DatasetError, UsageError
 from ..core.geometry.se3 import Array
 from ..core.images.image import Image
+from ..core.images.resize import resize_image
 from ..core.images.video import BT601, VideoWriter, encode_packets, require_encoder
 from ..core.progress import Progress
-from ..core.rendering.view_cameras import resize_area
 from .abc_messages import (
     COMPRESSED_VIDEO,
     GRIPPER_STATE,
@@ -35,17 +32,25 @@ from .abc_messages import (
     message_classes,
     stamped_message,
 )
-from .episode_jobs import parallel, run_episode_jobs
 from .export_source import ActionSource, ExportSource
 from .output_directory import ExportResult, export_directory
-from .station_episode import SIDES, TOP, StationEpisode, StationReader, camera_roles, task_folder
+from .station_episode import (
+    SIDES,
+    TOP,
+    StationEpisode,
+    StationEpisodeWriter,
+    StationReader,
+    camera_roles,
+    task_folder,
+    write_station_episodes,
+)
 
 AbcLayout = Literal["release", "training"]
 
 JOINTS = 6  # joints per arm in both layouts
 TICK_NS = 33_333_333  # ns between rows of the training layout, which rounds 1/30 s down
 _FPS = 30  # rows and video frames per second of the training layout
-_PICTURE_PX = 224  # px, side of each camera's square in the training layout's video
+PICTURE_SIZE = (224, 224)  # px, of each camera's square in the training layout's video
 _GOP = 30  # frames between key frames, where the trainer expects them
 _CAMERAS = (TOP, *SIDES)  # in the order of the video, from the top
 _ARM_WIDTH = JOINTS + 1
@@ -59,8 +64,6 @@ _TOPICS = {
 _SAME_PERIOD = 1e-6  # relative difference from 1/30 s, below which frames are exactly TICK_NS apart
 _ROUNDING_NS = 1e-3  # ns; without it, rounding could lower a whole number
 _SAME_TIME_S = 1e-6  # s, deviation from even times, below which times are even
-
-_Job = tuple[RecordedEpisode, int]  # an episode, and its number
 
 
 def export_abc(
@@ -99,12 +102,10 @@ def export_abc(
         require_library("an MCAP file", "mcap_protobuf", "mcap")
     frames = 0
     with export_directory(out, overwrite=overwrite) as stage:
-        jobs = ((episode, number) for number, episode in enumerate(source.open_episodes()))
         writer = ReleaseWriter if layout == "release" else TrainingWriter
         factory = functools.partial(writer, reader, stage.path)
-        for done, (_, count) in enumerate(run_episode_jobs(factory, jobs, parallel(workers, source)), start=1):
+        for count, _ in write_station_episodes(factory, source, workers, progress):
             frames += count
-            progress(done, len(source))
     return ExportResult(out, len(source), frames, stage.moved_aside, _missing_notes(reader))
 
 
@@ -134,39 +135,15 @@ def latest_frames(stamps: NDArray[np.int64]) -> NDArray[np.int64]:
     return latest
 
 
-class _Writer(Closable):
-    """Writes episodes into subfolders of `root`."""
-
-    def __init__(self, reader: StationReader, root: Path) -> None:
-        self._reader, self._root = reader, root
-
-    def close(self) -> None:
-        """Do nothing: no file stays open."""
-
-    def run(self, job: _Job) -> int:
-        """Write an episode and return the number of its frames."""
-        episode, _ = job
-        values, frames = self._reader.read(episode)
-        try:
-            self._write(episode, values)
-        except OSError as error:
-            raise PartialJobError(f"{explain_disk_error(error, self._root)}: nothing was exported") from error
-        return len(frames)
-
-    @abstractmethod
-    def _write(self, episode: RecordedEpisode, values: StationEpisode) -> None:
-        """Write the files of an episode."""
-
-
 def episode_uuid(episode: RecordedEpisode) -> str:
     """Return the UUID of an episode, a function of its name and content."""
     return str(uuid.uuid5(uuid.NAMESPACE_OID, f"{episode.directory.name} {episode.record.content_sha256}"))
 
 
-class ReleaseWriter(_Writer):
+class ReleaseWriter(StationEpisodeWriter):
     """Writes `<task>/episode_<uuid>/episode.mcap` with joints, grippers, the instruction and H.264 of each camera."""
 
-    def _write(self, episode: RecordedEpisode, values: StationEpisode) -> None:
+    def _write(self, episode: RecordedEpisode, number: int, values: StationEpisode) -> None:
         from mcap.writer import Writer
         from mcap_protobuf.schema import register_schema
 
@@ -208,10 +185,10 @@ class ReleaseWriter(_Writer):
                 yield topic, COMPRESSED_VIDEO, stamp, fields
 
 
-class TrainingWriter(_Writer):
+class TrainingWriter(StationEpisodeWriter):
     """Writes `episode_<uuid>/` with the rows, the video and the metadata that ABC's trainer reads."""
 
-    def _write(self, episode: RecordedEpisode, values: StationEpisode) -> None:
+    def _write(self, episode: RecordedEpisode, number: int, values: StationEpisode) -> None:
         folder = self._root / f"episode_{episode_uuid(episode)}"
         folder.mkdir(parents=True)
         chosen = latest_frames(frame_stamps(values.times))
@@ -227,7 +204,7 @@ class TrainingWriter(_Writer):
         metadata = {
             "task_name": task_folder(values.prompt),
             "cameras": shown,
-            "camera_resolutions": {role: [_PICTURE_PX, _PICTURE_PX] for role in shown},
+            "camera_resolutions": {role: list(PICTURE_SIZE) for role in shown},
             "alignment": "fixed_clock_30hz_causal",
             "t0_ns": 0,
             "tick_ns": TICK_NS,
@@ -245,7 +222,7 @@ class TrainingWriter(_Writer):
 
     def _stacked_images(self, episode: RecordedEpisode, cameras: Sequence[str]) -> Iterator[Image]:
         for images in zip(*(read_side_by_side_images(episode, (camera,)) for camera in cameras), strict=True):
-            yield np.concatenate([fit_square(image, _PICTURE_PX) for image in images])
+            yield np.concatenate([resize_image(image, PICTURE_SIZE, pad=True) for image in images])
 
 
 def _repeated(images: Iterator[Image], chosen: Sequence[int]) -> Iterator[Image]:
@@ -254,14 +231,3 @@ def _repeated(images: Iterator[Image], chosen: Sequence[int]) -> Iterator[Image]
         while number < wanted:
             number, image = number + 1, next(images)
         yield image
-
-
-def fit_square(image: Image, side: int) -> Image:
-    """Return an image (side, side, 3), scaled to fit, with black bars."""
-    height, width = image.shape[:2]
-    scale = side / max(height, width)
-    size = (max(1, round(width * scale)), max(1, round(height * scale)))
-    square = np.zeros((side, side, 3), np.uint8)
-    left, upper = ((side - part) // 2 for part in size)
-    square[upper : upper + size[1], left : left + size[0]] = resize_area(image, *size)
-    return square

@@ -15,16 +15,19 @@ import numpy as np
 
 from yamsim_cli import __version__
 
-from ..core.closable import Closable
-from ..core.dataset.disk_errors import explain_disk_error
 from ..core.dataset.reader import RecordedEpisode, StoredEpisode, read_side_by_side_images
-from ..core.errors import PartialJobError
 from ..core.images.video import BT601, VideoWriter, require_encoder
 from ..core.progress import Progress
-from .episode_jobs import parallel, run_episode_jobs
-from .export_source import ActionSource, ExportSource, RealSource
+from .export_source import ActionSource, ExportSource, Frames, RealSource
 from .output_directory import ExportResult, export_directory
-from .station_episode import StationEpisode, StationReader, camera_roles, task_folder
+from .station_episode import (
+    StationEpisode,
+    StationEpisodeWriter,
+    StationReader,
+    camera_roles,
+    task_folder,
+    write_station_episodes,
+)
 
 _SCHEMA_VERSION = 1
 _COMPLETE_FLAG = "write_complete.flag"  # written last; the maker's programs ignore an episode without it
@@ -32,9 +35,6 @@ _METADATA = "metadata.json"
 _MS_PER_S = 1000.0  # times of frames are in ms
 # Datasets have no date. Counting seconds from here, the maker's list, newest first, has the episodes in reverse order.
 _CREATED = datetime(1970, 1, 1)
-
-_Job = tuple[RecordedEpisode, int]  # an episode, and its number
-_Written = tuple[int, str | None]  # number of frames, and a note
 
 
 def export_maker(
@@ -59,12 +59,10 @@ def export_maker(
         require_encoder()
     frames, notes = 0, _rate_notes(source)
     with export_directory(out, overwrite=overwrite) as stage:
-        jobs = ((episode, number) for number, episode in enumerate(source.open_episodes()))
-        factory = functools.partial(_EpisodeWriter, reader, stage.path)
-        for done, (_, (count, note)) in enumerate(run_episode_jobs(factory, jobs, parallel(workers, source)), start=1):
+        factory = functools.partial(_MakerEpisodeWriter, reader, stage.path)
+        for count, note in write_station_episodes(factory, source, workers, progress):
             frames += count
             notes += [] if note is None else [note]
-            progress(done, len(source))
     return ExportResult(out, len(source), frames, stage.moved_aside, tuple(notes))
 
 
@@ -76,37 +74,24 @@ def _rate_notes(source: ExportSource) -> list[str]:
     return [f"the dataset has {rate:g} frames a second, which the maker's converters round to {round(rate)}; {remedy}"]
 
 
-class _EpisodeWriter(Closable):
-    """Writes episodes into subfolders of `root`."""
-
-    def __init__(self, reader: StationReader, root: Path) -> None:
-        self._reader, self._root = reader, root
-
-    def close(self) -> None:
-        """Do nothing: no file stays open."""
-
-    def run(self, job: _Job) -> _Written:
-        """Write an episode."""
-        episode, number = job
-        values, frames = self._reader.read(episode)
+class _MakerEpisodeWriter(StationEpisodeWriter):
+    def _write(self, episode: RecordedEpisode, number: int, values: StationEpisode) -> None:
         folder = self._root / task_folder(values.prompt) / episode.directory.name
-        try:
-            folder.mkdir(parents=True)
-            self._write_arrays(folder, values)
-            for camera, role in self._reader.roles.items():
-                # The maker's converters decode by PyAV, which assumes BT.601.
-                path = folder / f"{role}-images-rgb.mp4"
-                with VideoWriter(path, self._reader.source.frame_period, matrix=BT601) as video:
-                    for image in read_side_by_side_images(episode, (camera,)):
-                        video.write(image)
-            text = json.dumps(self._metadata(episode, number, values), indent=2, allow_nan=False, ensure_ascii=False)
-            (folder / _METADATA).write_text(text + "\n", encoding="utf-8")
-            (folder / _COMPLETE_FLAG).touch()
-        except OSError as error:
-            raise PartialJobError(f"{explain_disk_error(error, folder)}: nothing was exported") from error
+        folder.mkdir(parents=True)
+        self._write_arrays(folder, values)
+        for camera, role in self._reader.roles.items():
+            # The maker's converters decode by PyAV, which assumes BT.601.
+            path = folder / f"{role}-images-rgb.mp4"
+            with VideoWriter(path, self._reader.source.frame_period, matrix=BT601) as video:
+                for image in read_side_by_side_images(episode, (camera,)):
+                    video.write(image)
+        text = json.dumps(self._metadata(episode, number, values), indent=2, allow_nan=False, ensure_ascii=False)
+        (folder / _METADATA).write_text(text + "\n", encoding="utf-8")
+        (folder / _COMPLETE_FLAG).touch()
+
+    def _note(self, episode: RecordedEpisode, frames: Frames) -> str | None:
         source = self._reader.source
-        note = source.describe_uneven_times(episode, frames) if isinstance(source, RealSource) else None
-        return len(frames), note
+        return source.describe_uneven_times(episode, frames) if isinstance(source, RealSource) else None
 
     def _write_arrays(self, folder: Path, values: StationEpisode) -> None:
         for k, arm in enumerate(self._reader.sides):

@@ -3,15 +3,22 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from abc import abstractmethod
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
+from ..core.closable import Closable
+from ..core.dataset.disk_errors import explain_disk_error
 from ..core.dataset.lowdim import ACTION, STATE
 from ..core.dataset.reader import RecordedEpisode
-from ..core.errors import DatasetError, UsageError, suggest_similar
+from ..core.errors import DatasetError, PartialJobError, UsageError, suggest_similar
 from ..core.geometry.se3 import Array
+from ..core.progress import Progress
+from ..core.workers.executors import OpenRunner
+from .episode_jobs import parallel, run_episode_jobs
 from .export_source import ActionSource, ExportSource, Frames, RealEpisode, RealSource
 
 SIDES = ("left", "right")  # names of the arms; a single arm is the left one
@@ -145,3 +152,45 @@ def _give_role(
 def task_folder(prompt: str) -> str:
     """Return a task's folder: the words of its instruction in lower case, joined by `_`; `untitled` without words."""
     return "_".join(re.findall(r"[^\W_]+", prompt.lower())) or "untitled"
+
+
+_Job = tuple[RecordedEpisode, int]  # an episode, and its number
+_Written = tuple[int, str | None]  # number of frames, and a note
+
+
+class StationEpisodeWriter(Closable):
+    """Writes episodes into subfolders of `root`."""
+
+    def __init__(self, reader: StationReader, root: Path) -> None:
+        self._reader, self._root = reader, root
+
+    def close(self) -> None:
+        """Do nothing: no file stays open."""
+
+    def run(self, job: _Job) -> _Written:
+        """Write an episode, and return the number of its frames, and a note or None."""
+        episode, number = job
+        values, frames = self._reader.read(episode)
+        try:
+            self._write(episode, number, values)
+        except OSError as error:
+            raise PartialJobError(f"{explain_disk_error(error, self._root)}: nothing was exported") from error
+        return len(frames), self._note(episode, frames)
+
+    @abstractmethod
+    def _write(self, episode: RecordedEpisode, number: int, values: StationEpisode) -> None:
+        """Write the files of an episode."""
+
+    def _note(self, episode: RecordedEpisode, frames: Frames) -> str | None:
+        """Return what a user should know about an exported episode; None for nothing."""
+        return None
+
+
+def write_station_episodes(
+    factory: OpenRunner[_Job, _Written], source: ExportSource, workers: int, progress: Progress
+) -> Iterator[_Written]:
+    """Write all episodes of a source with up to `workers` processes, and yield the result of each."""
+    jobs = ((episode, number) for number, episode in enumerate(source.open_episodes()))
+    for done, (_, written) in enumerate(run_episode_jobs(factory, jobs, parallel(workers, source)), start=1):
+        progress(done, len(source))
+        yield written

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Annotated, Any
 
 import typer
@@ -91,6 +92,14 @@ Randomization = Annotated[
     ),
 ]
 Size = Annotated[str | None, typer.Option(metavar="WxH", help="Image size in pixels.")]
+Boards = Annotated[bool | None, typer.Option("--boards/--no-boards", help="Also show the base boards.")]
+Stage = Annotated[
+    Path | None,
+    typer.Option(help="A local directory where episodes are written before they are moved to a slow --out."),
+]
+AttemptTimeout = Annotated[
+    float, typer.Option(min=1, help="Seconds after which a worker counts as hung and is replaced.")
+]
 Quality = Annotated[
     str | None, typer.Option(help="fast, balanced, high, auto (GPU or not), or a YAML file.  [default: auto]")
 ]

@@ -20,7 +20,7 @@ from ..core.attempt_data import Attempt, AttemptJob, AttemptPayload, Outcome
 from ..core.closable import Closable
 from ..core.config.recording import RecordConfig
 from ..core.config.session import Session
-from ..core.config.variation import RandomizationSample
+from ..core.config.variation import PHYSICS_PARTS, RandomizationSample
 from ..core.dataset.dataset_paths import EPISODE_FILE, LEDGER_FILE, episode_name, lowdim_path
 from ..core.dataset.lowdim import GRASP, content_hash, dump_frame, recorded_actions
 from ..core.dataset.reader import StoredEpisode, open_episode
@@ -130,7 +130,7 @@ class EpisodeDrawer(Closable):
 
 def with_physics_of(stored: RandomizationSample, look: RandomizationSample) -> RandomizationSample:
     """Return the samples of `look`, with those of `stored` that affect physics."""
-    return replace(look, mass=stored.mass, friction=stored.friction, arm_dynamics=stored.arm_dynamics)
+    return replace(look, **{part: getattr(stored, part) for part in PHYSICS_PARTS})
 
 
 def _with_cameras(simulator: Simulator, frame: dict[str, Any]) -> dict[str, Any]:

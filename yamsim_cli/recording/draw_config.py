@@ -13,6 +13,7 @@ from pydantic import ValidationError
 from ..core.config.recording import DrawnFrom, RecordConfig
 from ..core.config.rig import RigCamera, RigConfig
 from ..core.config.scene import SceneConfig
+from ..core.config.variation import PHYSICS_PARTS
 from ..core.errors import UsageError
 from ..core.files.documents.units import SKIP_BOUNDS_CONTEXT
 from ..core.geometry.se3 import quat_from_rotation
@@ -55,8 +56,7 @@ def draw_config(source: RecordConfig, config_sha256: str, changes: DrawChanges) 
         _require_same_surfaces(source.scene, scene)
     look = source.look if changes.look is None else changes.look
     if (ranges := values.get("randomization")) is not None:
-        own = source.randomization
-        physics = {"mass": own.mass, "friction": own.friction, "arm_dynamics": own.arm_dynamics}
+        physics = {part: getattr(source.randomization, part) for part in PHYSICS_PARTS}
         values["randomization"] = ranges.model_copy(update=physics)
     rig = values.get("rig", source.rig)
     physical = source.drawn.rig if source.drawn and source.drawn.rig else None
@@ -134,5 +134,4 @@ def _random_view(name: str, target: np.ndarray[Any, Any], usual: float, rng: np.
 
 def varies_in_looks(config: RecordConfig, views: int) -> bool:
     """Return whether two looks of a config would differ: by random views, or by randomization of appearance."""
-    physics = {"mass", "friction", "arm_dynamics"}
-    return views > 0 or bool(set(config.randomization.varied_parts) - physics)
+    return views > 0 or not set(config.randomization.varied_parts) <= set(PHYSICS_PARTS)

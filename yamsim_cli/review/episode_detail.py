@@ -6,7 +6,6 @@ import math
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 
 from ..core.config.rig import RigConfig
@@ -17,6 +16,7 @@ from ..core.dataset.row_format import drive_names
 from ..core.errors import DatasetError
 from ..core.images.image import Image
 from ..core.images.jpeg import decode_jpeg, encode_jpeg
+from ..core.rendering.view_cameras import resize_area
 
 STRIP_FRAMES = 4  # pictures in a film strip: the first, two between, and the last
 _STRIP_HEIGHT = 72  # px
@@ -54,9 +54,9 @@ def film_strip(directory: Path, root: Path) -> bytes:
 def _cropped(image: Image, width: int) -> Image:
     scale = max(width / image.shape[1], _STRIP_HEIGHT / image.shape[0])
     size = (max(width, round(image.shape[1] * scale)), max(_STRIP_HEIGHT, round(image.shape[0] * scale)))
-    resized = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
+    resized = resize_area(image, *size)
     left, top = (size[0] - width) // 2, (size[1] - _STRIP_HEIGHT) // 2
-    return np.asarray(resized[top : top + _STRIP_HEIGHT, left : left + width], dtype=np.uint8)
+    return resized[top : top + _STRIP_HEIGHT, left : left + width]
 
 
 def read_picture(episode: RecordedEpisode, camera: str, frame: int, root: Path) -> bytes:

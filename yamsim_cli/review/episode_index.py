@@ -9,10 +9,11 @@ from pathlib import Path
 from typing import Any
 
 from ..core.dataset.checks.context import find_episodes
-from ..core.dataset.dataset_paths import LEDGER_FILE, MANIFEST_FILE
+from ..core.dataset.dataset_paths import MANIFEST_FILE
 from ..core.dataset.imported_records import RealEpisodeRecord, is_imported_dataset
 from ..core.dataset.reader import open_recorded_episode
 from ..core.dataset.records import AttemptRecord, EpisodeRecord, Manifest, OutcomeRecord, from_json
+from ..core.dataset.writing.ledger import Ledger
 from ..core.errors import ConfigError, DatasetError
 
 _MAX_REPORT_BYTES = 500_000_000  # bytes of a report of `yamsim summarize --json`
@@ -96,18 +97,10 @@ def _read_manifest(dataset: Path) -> list[Any]:
 def _read_attempts(dataset: Path) -> dict[int, AttemptRecord]:
     """Return episode number -> attempt, without lines that cannot be read."""
     try:
-        lines = (dataset / LEDGER_FILE).read_bytes().splitlines()
+        attempts = Ledger(dataset).known_attempts.values()
     except OSError:
         return {}
-    found = {}
-    for number, line in enumerate(lines, start=1):
-        try:
-            attempt = from_json(AttemptRecord, line, f"{LEDGER_FILE}:{number}")
-        except DatasetError:
-            continue
-        if attempt.episode is not None:
-            found[attempt.episode] = attempt
-    return found
+    return {attempt.episode: attempt for attempt in attempts if attempt.episode is not None}
 
 
 def _row_of_record(number: int, record: EpisodeRecord | RealEpisodeRecord, size: int | None) -> EpisodeRow:
