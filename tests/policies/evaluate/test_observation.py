@@ -20,7 +20,7 @@ from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.session import Session
 from yamsim_cli.core.episode.attempt_payload import frame_records, render_cameras
 from yamsim_cli.core.episode.simulator import Simulator
-from yamsim_cli.core.errors import ResourceError
+from yamsim_cli.core.errors import ResourceError, UsageError
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.core.images.image import Image
@@ -198,3 +198,16 @@ def test_privileged_state_reaches_no_other_policy(config: RecordConfig, location
     )
     with TrialRunner(Session(config, locations), PolicyChoice("plain.py", tmp_path)) as runner:
         assert runner.run(AttemptJob(0, 0)).error == ""
+
+
+def test_a_policy_that_does_not_fit_the_rig_is_closed(
+    config: RecordConfig, locations: Locations, tmp_path: Path
+) -> None:
+    (tmp_path / "elsewhere.py").write_text(
+        "class Elsewhere:\n    images = ('scene', 'left_wrist')\n    def reset(self):\n        pass\n"
+        "    def __call__(self, observation):\n        pass\n"
+        f"    def close(self):\n        open({str(tmp_path / 'closed')!r}, 'w').close()\n"
+    )
+    with pytest.raises(UsageError, match="asks for the image 'left_wrist'"):
+        TrialRunner(Session(config, locations), PolicyChoice("elsewhere.py", tmp_path))
+    assert (tmp_path / "closed").exists()

@@ -98,10 +98,14 @@ class TrialRunner(Closable):
             self.policy = make_policy(choice, session)
         self._caller = PolicyCaller(choice.call_seconds, choice.folder)
         self.simulators = SimulatorCache(session)
-        self._wanted = wanted_images(self.policy), wanted_state(self.policy)
-        execute = choice.chunking.execute or getattr(self.policy, "execute", None)
-        self._chunking = replace(choice.chunking, execute=execute, lead=getattr(self.policy, "lead", None))
-        policy_cameras(session.config, self._wanted[0])
+        try:
+            self._wanted = wanted_images(self.policy), wanted_state(self.policy)
+            execute = choice.chunking.execute or getattr(self.policy, "execute", None)
+            self._chunking = replace(choice.chunking, execute=execute, lead=getattr(self.policy, "lead", None))
+            policy_cameras(session.config, self._wanted[0])
+        except BaseException:
+            self.close()  # a connection that stays open would keep the process alive
+            raise
 
     def run(self, job: AttemptJob) -> TrialResult:
         """Run one trial. The expert runs first only if it is the policy, or if distractors must leave room for it."""

@@ -10,6 +10,7 @@ from pydantic import AfterValidator, Field, FiniteFloat, ValidationError
 
 from yamsim_cli.core.errors import ConfigError
 from yamsim_cli.core.files.documents.config_base import Config
+from yamsim_cli.core.files.documents.validation_messages import explain_validation_error
 from yamsim_cli.core.files.resources import Locations, config_path_pattern
 
 from .motor import MOTOR_KINDS
@@ -122,6 +123,5 @@ def _read_motor_config(model: type[W], path: Path) -> W:
     try:
         return model.model_validate(document.data)
     except ValidationError as error:
-        first = error.errors()[0]
-        key = ".".join(map(str, first["loc"]))
-        raise ConfigError(f"{document.place_of(tuple(first['loc']))}: {key}: {first['msg']}") from None
+        place, message = explain_validation_error(model, document, error, {})
+        raise ConfigError(f"{place}: {message}") from error
