@@ -13,6 +13,8 @@ READY := $(VENV)/.ready
 READY_DEV := $(VENV)/.ready-dev
 PIP := $(PYTHON_BIN) -m pip install -q --disable-pip-version-check
 DEMO := out/demo
+# One worker more than cores, because tests wait for processes, files and time limits for a quarter of their time.
+TEST_WORKERS := $(shell expr $$(getconf _NPROCESSORS_ONLN) + 1)
 
 .DEFAULT_GOAL := help
 .PHONY: help setup setup-dev gl meshes test-programs demo test test-slow test-clients test-clients-heavy test-all golden-update pictures lint type bench bench-fiducials docs build lock clean
@@ -56,23 +58,23 @@ demo: gl meshes ## record four episodes into out/demo and summarize them
 	@echo "Look at $$(find $(DEMO) -name '*.jpg' | LC_ALL=C sort | head -n 1), or all of $(DEMO)/"
 
 test: setup-dev gl meshes ## run the tests, without the slow ones and those that need the internet
-	$(PYTHON_BIN) -m pytest -n auto --dist worksteal -m "not slow and not network and not client and not client_heavy" $(PYTEST_ARGS)
+	$(PYTHON_BIN) -m pytest -n $(TEST_WORKERS) --dist worksteal -m "not slow and not network and not client and not client_heavy" $(PYTEST_ARGS)
 
 test-slow: setup-dev gl meshes test-programs ## run the rest: the slow ones, and those that need the internet or other programs
-	$(PYTHON_BIN) -m pytest -n auto --dist worksteal -m "(slow or network) and not client and not client_heavy" $(PYTEST_ARGS)
+	$(PYTHON_BIN) -m pytest -n $(TEST_WORKERS) --dist worksteal -m "(slow or network) and not client and not client_heavy" $(PYTEST_ARGS)
 
 # Each client has an environment of its own in .venv-clients, made once. What was found lies in out/clients.jsonl, from which
 # `python -m tests.clients.table` brings the table in docs/clients.md up to date.
 test-clients: setup-dev gl meshes ## run programs of others on what yamsim writes: those that install in a minute; some from checkouts in $YAMSIM_MAKER and $YAMSIM_ABC
 	rm -f out/clients.jsonl
-	$(PYTHON_BIN) -m pytest -n auto --dist worksteal -m client $(PYTEST_ARGS)
+	$(PYTHON_BIN) -m pytest -n $(TEST_WORKERS) --dist worksteal -m client $(PYTEST_ARGS)
 
 test-clients-heavy: setup-dev gl meshes ## the same with LeRobot and torch, and with checkouts in $YAMSIM_RAIDEN and $YAMSIM_CHIRAL (gigabytes)
 	rm -f out/clients.jsonl
 	$(PYTHON_BIN) -m pytest -m client_heavy $(PYTEST_ARGS)
 
 test-all: setup-dev gl meshes test-programs ## run all tests but those of heavy clients
-	$(PYTHON_BIN) -m pytest -n auto --dist worksteal -m "not client_heavy" $(PYTEST_ARGS)
+	$(PYTHON_BIN) -m pytest -n $(TEST_WORKERS) --dist worksteal -m "not client_heavy" $(PYTEST_ARGS)
 
 golden-update: setup-dev gl ## make today's pictures the golden ones: look at each before committing
 	$(PYTHON_BIN) -m tests.golden.update

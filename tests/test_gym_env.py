@@ -51,6 +51,7 @@ def test_gymnasiums_checker_passes_it() -> None:
     check()
 
 
+@pytest.mark.slow
 @pytest.mark.render
 def test_gymnasiums_checker_passes_it_with_images() -> None:
     check(observation="images", render_mode="rgb_array", size=(64, 48))

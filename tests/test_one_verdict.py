@@ -343,6 +343,7 @@ def test_the_experts_actions(case: TrialCase, tmp_path: Path) -> None:
     assert verdict == Verdict(True, 1 + next(k for k, ticks in enumerate(held) if ticks == case.hold))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", WELDED, indirect=True)
 def test_what_was_done_and_is_undone_again(case: TrialCase, tmp_path: Path) -> None:
     """It is a success at the goal's hold time, and none if the actor ends the trial."""
@@ -353,6 +354,7 @@ def test_what_was_done_and_is_undone_again(case: TrialCase, tmp_path: Path) -> N
     assert last == Verdict(False, case.limit)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", WELDED, indirect=True)
 def test_a_goal_that_holds_too_short_a_time(case: TrialCase, tmp_path: Path) -> None:
     begins = case.held_ticks(case.base).index(1)

@@ -45,6 +45,7 @@ def test_two_arms_have_the_left_one_first() -> None:
     assert form.action[14:] == ("left_magnet", "right_magnet") and list(form.cameras) == ["scene_camera"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("end", ["actor", "success"])
 def test_the_experts_rows_make_the_recorded_episode_again(end: Literal["actor", "success"]) -> None:
     """Frame by frame: states, object poses, and a success at the end, judged as a recording.

@@ -80,6 +80,7 @@ def test_final_observations_come_in_the_same_step() -> None:
     require_same_as_single(12, "SameStep", max_ticks=5)
 
 
+@pytest.mark.slow
 @pytest.mark.render
 def test_images_equal_those_of_single_environments() -> None:
     require_same_as_single(3, count=2, observation="images", size=(64, 48), max_ticks=2)

@@ -138,6 +138,7 @@ def test_a_delay_shows_earlier_frames(make_simulator: MakeSimulator, motion: tup
     assert not np.array_equal(plain[5], plain[7])
 
 
+@pytest.mark.slow
 def test_a_slow_shutter_mixes_the_states_before_the_frame(
     make_simulator: MakeSimulator, motion: tuple[Attempt, list[Array]]
 ) -> None:
@@ -152,6 +153,7 @@ def test_a_slow_shutter_mixes_the_states_before_the_frame(
     np.testing.assert_array_equal(rolling[6][0], plain[5][0])
 
 
+@pytest.mark.slow
 def test_files_have_the_same_bytes_again(make_simulator: MakeSimulator, motion: tuple[Attempt, list[Array]]) -> None:
     effects = LENSES["fisheye"] | {
         "full_well_e": 2000,

@@ -71,6 +71,7 @@ def test_without_a_pace_there_is_no_time_left(at: Callable[[float], None], capsy
     assert capsys.readouterr().err == "recording: 0 of 500 episodes, 9 attempts\n"
 
 
+@pytest.mark.slow
 def test_a_command_tells_its_progress_on_stderr_beside_json() -> None:
     code = (
         "import sys; from yamsim_cli.terminal import console; console._LOG_PERIOD_SECONDS = 0.0\n"

@@ -54,9 +54,9 @@ def run(code: str, *args: str, path: Path | None = None) -> tuple[int, str, list
         ("yamsim_cli.main", signal.SIGINT),
         ("typer", signal.SIGTERM),
         ("yamsim_cli.commands.view", signal.SIGINT),
-        ("mujoco._specs", signal.SIGTERM),
-        ("yamsim_cli.viewers.rig_page", signal.SIGINT),
-        ("viser", signal.SIGTERM),
+        pytest.param("mujoco._specs", signal.SIGTERM, marks=pytest.mark.slow),
+        pytest.param("yamsim_cli.viewers.rig_page", signal.SIGINT, marks=pytest.mark.slow),
+        pytest.param("viser", signal.SIGTERM, marks=pytest.mark.slow),
     ],
 )
 def test_a_viewer_that_is_still_starting_ends_with_0(module: str, number: signal.Signals) -> None:

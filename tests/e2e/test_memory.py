@@ -66,6 +66,7 @@ def test_two_thousand_episodes_fit_into_memory(
     assert max(growth.values()) < LIMIT_MB
 
 
+@pytest.mark.slow
 def test_large_answers_leave_nothing_behind() -> None:
     """Episodes of full size, as bytes through the pipe."""
     with ProcessPool[int | str, object](ToyRunner, 1) as pool:

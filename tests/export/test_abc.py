@@ -203,6 +203,7 @@ def test_rows_of_other_rates_have_the_last_frame_before_them() -> None:
     np.testing.assert_array_equal(latest_frames(uneven), [0, 0, 2, 2, 2, 2, 2])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("layout", ["release", "training"])
 def test_a_simulated_arm_becomes_the_left_one(
     layout: AbcLayout, dataset: Path, single: RigConfig, locations: Locations, tmp_path: Path

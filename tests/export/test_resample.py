@@ -144,6 +144,7 @@ def test_pictures_drawn_anew_are_the_recorded_ones_at_recorded_times(
                 np.testing.assert_array_equal(found["depth"], was["depth"])
 
 
+@pytest.mark.slow
 @pytest.mark.render
 def test_pictures_that_would_differ_are_not_drawn(
     tmp_path: Path, make_config: Callable[..., RecordConfig], locations: Locations

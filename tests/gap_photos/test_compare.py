@@ -78,6 +78,7 @@ def _compare(gap: MotionGap, locations: Locations, request: PhotoRequest):  # ty
     return compare_photos([gap], rig, request, scene, quality, locations, lambda done, total: None)
 
 
+@pytest.mark.slow
 @pytest.mark.render
 def test_the_photo_where_the_arm_was_elsewhere_is_the_worst(photographed: MotionGap, locations: Locations) -> None:
     report, shown = _compare(photographed, locations, PhotoRequest(10))

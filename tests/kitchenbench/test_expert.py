@@ -200,6 +200,7 @@ def test_a_grip_that_slipped_is_not_tried_again(expert_bench: PlanningContext, m
     assert grab.find_reachable_grasp(expert_bench, hand, thing, grip) is None
 
 
+@pytest.mark.slow
 def test_a_piece_is_put_down_where_it_can_be_taken_on() -> None:
     """Where a hand grasps it by the most reliable grip."""
     planning = _planning_scene("sort-cutlery-balanced-pile")
@@ -237,6 +238,7 @@ def tray_scene() -> Iterator[PlanningScene]:
     planning.close()
 
 
+@pytest.mark.slow
 def test_beside_a_wall_fingers_come_nearer_than_arms(tray_scene: PlanningScene) -> None:
     """A fork that otherwise has no grip."""
     bench = tray_scene.context
@@ -264,6 +266,7 @@ def test_a_thing_has_as_much_room_as_there_is_to_the_wall(tray_scene: PlanningSc
     assert room == pytest.approx([0.008, 0.026], abs=0.003)
 
 
+@pytest.mark.slow
 def test_what_lies_beside_a_wall_is_slid_away_from_it(tray_scene: PlanningScene) -> None:
     before = tray_scene.context.world.pose("cutlery_2")[1, 3]
     cast = RoleAssignment({"cutlery_2": ("cutlery_2",)}, {"cutlery_2": "fork"})
@@ -338,6 +341,7 @@ def test_a_closed_planning_scene_is_freed_without_the_garbage_collector() -> Non
         gc.enable()
 
 
+@pytest.mark.slow
 def test_actions_that_were_changed_are_noticed() -> None:
     embodiment, expert = YamsimEmbodiment(images=False), YamsimExpert()
     expert.bind(embodiment.info)

@@ -82,6 +82,7 @@ def test_a_scene_becomes_a_task_with_its_realizations(task: dict[str, Any]) -> N
     assert len(set(seeds)) == len(seeds) == 100
 
 
+@pytest.mark.slow
 def test_another_realization_may_have_other_things(task: dict[str, Any]) -> None:
     others = [resolve_scene_task(f"{NAME}@{k}") for k in (1, 2, 3)]
     counts = {len(one["things"]) for one in (*others, task) if isinstance(one, dict)}

@@ -21,6 +21,7 @@ def _turned(points: Array) -> float:
     return float(np.degrees(np.arctan2(along[:, 1].mean(), along[:, 0].mean())))
 
 
+@pytest.mark.slow
 def test_two_hands_slide_cloth_to_where_it_is_wanted_and_nowhere_else(tmp_path: Path) -> None:
     with SimulatorCache(session_of(tmp_path, FOLD)) as simulators:
         bench = bench_at_start(simulators)

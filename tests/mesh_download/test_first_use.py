@@ -59,6 +59,7 @@ def test_an_empty_folder_asks_for_primitives_and_stays_empty(look: Look, world: 
     assert look()[0]["tiny"] is not None, "the default cache may be empty"
 
 
+@pytest.mark.slow
 def test_a_failure_keeps_later_commands_from_waiting_for_an_hour(
     look: Look, world: AssetFixture, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -76,6 +77,7 @@ def test_a_failure_keeps_later_commands_from_waiting_for_an_hour(
     assert not world.store.fetch_failure_file.exists()
 
 
+@pytest.mark.slow
 def test_a_fetch_that_works_ends_the_hour(look: Look, world: AssetFixture) -> None:
     world.store.root.mkdir()
     world.store.fetch_failure_file.touch()

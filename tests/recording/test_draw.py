@@ -68,6 +68,7 @@ def test_without_changes_every_image_and_state_has_the_same_bytes(recorded: Path
     assert set(new["versions"]) - set(old["versions"]) == {"drawn_by", "drawn_from"}
 
 
+@pytest.mark.slow
 def test_looks_differ_in_images_and_have_the_same_physics(recorded: Path, looks: Path) -> None:
     for look in (looks / "look_1", looks / "look_2"):
         for episode in range(2):

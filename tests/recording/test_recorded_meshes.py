@@ -264,6 +264,7 @@ def test_what_is_unpacked_is_what_was_packed(tmp_path: Path, config: RecordConfi
     assert (tmp_path / "there/meshes/set/link.stl").read_bytes() == b"\0\xff"
 
 
+@pytest.mark.slow
 def test_a_runner_needs_nothing_but_its_packed(
     make_config: Callable[..., RecordConfig], locations: Locations, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

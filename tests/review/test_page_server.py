@@ -254,6 +254,7 @@ def test_a_changed_episode_is_undecided_again(ask: Ask, token: str, dataset: Pat
         DecisionFile(copy, dataset, directories, None)
 
 
+@pytest.mark.slow
 def test_killed_while_writing_nothing_but_the_last_key_is_lost(dataset: Path) -> None:
     """Decide as fast as the server answers, and kill it at a random time."""
     command = [sys.executable, "-m", "yamsim_cli", "review", dataset, "--port", "0", "--reviewer", "ann"]

@@ -39,6 +39,7 @@ def visual(make_config: Callable[..., RecordConfig], locations: Locations) -> It
         yield simulator
 
 
+@pytest.mark.slow
 def test_looks_change_neither_success_nor_joints(visual: Simulator, config: RecordConfig, locations: Locations) -> None:
     with Simulator(Session(config, locations)) as plain:
         for number in range(2):
@@ -107,6 +108,7 @@ def test_distractors_stand_clear_of_everything(visual: Simulator, config: Record
             assert nearest >= clearance - 1e-6, name
 
 
+@pytest.mark.slow
 def test_a_full_table_leaves_distractors_out_and_fails_nothing(
     make_config: Callable[..., RecordConfig], locations: Locations
 ) -> None:

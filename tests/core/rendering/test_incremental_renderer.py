@@ -47,7 +47,7 @@ def draw_all(renderer: SceneRenderer, model: mujoco.MjModel, states: Sequence[Ar
     [
         {"task": "pickplace", "wrist": True, "boards": True},
         pytest.param({"task": "handover", "rig": "russet", "wrist": True}, marks=pytest.mark.slow),
-        {"task": "fold_napkin"},
+        pytest.param({"task": "fold_napkin"}, marks=pytest.mark.slow),
         pytest.param({"task": "tower", "randomize": "default", "seed": 3}, marks=pytest.mark.slow),
     ],
     ids=["pickplace", "handover", "fold_napkin", "tower"],

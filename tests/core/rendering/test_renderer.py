@@ -352,5 +352,6 @@ def test_what_mujocos_own_renderer_drew_counts() -> None:
     assert lines[1] == "drew True"
 
 
+@pytest.mark.slow
 def test_forks_of_what_has_drawn_nothing_draw() -> None:
     assert printed_by("print(child(draw))\nprint(child(child, draw))\nprint(draw())\n") == ["drew True"] * 3

@@ -71,7 +71,7 @@ def inside(geoms: np.ndarray, wanted: list[int]) -> np.ndarray:
 
 
 @pytest.mark.parametrize("quality", QUALITIES)
-@pytest.mark.parametrize("rig", RIGS)
+@pytest.mark.parametrize("rig", [RIGS[0], *(pytest.param(rig, marks=pytest.mark.slow) for rig in RIGS[1:])])
 def test_the_table_carries_the_shadow_and_the_floor_below_has_none(rig: str, quality: str) -> None:
     model, config, place = scene(rig, quality)
     there, gone = pictures(model, config, place), pictures(model, config, AWAY)

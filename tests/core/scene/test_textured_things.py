@@ -76,6 +76,7 @@ def expected() -> list[Any]:
     return [pytest.approx(image[int((1 - v) * 511), int(u * 511)].astype(float), abs=12) for u, v in PLACES]
 
 
+@pytest.mark.slow
 def test_the_web_page_shows_the_picture(printed: tuple[ImportedObjectFile, Locations]) -> None:
     pytest.importorskip("viser")
     from yamsim_cli.viewers.scene_nodes import textured_mesh

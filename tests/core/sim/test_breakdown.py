@@ -38,6 +38,7 @@ for outcome in outcomes:
 """
 
 
+@pytest.mark.slow
 def test_a_simulation_that_breaks_down_fails_for_that_and_writes_nothing(tmp_path: Path, repository: Path) -> None:
     run = subprocess.run(
         [sys.executable, "-c", ABSURD],

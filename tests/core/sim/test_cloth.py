@@ -47,6 +47,7 @@ def test_cloth_starts_flat_and_turned_on_the_table_and_at_rest(tmp_path: Path) -
         assert scene.model.opt.integrator == mujoco.mjtIntegrator.mjINT_DISCRETE
 
 
+@pytest.mark.slow
 def test_crumpled_cloth_starts_at_rest_and_differs_by_seed_alone(tmp_path: Path) -> None:
     crumpled = changed({("starts", "napkin", "crumpled"): [0.3, 0.6]}, FOLD)
     with SimulatorCache(session_of(tmp_path, crumpled)) as simulators:
@@ -166,6 +167,7 @@ ONTO: dict[str, Any] = changed(
 )
 
 
+@pytest.mark.slow
 def test_what_is_put_onto_cloth_lies_on_it_as_high_as_it_is_thick(tmp_path: Path) -> None:
     with SimulatorCache(session_of(tmp_path, ONTO)) as simulators:
         simulator, attempt = first_attempt(simulators)

@@ -182,6 +182,7 @@ def test_things_are_put_within_the_walls_of_a_round_container(placed: PlacedScen
     assert max(float(np.hypot(*(T[:2, 3] - (0.4, 0.0)))) for T in goals) < 0.08
 
 
+@pytest.mark.slow
 def test_a_thing_goes_beside_another_one_in_a_container(placed: PlacedScene) -> None:
     """It stands on the floor. An object that is tilted in the hand may stay tilted."""
     placed.put("bin", (0.4, 0.0, 0.0))

@@ -109,6 +109,7 @@ def test_on_ground_that_is_darker_than_its_print_a_board_is_a_patch_full_of_edge
     assert pose_error(seen.T_board_in_cam, truth)[1] < math.radians(0.2)
 
 
+@pytest.mark.slow
 def test_another_board_tells_two_poses_apart() -> None:
     """The photo alone hardly does; nor does a rig with neither of the two poses."""
     truth, apart = facing(-0.15, 0.0, 1.3, 0.2, 0.0), pose((0.3, 0.0, 0.0))
@@ -149,6 +150,7 @@ def test_the_same_print_twice_is_refused_even_if_it_cannot_be_read() -> None:
     assert seen.status is BoardStatus.AMBIGUOUS and seen.T_board_in_cam is None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_unknown_prints_are_not_recognized_as_a_board(kind: str) -> None:
     for k in range(2):

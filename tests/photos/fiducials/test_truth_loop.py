@@ -40,6 +40,7 @@ def photo_of(photographer: Photographer, rng: np.random.Generator, distance: flo
     return photographer.take(), invert_pose(T_cam) @ photographer.boards[which].T_in_world
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("distance", "mm", "deg"), [(0.4, 0.2, 0.2), (0.8, 0.5, 0.4), (1.0, 1.5, 0.8)])
 def test_located_boards_match_their_true_poses(russet: Photographer, distance: float, mm: float, deg: float) -> None:
     rng = np.random.default_rng([1, round(distance * 10)])
@@ -67,6 +68,7 @@ def test_poor_photos_are_still_right(russet: Photographer, spoil: dict) -> None:
         assert off_deg < 1.5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("spoil", [{"blur": 9.0}, {"motion": 60.0}, {"light": 0.01}], ids=["blur", "motion", "dark"])
 def test_useless_photos_are_refused(russet: Photographer, spoil: dict) -> None:
     rng = np.random.default_rng(5)
@@ -77,6 +79,7 @@ def test_useless_photos_are_refused(russet: Photographer, spoil: dict) -> None:
         assert seen.T_board_in_cam is None and seen.reason and seen.advice
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("distance", "spoil"), [(1.3, {}), (0.8, {"blur": 3.0}), (0.8, {"motion": 10.0})], ids=["far", "blur", "motion"]
 )

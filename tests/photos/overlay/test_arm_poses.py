@@ -69,6 +69,7 @@ def test_the_margin_is_measured_with_its_uncertainty(russet: RigConfig, clean: n
     assert result.margin_sigma == pytest.approx(0.0006, abs=0.0002)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("trust", [False, True])
 def test_a_wrong_margin_in_the_rig_is_told(russet: RigConfig, clean: np.ndarray, trust: bool) -> None:
     grey = with_noise(clean)
@@ -157,6 +158,7 @@ def test_a_recorded_pose_stands_in_for_a_board_that_is_not_seen(russet: RigConfi
     assert found(russet, with_noise(clean), photo=recorded).arms[0].status == "ok"
 
 
+@pytest.mark.slow
 def test_a_print_that_is_not_as_the_rig_says_is_told(russet: RigConfig) -> None:
     """A slightly wrong print has its pose if seen well from nearby, with a note; other prints give no pose."""
     (board, T), other = boards_of(russet)

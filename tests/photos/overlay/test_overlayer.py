@@ -298,6 +298,7 @@ def test_a_row_of_joints_for_each_photo(run: Runner, photo: Path, russet_shot: R
         run("photo.png", stands=[standing(wrong)] * 2)
 
 
+@pytest.mark.slow
 def test_a_video_of_all_photos(run: Runner, photo: Path, russet_shot: RigPhoto) -> None:
     av = pytest.importorskip("av", reason="yamsim[video] is not installed")
     for k in range(3):

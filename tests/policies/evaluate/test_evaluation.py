@@ -90,6 +90,7 @@ def test_the_scripted_policy_does_exactly_what_the_batch_does(strict: RecordConf
     assert set(report["stats"]["ended"]) == {"done"}
 
 
+@pytest.mark.slow
 def test_holding_still_scores_nothing(strict: RecordConfig, locations: Locations) -> None:
     found = evaluate(Session(strict, locations), PolicyChoice("hold_still", SAMPLES, time_limit=1.0), lambda *_: None)
     report = evaluation_report(found, strict, (0.08,))

@@ -95,6 +95,7 @@ def test_the_files_hold_commands_and_simulated_readings(tmp_path: Path) -> None:
     assert "position" not in lines[0]
 
 
+@pytest.mark.slow
 def test_an_arm_that_is_simulated_by_its_own_revision_has_no_gap(tmp_path: Path) -> None:
     rig, found = _rig("single"), _excitation("single")
     joints = {"joint2": JointDynamics(damping=0.4, offset_rad=0.01, gravity_factor=1.05)}

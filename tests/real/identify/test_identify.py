@@ -62,6 +62,7 @@ def _some(plant: ParametricArm) -> list[FitParameter]:
     return [each for each in all_parameters(plant) if each.joint is None or (each.name, each.joint) in kept]
 
 
+@pytest.mark.slow
 def test_planted_values_are_found_of_one_joint_with_the_delay(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(fitting, "all_parameters", _some)
     monkeypatch.setattr(fitting, "FINE_TIMESTEP", 0.002)
