@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 from collections.abc import Mapping
 
 from yamsim_cli import gl
@@ -36,4 +37,9 @@ def remember_backend() -> None:
             return GlBackend(name, environ[RENDERER])
         return really(name, environ)
 
-    gl.probe_backend = answer
+    start = gl.start_probe
+
+    def start_unless_known(environ: Mapping[str, str], platform: str = sys.platform) -> gl.BackendProbe | None:
+        return None if environ.get(RENDERER) else start(environ, platform)
+
+    gl.probe_backend, gl.start_probe = answer, start_unless_known

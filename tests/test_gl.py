@@ -1,31 +1,43 @@
+import contextlib
 import os
 import subprocess
 import sys
-from types import SimpleNamespace
 
 import pytest
 
 from yamsim_cli import gl
 from yamsim_cli.core.errors import ResourceError
-from yamsim_cli.gl import GlBackend, find_backend
+from yamsim_cli.gl import GlBackend, find_backend, start_probe
+
+
+class FakeProcess(contextlib.nullcontext):
+    def __init__(self, answer):
+        super().__init__(self)
+        self.answer = answer
+        self.returncode = None
+
+    def communicate(self, timeout):
+        assert timeout > 0
+        if isinstance(self.answer, Exception):
+            raise self.answer
+        self.returncode, stderr = self.answer
+        return "" if self.returncode else "noise\nllvmpipe (LLVM 15)\n", stderr
+
+    def kill(self):
+        pass
 
 
 class FakeSubprocess:
-    """Replaces `subprocess.run`: backend -> exit code and stderr, or an exception; records its calls."""
+    """Replaces `subprocess.Popen`: backend -> exit code and stderr, or an exception; records its calls."""
 
     def __init__(self, answers):
         self.answers = answers
         self.environments = []
 
-    def __call__(self, command, *, env, timeout, **options):
+    def __call__(self, command, *, env, **options):
         assert command[0] == sys.executable
-        assert timeout > 0
         self.environments.append(env)
-        answer = self.answers[env["MUJOCO_GL"]]
-        if isinstance(answer, Exception):
-            raise answer
-        code, stderr = answer
-        return SimpleNamespace(returncode=code, stderr=stderr, stdout="" if code else "noise\nllvmpipe (LLVM 15)\n")
+        return FakeProcess(self.answers[env["MUJOCO_GL"]])
 
     @property
     def tried(self):
@@ -36,7 +48,7 @@ class FakeSubprocess:
 def probing(monkeypatch):
     def prepare(**answers) -> FakeSubprocess:
         probes = FakeSubprocess(answers)
-        monkeypatch.setattr(gl.subprocess, "run", probes)
+        monkeypatch.setattr(gl.subprocess, "Popen", probes)
         return probes
 
     return prepare
@@ -125,6 +137,22 @@ def test_a_real_probe_that_hangs_crashes_or_prints_junk_costs_a_message_only(mon
     monkeypatch.setattr(gl, "PROBE_SECONDS", 0.5 if "sleep" in probe else 60.0)
     with pytest.raises(ResourceError, match=f"mine: {reason}"):
         find_backend({"MUJOCO_GL": "mine"}, "linux")
+
+
+def test_a_probe_that_was_started_early_is_the_first_try(probing):
+    probes = probing(egl=BAD, osmesa=GOOD)
+    with start_probe({}, "linux") as probe:
+        assert probes.tried == ["egl"]
+        assert find_backend({}, "linux", probe) == GlBackend("osmesa", "llvmpipe (LLVM 15)")
+    assert probes.tried == ["egl", "osmesa"]
+    assert start_probe({}, "darwin") is None
+
+
+def test_a_probe_that_nobody_waits_for_is_ended(monkeypatch):
+    monkeypatch.setattr(gl, "PROBE_PROGRAM", "import time; time.sleep(60)")
+    with start_probe({"MUJOCO_GL": "mine"}, "linux") as probe:
+        pass
+    assert probe.result() == "crashes (exit code -9)"
 
 
 @pytest.mark.parametrize(

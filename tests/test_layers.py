@@ -41,6 +41,7 @@ FLOORS: dict[str, int] = {
     "cpu_limits": 8,
     "gl": 8,
     "mesh_download": 8,
+    "early_worker": 9,
     "session_opener": 9,
     "trials": 9,
     # Wings: tasks of users.

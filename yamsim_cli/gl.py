@@ -11,6 +11,7 @@ import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from .core.closable import Closable
 from .core.errors import ResourceError
 from .core.rendering.software_renderers import is_software_renderer
 
@@ -55,26 +56,79 @@ class GlBackend:
         return is_software_renderer(self.renderer)
 
 
-def find_backend(environ: Mapping[str, str], platform: str = sys.platform) -> GlBackend:
+class BackendProbe(Closable):
+    """A try of a backend in a separate process, which runs beside the caller until `result` or `close`."""
+
+    def __init__(self, name: str, environ: Mapping[str, str]) -> None:
+        self.name = name
+        environment = {**environ, "MUJOCO_GL": name}
+        # The import fails unless PyOpenGL and MuJoCo choose the same platform.
+        environment.pop("PYOPENGL_PLATFORM", None)
+        self._process = subprocess.Popen(
+            [sys.executable, "-c", PROBE_PROGRAM],
+            env=environment,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            errors="replace",
+        )
+
+    def result(self) -> GlBackend | str:
+        """Wait for the end of the try; return the backend, or why it does not work."""
+        process = self._process
+        try:
+            output, errors = process.communicate(timeout=PROBE_SECONDS)
+        except subprocess.TimeoutExpired:
+            return f"hangs (gave up after {PROBE_SECONDS:g} s)"
+        finally:
+            self.close()
+        if process.returncode == 0:
+            return GlBackend(self.name, output.strip().splitlines()[-1] if output.strip() else "")
+        lines = [line for line in errors.splitlines() if line.strip()]
+        return lines[-1].strip() if lines else f"crashes (exit code {process.returncode})"
+
+    def close(self) -> None:
+        """End the try."""
+        # Ends the process, closes its pipes and waits for its end.
+        with self._process as process:
+            process.kill()
+
+
+def find_backend(
+    environ: Mapping[str, str], platform: str = sys.platform, started: BackendProbe | None = None
+) -> GlBackend:
     """Return the first backend that renders without a display.
 
     Args:
         environ: If the user has set `MUJOCO_GL`, no other backend is tried.
+        started: the result of `start_probe` for the same variables; takes the place of the first try.
     """
-    wanted = environ.get("MUJOCO_GL")
-    if platform != "linux" and not wanted:
-        return GlBackend(None)
     reasons = []
-    for name in (wanted,) if wanted else LINUX_BACKENDS:
-        found = probe_backend(name, environ)
+    for name in (candidates := _candidates(environ, platform)):
+        found = started.result() if started is not None and name == candidates[0] else probe_backend(name, environ)
         if isinstance(found, GlBackend):
             return found
         reasons.append(f"{name}: {found}")
-    chosen = "; MUJOCO_GL is set, so no other was tried: unset it" if wanted else ""
+    if not candidates:
+        return GlBackend(None)
+    chosen = "; MUJOCO_GL is set, so no other was tried: unset it" if environ.get("MUJOCO_GL") else ""
     raise ResourceError(
         f"no OpenGL backend for headless rendering works ({'; '.join(reasons)}){chosen}; {INSTALL_GL}; "
         "run `yamsim doctor` to find the cause"
     )
+
+
+def start_probe(environ: Mapping[str, str], platform: str = sys.platform) -> BackendProbe | None:
+    """Start the first try of `find_backend`; None if it tries no backend."""
+    candidates = _candidates(environ, platform)
+    return BackendProbe(candidates[0], environ) if candidates else None
+
+
+def _candidates(environ: Mapping[str, str], platform: str) -> tuple[str, ...]:
+    if wanted := environ.get("MUJOCO_GL"):
+        return (wanted,)
+    return LINUX_BACKENDS if platform == "linux" else ()
 
 
 def bind_backend(name: str) -> None:
@@ -85,23 +139,4 @@ def bind_backend(name: str) -> None:
 
 def probe_backend(name: str, environ: Mapping[str, str]) -> GlBackend | str:
     """Try a backend in a separate process. Return it, or why it does not work."""
-    environment = {**environ, "MUJOCO_GL": name}
-    # The import fails unless PyOpenGL and MuJoCo choose the same platform.
-    environment.pop("PYOPENGL_PLATFORM", None)
-    try:
-        probe = subprocess.run(
-            [sys.executable, "-c", PROBE_PROGRAM],
-            env=environment,
-            capture_output=True,
-            text=True,
-            errors="replace",
-            timeout=PROBE_SECONDS,
-            stdin=subprocess.DEVNULL,
-            check=False,
-        )
-    except subprocess.TimeoutExpired:
-        return f"hangs (gave up after {PROBE_SECONDS:g} s)"
-    if probe.returncode == 0:
-        return GlBackend(name, probe.stdout.strip().splitlines()[-1] if probe.stdout.strip() else "")
-    lines = [line for line in probe.stderr.splitlines() if line.strip()]
-    return lines[-1].strip() if lines else f"crashes (exit code {probe.returncode})"
+    return BackendProbe(name, environ).result()

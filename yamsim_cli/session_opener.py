@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, MutableMapping, Sequence
-from contextlib import AbstractContextManager, nullcontext
+from collections.abc import Callable, Iterable, Iterator, MutableMapping, Sequence
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from .core.files.documents.yaml_document import KeyPath
     from .core.files.resources import Locations
     from .core.scene.assets import AssetLock, AssetStore, FetchProgress
+    from .gl import BackendProbe
 
 _VALID_SIDES_PX = range(16, 4097)  # px, of images
 _GL_DISABLED = "off"  # MUJOCO_GL without OpenGL; `choose_gl_backend` may replace it, but not a user's "disabled"
@@ -91,25 +92,30 @@ class SessionOpener:
             renders: without, OpenGL and meshes are not needed.
             resumes: dataset that the session resumes. Mesh sets that it shows as primitives stay primitives.
         """
-        from .core.episode.sampling import require_start
+        # The probe imports MuJoCo meanwhile.
+        with self._start_gl_probe() if renders else nullcontext() as probe:
+            from .core.episode.sampling import require_start
 
-        where = self.find_locations()
-        for setting in ("object", "target"):
-            if isinstance(named := given.get(setting), str):
-                given[setting] = self.resolve_object(named, where, self.notify)
-        if isinstance(named := given.get("task"), str):
-            given["task"] = self.resolve_task(named)
-        session = Session(
-            self.load_record_config(name, where, lambda config: require_start(Session(config, where)), **given), where
-        )
-        if not renders:
-            self.disable_gl()
-            return session
-        where = self.choose_gl_backend(where, workers=parallel)
+            where = self.find_locations()
+            for setting in ("object", "target"):
+                if isinstance(named := given.get(setting), str):
+                    given[setting] = self.resolve_object(named, where, self.notify)
+            if isinstance(named := given.get("task"), str):
+                given["task"] = self.resolve_task(named)
+            session = Session(
+                self.load_record_config(name, where, lambda config: require_start(Session(config, where)), **given),
+                where,
+            )
+            if not renders:
+                self.disable_gl()
+                return session
+            where = self.choose_gl_backend(where, workers=parallel, started=probe)
         from .core.dataset.writing.directory_claim import recorded_meshes
 
+        if where != session.locations:
+            # The quality `auto` is another one.
+            session = Session(self.load_record_config(name, where, **given), where)
         # The config may come from another dataset, whose meshes do not matter here.
-        session = Session(self.load_record_config(name, where, **given), where)
         return self.with_scene_meshes(session.with_values(meshes=recorded_meshes(resumes) if resumes else None))
 
     def find_locations(self) -> Locations:
@@ -232,16 +238,30 @@ class SessionOpener:
         }
         return load_config(RigConfig, "rigs", name, locations, overrides)
 
-    def choose_gl_backend(self, locations: Locations, *, workers: bool = False) -> Locations:
+    @contextmanager
+    def _start_gl_probe(self) -> Iterator[BackendProbe | None]:
+        from .gl import start_probe
+
+        probe = start_probe(self._environ_for_gl)
+        with probe or nullcontext():
+            yield probe
+
+    @property
+    def _environ_for_gl(self) -> dict[str, str]:
+        return {name: value for name, value in self.environ.items() if (name, value) != ("MUJOCO_GL", _GL_DISABLED)}
+
+    def choose_gl_backend(
+        self, locations: Locations, *, workers: bool = False, started: BackendProbe | None = None
+    ) -> Locations:
         """Find an OpenGL backend, set `MUJOCO_GL`, and return `locations` with the quality that `auto` stands for
         there.
 
-        With several `workers`, Mesa's software renderer uses one core in each.
+        With several `workers`, Mesa's software renderer uses one core in each. `started` is a try of the first backend
+        that runs already.
         """
         from .gl import bind_backend, find_backend
 
-        environ = {name: value for name, value in self.environ.items() if (name, value) != ("MUJOCO_GL", _GL_DISABLED)}
-        backend = find_backend(environ)
+        backend = find_backend(self._environ_for_gl, started=started)
         if backend.name is not None:
             self.environ["MUJOCO_GL"] = backend.name
             bind_backend(backend.name)

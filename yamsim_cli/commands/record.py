@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -16,6 +17,7 @@ from yamsim_cli.terminal.console import note_moved, print_json, print_line, prin
 from yamsim_cli.terminal.signals import stop_on_signal
 
 if TYPE_CHECKING:
+    from yamsim_cli.early_worker import EarlyWorker
     from yamsim_cli.recording.executor_factories import ExecutorFactory
     from yamsim_cli.recording.recorder import RecordReport
 
@@ -79,28 +81,37 @@ def record(
     Example: yamsim record --n 500 --workers 4
     """
     mode = open_mode(resume=resume, overwrite=overwrite)
-    session = session_opener.open(config, resumes=out if resume else None, **session_settings(locals()))
+    settings = session_settings(locals())
+    if executor == "process" and address is not None:
+        raise UsageError("--address needs --executor ray")
+    with _start_worker() if executor == "process" else nullcontext() as early:
+        session = session_opener.open(config, resumes=out if resume else None, **settings)
 
-    from yamsim_cli.recording.collect import RecordCallbacks
-    from yamsim_cli.recording.recorder import record as run
-    from yamsim_cli.recording.recording_output import RecordingOutput
+        from yamsim_cli.recording.collect import RecordCallbacks
+        from yamsim_cli.recording.recorder import record as run
+        from yamsim_cli.recording.recording_output import RecordingOutput
 
-    executors = _make_executor_factory(executor, address, attempt_timeout)
-    with progress_bar("recording", "episodes") as advance, stop_on_signal(_STOP_SIGNAL_NOTE) as stop:
-        callbacks = RecordCallbacks(
-            lambda done, wanted, attempts: advance(done, wanted, f"{attempts} attempts"), print_note
-        )
-        report = run(session, RecordingOutput(out, mode, stage), executors, callbacks, stop)
+        executors = _make_executor_factory(early, address, attempt_timeout)
+        with progress_bar("recording", "episodes") as advance, stop_on_signal(_STOP_SIGNAL_NOTE) as stop:
+            callbacks = RecordCallbacks(
+                lambda done, wanted, attempts: advance(done, wanted, f"{attempts} attempts"), print_note
+            )
+            report = run(session, RecordingOutput(out, mode, stage), executors, callbacks, stop)
     _print(report, json)
 
 
-def _make_executor_factory(kind: str, address: str | None, attempt_timeout: float) -> ExecutorFactory:
+def _start_worker() -> EarlyWorker:
+    from yamsim_cli.early_worker import EarlyWorker
+
+    return EarlyWorker()
+
+
+def _make_executor_factory(early: EarlyWorker | None, address: str | None, attempt_timeout: float) -> ExecutorFactory:
+    """Return a factory of processes if there is an `early` worker, else one of Ray actors."""
     from yamsim_cli.recording.executor_factories import ProcessExecutorFactory, RayExecutorFactory
 
-    if kind == "process":
-        if address is not None:
-            raise UsageError("--address needs --executor ray")
-        return ProcessExecutorFactory(attempt_timeout)
+    if early is not None:
+        return ProcessExecutorFactory(attempt_timeout, early)
     # Ray would otherwise send usage statistics over the network.
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
     rendering = {name: os.environ[name] for name in ("MUJOCO_GL", "LP_NUM_THREADS") if name in os.environ}

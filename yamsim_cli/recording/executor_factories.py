@@ -20,6 +20,7 @@ from ..core.files.resources import Locations
 from ..core.workers.executors import InlineExecutor
 from ..core.workers.process_pool import ProcessPool
 from ..core.workers.worker_pool import JOB_TIMEOUT
+from ..early_worker import EarlyWorker
 from .collect import EpisodeExecutor
 from .ray_pool import RayPool
 
@@ -36,13 +37,15 @@ class ExecutorFactory(Protocol):
 
 @dataclass(frozen=True)
 class ProcessExecutorFactory:
-    """Runs attempts in processes of this machine, each up to `job_seconds`, s."""
+    """Runs attempts in processes of this machine, each up to `job_seconds`, s. The first is `early`, if given."""
 
     job_seconds: float = JOB_TIMEOUT
+    early: EarlyWorker | None = None
 
     def open(self, session: Session, workers: int) -> EpisodeExecutor:
         """See `ExecutorFactory.open`."""
-        return ProcessPool(functools.partial(AttemptRunner, session, render=True), workers, self.job_seconds)
+        runner = functools.partial(AttemptRunner, session, render=True)
+        return ProcessPool(runner, workers, self.job_seconds, self.early.start if self.early else None)
 
 
 @dataclass(frozen=True)

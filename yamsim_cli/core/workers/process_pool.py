@@ -28,11 +28,19 @@ MESSAGE_TIMEOUT = 60.0  # s, timeout from the first byte of a message to the las
 _BLOCKED_SIGNALS = (*STOP_SIGNALS, signal.SIGALRM)
 
 
-class ProcessPool(BaseWorkerPool[J, R]):
-    """An `Executor` that runs jobs in processes of this machine. `factory` creates the runner in each process."""
+Starter = Callable[..., tuple[BaseProcess, Connection]]
 
-    def __init__(self, factory: OpenRunner[J, R], workers: int, job_seconds: float = JOB_TIMEOUT) -> None:
-        super().__init__(_Processes(factory), workers, job_seconds)
+
+class ProcessPool(BaseWorkerPool[J, R]):
+    """An `Executor` that runs jobs in processes of this machine, which `start` starts, by default `start_process`.
+
+    `factory` creates the runner in each process.
+    """
+
+    def __init__(
+        self, factory: OpenRunner[J, R], workers: int, job_seconds: float = JOB_TIMEOUT, start: Starter | None = None
+    ) -> None:
+        super().__init__(_Processes(factory, start or start_process), workers, job_seconds)
         # At exit, multiprocessing would send SIGTERM to remaining workers, which ignore it, and wait forever.
         atexit.register(self.close)
 
@@ -87,12 +95,12 @@ class _Process(Generic[J, R]):
 
 
 class _Processes(Generic[J, R]):
-    def __init__(self, factory: OpenRunner[J, R]) -> None:
+    def __init__(self, factory: OpenRunner[J, R], start: Starter) -> None:
         # The worker unpickles the factory itself, after its signal setup.
-        self._factory = pickle.dumps(factory)
+        self._factory, self._start_process = pickle.dumps(factory), start
 
     def start(self, number: int) -> Worker[J]:
-        return _Process[J, R](*start_process(f"yamsim-worker-{number}", serve_jobs, self._factory))
+        return _Process[J, R](*self._start_process(f"yamsim-worker-{number}", serve_jobs, self._factory))
 
     def wait(self, workers: Sequence[Worker[J]], timeout: float) -> list[tuple[Worker[J], WorkerEvent[R]]]:
         processes = {worker.pipe: worker for worker in workers if isinstance(worker, _Process)}

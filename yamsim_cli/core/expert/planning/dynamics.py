@@ -31,15 +31,12 @@ class ArmDynamics:
         torques = np.empty_like(positions)
         data = self._data
         mujoco.mj_resetData(self._model, data)
+        qpos, qvel, qacc, found = data.qpos, data.qvel, data.qacc, data.qfrc_inverse
         for k, opening in enumerate(gripper):
-            data.qpos[self._qpos], data.qvel[self._dof], data.qacc[self._dof] = (
-                positions[k],
-                velocities[k],
-                accelerations[k],
-            )
-            data.qpos[self._fingers] = opening * self._signs
+            qpos[self._qpos], qvel[self._dof], qacc[self._dof] = positions[k], velocities[k], accelerations[k]
+            qpos[self._fingers] = opening * self._signs
             mujoco.mj_inverse(self._model, data)
-            torques[k] = data.qfrc_inverse[self._dof]
+            torques[k] = found[self._dof]
         return torques
 
     def payload_torques(self, joints: Array, point: Array, weight: float) -> Array:

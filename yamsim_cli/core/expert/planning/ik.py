@@ -4,14 +4,17 @@ import functools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
-import mink
 import mujoco
 import numpy as np
 
 from ...geometry.se3 import Array, invert_pose, pose, quat_from_rotation, rotation_from_vector
 from .analytic_ik import find_analytic_ik
 from .fast_ik import FastIkSolver
+
+if TYPE_CHECKING:
+    import mink
 
 # Costs order the errors: position first, then heading, then tilt. An arm that must tilt its hand to reach a pose does
 # so, and the position stays exact to a fraction of a millimetre.
@@ -99,9 +102,7 @@ class IkSolver:
         self._low, self._high = model.jnt_range.T.copy()
         self._analytic = find_analytic_ik(model)
         self._fast = FastIkSolver(model, T_base_in_world)
-        self._configuration = mink.Configuration(model)
-        self._limits = [mink.ConfigurationLimit(model)]
-        self._task = mink.FrameTask("tool", "site", _POSITION_COST, np.array(rotation_costs))
+        self._rotation_costs = rotation_costs
         pinch = model.site("pinch_site")
         rotation = np.empty(9)
         mujoco.mju_quat2Mat(rotation, pinch.quat)
@@ -201,18 +202,27 @@ class IkSolver:
     def _joint_limit_margin(self, joints: Array) -> float:
         return float(np.minimum(joints - self._low, self._high - joints).min())
 
+    @functools.cached_property
+    def _search(self) -> tuple[mink.Configuration, list[mink.Limit], mink.FrameTask]:
+        import mink  # takes 0.2 s, which a process that plans no motion saves
+
+        task = mink.FrameTask("tool", "site", _POSITION_COST, np.array(self._rotation_costs))
+        return mink.Configuration(self._model), [mink.ConfigurationLimit(self._model)], task
+
     def _solve_iteratively(self, T_tool_in_world: Array, start: Array, iterations: int) -> IkSolution:
-        configuration, task = self._configuration, self._task
+        import mink
+
+        configuration, limits, task = self._search
         configuration.update(start)
         task.set_target(mink.SE3.from_matrix(self._T_world_in_base @ T_tool_in_world))
         error = task.compute_error(configuration)
-        cost, damping = self._weighted_cost(error), _DAMPING_START
+        cost, damping = _weighted_cost(task, error), _DAMPING_START
         for _ in range(iterations):
             if cost < _CONVERGED_COST:
                 break
             try:
                 # For a step of one second, the velocity equals the change of the joints.
-                change = mink.solve_ik(configuration, [task], 1.0, _QP_SOLVER, damping=damping, limits=self._limits)
+                change = mink.solve_ik(configuration, [task], 1.0, _QP_SOLVER, damping=damping, limits=limits)
             except mink.NoSolutionFound:
                 # The solver fails for targets that are too far away; a shorter step may succeed.
                 damping *= _DAMPING_INCREASE
@@ -222,7 +232,7 @@ class IkSolver:
             before = configuration.q
             configuration.integrate_inplace(change, 1.0)
             new_error = task.compute_error(configuration)
-            new_cost = self._weighted_cost(new_error)
+            new_cost = _weighted_cost(task, new_error)
             if new_cost > cost:
                 configuration.update(before)
                 damping *= _DAMPING_INCREASE
@@ -243,13 +253,15 @@ class IkSolver:
 
     def forward_kinematics(self, joints: Array) -> Array:
         """Return the pose of the held frame in `world` at joints (dof,), rad."""
-        self._configuration.update(joints)
-        T: Array = self._configuration.get_transform_frame_to_world("tool", "site").as_matrix()
+        configuration = self._search[0]
+        configuration.update(joints)
+        T: Array = configuration.get_transform_frame_to_world("tool", "site").as_matrix()
         return self._T_base_in_world @ T
 
-    def _weighted_cost(self, error: Array) -> float:
-        weighted = self._task.cost * error
-        return float(weighted @ weighted)
+
+def _weighted_cost(task: mink.FrameTask, error: Array) -> float:
+    weighted = task.cost * error
+    return float(weighted @ weighted)
 
 
 @functools.cache
