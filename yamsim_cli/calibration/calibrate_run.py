@@ -191,7 +191,7 @@ class StationCalibrator:
         problem = StationProblem(self._rig, [prepared.view], self._episodes, self._priors([(model, known)]))
         fits = []
         for one in hypotheses[:2]:
-            start = start_state(self._rig, [one.T_base_in_cam], [math.log(one.focal_scale)])
+            start = start_state(self._rig, [one.T_base_in_cam], [math.log(one.focal_scale)], problem.layout.bodies)
             fits.append(problem.fit(start))
             if found_share(fits[-1]) > _MIN_FOUND and one.overlap > 1.15 * hypotheses[-1].overlap:
                 break
@@ -326,6 +326,7 @@ def _joined_state(states: Sequence[StationState]) -> StationState:
         tuple(one.log_focal[0] for one in states),
         tuple(one.delays[0] for one in states),
         tuple(one.margins[0] for one in states),
+        tuple(one.biases[0] for one in states),
         tuple(np.mean([one.offsets[arm] for one in states], axis=0) for arm in range(len(first.offsets))),
         first.T_arm_in_base,
     )
