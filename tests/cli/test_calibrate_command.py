@@ -10,6 +10,7 @@ import pytest
 import yaml
 
 from tests.cli.run_cli import yamsim
+from tests.real.recordings.foreign import write_lowdim
 from tests.real.recordings.making import swinging, write_csv
 from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.dataset.lowdim import load_frame
@@ -26,6 +27,37 @@ def test_wrong_input_is_refused_with_its_reason(single: RigConfig, locations: Lo
     assert (both.code, "exclude each other" in both.message) == (2, True)
     missing = yamsim("calibrate", "log.csv", "--rig", "single", "--near", "a.yaml", cwd=tmp_path)
     assert (missing.code, "a.yaml" in missing.message) == (3, True)
+
+
+CALIBRATION = """
+rig: single
+reference: arm1
+cameras:
+- {name: scene_camera, position: [0.4, 0.0, 1.2], quat: [0.0, 1.0, 0.0, 0.0], width: 32, height: 24, focal: given,
+   K: [[30.0, 0.0, 15.5], [0.0, 30.0, 11.5], [0.0, 0.0, 1.0]], position_95_mm: [2, 2, 2], rotation_95_deg: [0.1, 0.1, 0.1],
+   focal_95_percent: 0.5, delay_ms: 20.0, delay_95_ms: 5.0, frames: 40, outline_px: 0.2}
+arms:
+- {name: arm1, position: [0.0, 0.0, 0.0], quat: [1.0, 0.0, 0.0, 0.0], position_95_mm: [0, 0, 0],
+   rotation_95_deg: [0, 0, 0], joint_offsets_deg: [0, 1, 0, 0, 0, 0], joint_offsets_95_deg: [0, 0.2, 0.2, 0.2, 0.2, 0.2],
+   joint_offsets_estimated: [false, true, true, true, true, true]}
+"""
+
+
+def test_overlay_and_import_use_a_calibration(single: RigConfig, tmp_path: Path) -> None:
+    write_lowdim(tmp_path / "one", swinging(single, 0.1), single)
+    (tmp_path / "calibration.yaml").write_text(CALIBRATION.replace("arm1", single.arms[0].name))
+    run = yamsim("import", "one", "--rig", "single", "--calibration", "calibration.yaml", cwd=tmp_path)
+    assert run.code == 0, run.err
+    frame = load_frame((tmp_path / "real/ep_000000/lowdim/000000.pkl").read_bytes())
+    assert np.asarray(frame["extrinsics"]["scene_camera"])[:3, 3] == pytest.approx([0.4, 0.0, 1.2])
+    shown = ("overlay", "--episode", "real/ep_000000", "--every", "5", "--json")
+    drawn = yamsim(*shown, "--calibration", "calibration.yaml", cwd=tmp_path)
+    assert drawn.code == 0, drawn.err
+    assert [image["arms"][0]["status"] for image in drawn.json["images"]] == ["calibrated", "calibrated"]
+    wrong = yamsim(*shown, "--calibration", "calibration.yaml:top", "--out", "o", cwd=tmp_path)
+    assert (wrong.code, "no camera 'top'" in wrong.message) == (2, True)
+    other = yamsim("import", "one", "--rig", RIG, "--calibration", "calibration.yaml", "--out", "o", cwd=tmp_path)
+    assert (other.code, "of rig 'single'" in other.message) == (2, True)
 
 
 @pytest.mark.slow
