@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 import yaml
@@ -34,11 +36,13 @@ rig: single
 reference: arm1
 cameras:
 - {name: scene_camera, position: [0.4, 0.0, 1.2], quat: [0.0, 1.0, 0.0, 0.0], width: 32, height: 24, focal: given,
-   K: [[30.0, 0.0, 15.5], [0.0, 30.0, 11.5], [0.0, 0.0, 1.0]], position_95_mm: [2, 2, 2], rotation_95_deg: [0.1, 0.1, 0.1],
+   K: [[30.0, 0.0, 15.5], [0.0, 30.0, 11.5], [0.0, 0.0, 1.0]], position_95_mm: [2, 2, 2],
+   rotation_95_deg: [0.1, 0.1, 0.1],
    focal_95_percent: 0.5, delay_ms: 20.0, delay_95_ms: 5.0, frames: 40, outline_px: 0.2}
 arms:
 - {name: arm1, position: [0.0, 0.0, 0.0], quat: [1.0, 0.0, 0.0, 0.0], position_95_mm: [0, 0, 0],
-   rotation_95_deg: [0, 0, 0], joint_offsets_deg: [0, 1, 0, 0, 0, 0], joint_offsets_95_deg: [0, 0.2, 0.2, 0.2, 0.2, 0.2],
+   rotation_95_deg: [0, 0, 0], joint_offsets_deg: [0, 1, 0, 0, 0, 0],
+   joint_offsets_95_deg: [0, 0.2, 0.2, 0.2, 0.2, 0.2],
    joint_offsets_estimated: [false, true, true, true, true, true]}
 """
 
@@ -58,6 +62,26 @@ def test_overlay_and_import_use_a_calibration(single: RigConfig, tmp_path: Path)
     assert (wrong.code, "no camera 'top'" in wrong.message) == (2, True)
     other = yamsim("import", "one", "--rig", RIG, "--calibration", "calibration.yaml", "--out", "o", cwd=tmp_path)
     assert (other.code, "of rig 'single'" in other.message) == (2, True)
+
+
+def test_unusable_pictures_are_refused_with_a_remedy(single: RigConfig, tmp_path: Path) -> None:
+    motion = swinging(single, 2.0)
+    write_lowdim(tmp_path / "no_arm", motion, single)
+    for file in (tmp_path / "no_arm/rgb/scene_camera").iterdir():
+        cv2.imwrite(str(file), np.full((24, 32, 3), 120, np.uint8))
+    unseen = yamsim("calibrate", "no_arm", "--rig", "single", "--frames", "16", cwd=tmp_path)
+    assert (unseen.code, "0.0% of the picture changes when the arms move" in unseen.message) == (4, True)
+    write_lowdim(tmp_path / "ten", swinging(single, 0.1), single)
+    few = yamsim("calibrate", "ten", "--rig", "single", "--out", "few", cwd=tmp_path)
+    assert (few.code, "pictures show different poses" in few.message, "at least 16" in few.message) == (
+        4,
+        True,
+        True,
+    )
+    arms = tuple(replace(arm, joints=np.degrees(arm.joints)) for arm in motion.arms)
+    write_lowdim(tmp_path / "degrees", replace(motion, arms=arms), single)
+    wrong = yamsim("calibrate", "degrees", "--rig", "single", cwd=tmp_path)
+    assert (wrong.code, "degrees" in wrong.message) == (4, True)
 
 
 @pytest.mark.slow

@@ -27,6 +27,7 @@ from ..core.markup import (
 from ..photos.picture_overlay import blend_arms
 from .calibrate_run import CameraOutcome, StationOutcome, outline_px
 from .calibration_file import CalibratedArm, CalibratedCamera, Calibration, Numbers3
+from .exchanges import WristCameraMoves, wrist_camera_fault
 from .station_fit import FitPriors, StationFit
 from .uncertainty import Z95, PoseInterval, StationIntervals
 
@@ -110,8 +111,11 @@ def _calibrated_arm(name: str, number: int, fit: StationFit, intervals: StationI
     )
 
 
-def make_report(rig: RigConfig, outcome: StationOutcome, calibration: Calibration | None) -> dict[str, Any]:
-    """Return the JSON report: the calibration, and figures or the refusal of each camera."""
+def make_report(
+    rig: RigConfig, outcome: StationOutcome, calibration: Calibration | None, wrists: Sequence[WristCameraMoves]
+) -> dict[str, Any]:
+    """Return the JSON report: the calibration, figures or the refusal of each camera, and the wrist cameras' arms."""
+    arms = [arm.name for arm in rig.arms]
     return {
         "rig": rig.name,
         "episodes": [one.name for one in outcome.episodes],
@@ -125,6 +129,11 @@ def make_report(rig: RigConfig, outcome: StationOutcome, calibration: Calibratio
             }
             for one in outcome.cameras
         ],
+        "wrist_cameras": [
+            {"name": one.name, "correlations": dict(zip(arms, one.correlations.tolist(), strict=True))}
+            for one in wrists
+        ],
+        "wrist_cameras_fault": wrist_camera_fault(wrists, arms),
         "joint_offsets_rad": {arm.name: arm.offsets.tolist() for arm in calibration.arms} if calibration else {},
         "frames": frame_residuals(outcome),
         "calibration": calibration.model_dump(mode="json") if calibration else None,

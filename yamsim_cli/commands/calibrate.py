@@ -10,7 +10,7 @@ import typer
 from yamsim_cli.core.errors import UsageError, suggest_similar
 from yamsim_cli.flags.output_files import Overwrite, require_unused_paths
 from yamsim_cli.flags.session_options import Json, Margin, Offline, Revision, session_opener
-from yamsim_cli.terminal.console import print_json, print_line, progress_bar
+from yamsim_cli.terminal.console import print_json, print_line, print_note, progress_bar
 
 if TYPE_CHECKING:
     from yamsim_cli.calibration.calibrate_run import CalibrationRequest
@@ -82,6 +82,7 @@ def calibrate(
         write_page,
     )
     from yamsim_cli.calibration.episode_pictures import read_episode_pictures
+    from yamsim_cli.calibration.exchanges import measure_wrist_cameras
     from yamsim_cli.core.config.loader import load_config
     from yamsim_cli.core.config.rendering import RenderConfig
     from yamsim_cli.core.config.scene import SceneConfig
@@ -103,7 +104,7 @@ def calibrate(
         calibrator = StationCalibrator(settings, found, request, (scene, quality, where), stack)
         outcome = calibrator.run(advance)
         calibration = make_calibration(settings, outcome)
-        report = make_report(settings, outcome, calibration)
+        report = make_report(settings, outcome, calibration, measure_wrist_cameras(found, settings))
         files = {
             report_file: json_text(report).encode(),
             page_file: write_page(settings, outcome, calibration).encode(),
@@ -111,6 +112,8 @@ def calibrate(
     if calibration is not None:
         files[yaml_file] = calibration_text(calibration).encode()
     write_outputs(files, make_folder=True)
+    if fault := report["wrist_cameras_fault"]:
+        print_note(fault)
     if json:
         print_json(report)
     else:
