@@ -97,6 +97,11 @@ def test_a_recorded_camera_is_found_and_checked(tmp_path: Path) -> None:
     assert np.linalg.norm(error) < 0.01
     assert (tmp_path / "calibration" / "calibration.html").is_file()
     assert json.loads((tmp_path / "calibration" / "calibration.json").read_text()) == run.json
+    wrist = ("--camera", "right_wrist_camera", "--camera", "scene_camera")
+    both = yamsim("calibrate", "data", "--rig", RIG, *limits, *wrist, "--out", "both", "--json", cwd=tmp_path)
+    assert both.code == 0, both.err
+    (on_flange,) = both.json["calibration"]["wrist_cameras"]
+    assert (on_flange["arm"], both.json["wrist_cameras"][0]["status"]) == ("arm1", "ok")
     file = tmp_path / "calibration" / "calibration.yaml"
     moved = yaml.safe_load(file.read_text())
     moved["cameras"][0]["position"][1] += 0.08

@@ -12,6 +12,7 @@ import numpy as np
 from ..core.config.rendering import RenderConfig
 from ..core.config.rig import RigConfig
 from ..core.config.scene import SceneConfig
+from ..core.errors import UsageError
 from ..core.files.resources import Locations
 from ..core.geometry.camera import CameraModel
 from ..core.geometry.se3 import Array, invert_pose
@@ -24,6 +25,7 @@ from .exchanges import exchange_arms, has_two_equal_arms
 from .pose_search import Hypothesis, mask_overlap, search_poses
 from .station_fit import FitPriors, FittedCameraView, StationFit, StationProblem, StationState, start_state
 from .uncertainty import StationIntervals, estimate_intervals
+from .wrist_fit import WristOutcome, estimate_wrist_camera
 
 _MIN_FRAMES = 16  # pictures; with fewer, the scatter between groups of them tells little
 _MIN_CHANGED = 0.005  # share of a picture that changes with the arms, of the median picture
@@ -49,6 +51,7 @@ class CalibrationRequest:
         frames: most pictures of a camera.
         max_shift, max_turn: half widths of 95 % intervals, m and rad, beyond which a pose is refused.
         near: an earlier calibration of the station, whose poses are tried first.
+        wrist_cameras: names of the rig's wrist cameras.
     """
 
     cameras: tuple[str, ...]
@@ -57,6 +60,7 @@ class CalibrationRequest:
     max_shift: float
     max_turn: float
     near: Calibration | None = None
+    wrist_cameras: tuple[str, ...] = ()
 
     def with_near(self, near: Calibration | None) -> CalibrationRequest:
         """Return the request with an earlier calibration."""
@@ -128,6 +132,17 @@ class StationCalibrator:
         outcome = self._fit_together(started)
         progress(len(started) + 1, len(started) + 1)
         return outcome
+
+    def estimate_wrist_cameras(self) -> list[WristOutcome]:
+        """Return the poses on the flange of the wrist cameras that were asked for. Raise UsageError without K."""
+        limits = self._request.max_shift, self._request.max_turn
+        found = []
+        for name in self._request.wrist_cameras:
+            model, known = self._model(name)
+            if not known:
+                raise UsageError(f"--camera {name}: a wrist camera needs its calibration; give --camera {name}=FILE")
+            found.append(estimate_wrist_camera(name, model, self._rig, self._episodes, self._surroundings, limits))
+        return found
 
     def _with_exchange_told(self, started: _Started) -> _Started:
         """Return a refusal that says so if the arms' exchanged joints explain the pictures better."""

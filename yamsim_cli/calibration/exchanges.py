@@ -119,8 +119,8 @@ def wrist_camera_fault(cameras: Sequence[WristCameraMoves], arm_names: Sequence[
     if len(wrong) == 2:
         names = " and ".join(one.name for one in wrong)
         return (
-            f"{names} seem exchanged: each one's pictures change when the other's arm moves; exchange the cameras' names, "
-            "or the arms' joints (import --swap-arms) if the fixed cameras are refused too"
+            f"{names} seem exchanged: each one's pictures change when the other's arm moves; exchange the names of the "
+            "cameras or, if the fixed cameras are refused too, the arms' joints (import --swap-arms)"
         )
     (one,) = wrong
     other = arm_names[int(one.correlations.argmax())]

@@ -14,7 +14,7 @@ from .station_fit import DELAY, FOCAL, FittedCameraView, StationFit, StationProb
 
 Z95 = 1.959963984540054  # two-sided 95 % quantile of the normal distribution
 _MIN_GROUPS = 8  # groups of pictures; with fewer episodes, each is divided
-_INFLATION = 1.8  # of all intervals; without it, the errors of three planted stations exceeded them by up to 1.6 times
+INFLATION = 1.8  # of all intervals; without it, the errors of three planted stations exceeded them by up to 1.6 times
 _EXPOSURE = 0.005  # s; a picture shows some time, and its stamp is from its beginning, middle or end
 _HALF_REACHES = (3.5, 2.5, 2.5, 2.5)  # grains, rounds of the fit of a half
 
@@ -126,7 +126,7 @@ def _covariance(fit: StationFit, groups: Sequence[Groups]) -> Array:
         gradients -= gradients.mean(axis=0)
         scatter = gradients.T @ gradients * count / (count - 1)
         scatter *= (student_t_quantile_95(count - 1) / Z95) ** 2
-    both: Array = _INFLATION**2 * inverse @ (information + scatter) @ inverse
+    both: Array = INFLATION**2 * inverse @ (information + scatter) @ inverse
     return both
 
 

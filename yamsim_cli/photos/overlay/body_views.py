@@ -105,6 +105,12 @@ class BodyRenderer(ArmRenderer):
         """Return each arm's joints for the poses of `set_poses`."""
         return [JointAxes(self._data.xanchor[ids].copy(), self._data.xaxis[ids].copy()) for ids in self._joints]
 
+    def flange_pose(self, arm: int) -> Array:
+        """Return the pose (4, 4) of an arm's flange in the camera frame for the poses of `set_poses`."""
+        config = self._rig.arms[arm]
+        body = self._model.body(config.prefix + config.robot.flange).id
+        return pose(self._data.xpos[body], self._data.xmat[body].reshape(3, 3))
+
     def body_poses(self) -> Array:
         """Return all bodies' poses (nbody, 4, 4) in the camera frame, m."""
         pairs = zip(self._data.xpos, self._data.xmat, strict=True)
