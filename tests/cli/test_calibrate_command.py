@@ -80,7 +80,7 @@ def test_unusable_pictures_are_refused_with_a_remedy(single: RigConfig, tmp_path
     )
     arms = tuple(replace(arm, joints=np.degrees(arm.joints)) for arm in motion.arms)
     write_lowdim(tmp_path / "degrees", replace(motion, arms=arms), single)
-    wrong = yamsim("calibrate", "degrees", "--rig", "single", cwd=tmp_path)
+    wrong = yamsim("calibrate", "degrees", "--rig", "single", "--out", "d", cwd=tmp_path)
     assert (wrong.code, "degrees" in wrong.message) == (4, True)
 
 
