@@ -15,9 +15,11 @@ from yamsim_cli.core.geometry.se3 import pose, rotation_z
 
 
 def test_the_priors_hold_the_rig_and_not_the_start_of_the_fit(station: RigConfig) -> None:
-    view = cast(Any, SimpleNamespace(renderer=SimpleNamespace(arm_of_body=np.zeros(3, np.int64))))
+    view = cast(
+        Any, SimpleNamespace(renderer=SimpleNamespace(arm_of_body=np.zeros(3, np.int64)), kinds=np.zeros((2, 3)))
+    )
     problem = StationProblem(station, [view], [], FitPriors((0.01,)))
-    state = start_state(station, [pose((0.0, 0.0, 1.0))], [0.0])
+    state = start_state(station, [pose((0.0, 0.0, 1.0))], [0.0], 3)
     assert not problem.prior_deviation(state).any()
     other = 1 - station.recording_order[0]
     bases = list(state.T_arm_in_base)
@@ -31,7 +33,7 @@ def test_the_priors_hold_the_rig_and_not_the_start_of_the_fit(station: RigConfig
 
 
 def test_implausible_joint_offsets_are_refused(station: RigConfig) -> None:
-    state = start_state(station, [pose((0.0, 0.0, 1.0))], [0.0])
+    state = start_state(station, [pose((0.0, 0.0, 1.0))], [0.0], 3)
     assert offset_refusal(station, state) is None
     state.offsets[0][4] = np.radians(-4.0)
     refusal = offset_refusal(station, state)

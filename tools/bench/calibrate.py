@@ -24,6 +24,7 @@ import cv2
 import numpy as np
 import yaml
 from rich.console import Console
+from scipy.interpolate import CubicSpline
 
 from yamsim_cli.core.dataset.lowdim import dump_frame, load_frame
 from yamsim_cli.core.files.writing import scratch_directory
@@ -145,7 +146,7 @@ def _spoil(clean: Path, out: Path, offsets: Array, delay: float, rng: np.random.
     frames = [load_frame(file.read_bytes()) for file in sorted((clean / "lowdim").glob("*.pkl"))]
     times = np.array([frame["timestamp"] for frame in frames])
     joints = np.array([frame["joints"] for frame in frames], dtype=np.float64)
-    later = np.stack([np.interp(times + delay, times, column) for column in joints.T], axis=1)
+    later = CubicSpline(times, joints)(np.minimum(times + delay, times[-1]))
     later[:, :6] += offsets
     for k, row in enumerate(later):
         data = {"joints": row.astype(np.float32), "timestamp": float(times[k])}

@@ -12,6 +12,7 @@ import numpy as np
 from ..core.config.rendering import RenderConfig
 from ..core.config.rig import RigConfig
 from ..core.config.scene import SceneConfig
+from ..core.errors import UsageError
 from ..core.files.resources import Locations
 from ..core.geometry.camera import CameraModel
 from ..core.geometry.se3 import Array, invert_pose
@@ -20,15 +21,18 @@ from ..photos.overlay.body_views import BodyRenderer
 from .calibration_file import Calibration
 from .camera_views import PreparedCamera, prepare_camera, with_clean_backgrounds
 from .episode_pictures import EpisodePictures
+from .exchanges import exchange_arms, has_two_equal_arms
 from .pose_search import Hypothesis, mask_overlap, search_poses
 from .station_fit import FitPriors, FittedCameraView, StationFit, StationProblem, StationState, start_state
 from .uncertainty import StationIntervals, estimate_intervals
+from .wrist_fit import WristOutcome, estimate_wrist_camera
 
 _MIN_FRAMES = 16  # pictures; with fewer, the scatter between groups of them tells little
 _MIN_CHANGED = 0.005  # share of a picture that changes with the arms, of the median picture
 _MIN_OVERLAP = 0.25  # intersection over union of the moving bodies with what changes
 _MAX_CHANCE = 0.85  # the overlap for exchanged poses, as a share of that for each picture's own pose
 _MIN_FOUND = 0.6  # share of outline points with an edge within the last reach
+_EXCHANGE_GAIN = 1.15  # times the overlap as recorded, from which the arms' joints count as exchanged
 _RIVAL = 0.04  # a second pose whose share of found edges is less by this or less explains the pictures as well
 _MAX_OFFSET = math.radians(3.5)  # rad of a joint, 3.5 standard deviations of the assumed ones; a wrong gripper gave 4.4
 _FOCAL_GUESS = 0.9  # of the longer side: first guess of an unknown focal length
@@ -47,6 +51,7 @@ class CalibrationRequest:
         frames: most pictures of a camera.
         max_shift, max_turn: half widths of 95 % intervals, m and rad, beyond which a pose is refused.
         near: an earlier calibration of the station, whose poses are tried first.
+        wrist_cameras: names of the rig's wrist cameras.
     """
 
     cameras: tuple[str, ...]
@@ -55,6 +60,7 @@ class CalibrationRequest:
     max_shift: float
     max_turn: float
     near: Calibration | None = None
+    wrist_cameras: tuple[str, ...] = ()
 
     def with_near(self, near: Calibration | None) -> CalibrationRequest:
         """Return the request with an earlier calibration."""
@@ -121,11 +127,44 @@ class StationCalibrator:
         started = []
         for number, name in enumerate(self._request.cameras):
             progress(number, len(self._request.cameras) + 1)
-            started.append(self._start(name))
+            started.append(self._with_exchange_told(self._start(name)))
         progress(len(started), len(started) + 1)
         outcome = self._fit_together(started)
         progress(len(started) + 1, len(started) + 1)
         return outcome
+
+    def estimate_wrist_cameras(self) -> list[WristOutcome]:
+        """Return the poses on the flange of the wrist cameras that were asked for. Raise UsageError without K."""
+        limits = self._request.max_shift, self._request.max_turn
+        found = []
+        for name in self._request.wrist_cameras:
+            model, known = self._model(name)
+            if not known:
+                raise UsageError(f"--camera {name}: a wrist camera needs its calibration; give --camera {name}=FILE")
+            found.append(estimate_wrist_camera(name, model, self._rig, self._episodes, self._surroundings, limits))
+        return found
+
+    def _with_exchange_told(self, started: _Started) -> _Started:
+        """Return a refusal that says so if the arms' exchanged joints explain the pictures better."""
+        outcome, overlap = started.outcome, started.outcome.figures.get("overlap")
+        if outcome.refusal is None or overlap is None or not has_two_equal_arms(self._rig):
+            return started
+        scene, quality, locations = self._surroundings
+        with BodyRenderer(self._rig, scene, quality, outcome.model, locations) as renderer:
+            episodes = exchange_arms(self._episodes)
+            prepared = prepare_camera(outcome.name, episodes, self._rig, renderer, outcome.model, self._request.frames)
+            scales = (1.0,) if outcome.is_focal_known else _FOCAL_SCALES
+            known = self._known_poses(outcome.name)
+            found = search_poses(prepared.masks, renderer.intrinsics.K, known, scales, 1)
+        exchanged = found[0].overlap if found else 0.0
+        if exchanged < max(_MIN_OVERLAP, _EXCHANGE_GAIN * overlap):
+            return started
+        refusal = (
+            f"the arms are exchanged: with the other arm's joints, the best pose has an overlap of {exchanged:.2f}, as "
+            f"recorded of {overlap:.2f}; import the recording with --swap-arms"
+        )
+        figures = {**outcome.figures, "exchanged_overlap": exchanged}
+        return replace(started, outcome=replace(outcome, refusal=refusal, figures=figures))
 
     def _model(self, name: str) -> tuple[CameraModel, bool]:
         """Return a camera's given, recorded or guessed calibration, and whether its focal length is known."""
@@ -191,7 +230,7 @@ class StationCalibrator:
         problem = StationProblem(self._rig, [prepared.view], self._episodes, self._priors([(model, known)]))
         fits = []
         for one in hypotheses[:2]:
-            start = start_state(self._rig, [one.T_base_in_cam], [math.log(one.focal_scale)])
+            start = start_state(self._rig, [one.T_base_in_cam], [math.log(one.focal_scale)], problem.layout.bodies)
             fits.append(problem.fit(start))
             if found_share(fits[-1]) > _MIN_FOUND and one.overlap > 1.15 * hypotheses[-1].overlap:
                 break
@@ -326,6 +365,7 @@ def _joined_state(states: Sequence[StationState]) -> StationState:
         tuple(one.log_focal[0] for one in states),
         tuple(one.delays[0] for one in states),
         tuple(one.margins[0] for one in states),
+        tuple(one.biases[0] for one in states),
         tuple(np.mean([one.offsets[arm] for one in states], axis=0) for arm in range(len(first.offsets))),
         first.T_arm_in_base,
     )

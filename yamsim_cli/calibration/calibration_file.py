@@ -9,7 +9,7 @@ from pydantic import Field
 
 from ..core.config.cameras.camera import Row
 from ..core.config.loader import parse_config
-from ..core.errors import ConfigError
+from ..core.errors import ConfigError, UsageError, suggest_similar
 from ..core.files.documents.config_base import Config, Quaternion
 from ..core.files.documents.yaml_document import dump_yaml
 from ..core.files.resources import Locations
@@ -62,6 +62,32 @@ class CalibratedCamera(Config):
         return CameraModel(self.width, self.height, self.K, self.distortion)
 
 
+class CalibratedWristCamera(Config):
+    """A wrist camera.
+
+    Attributes:
+        arm: name of the arm that carries it.
+        position, quat: pose of its OpenCV frame on the arm's flange, m.
+        width, height, K, distortion: as in a camera file, px.
+        position_95_mm, rotation_95_deg: half widths of 95 % intervals along and about the flange's axes.
+        pictures: that the fit used.
+        outline_px: median distance of the gripper's outline to the pictures' edges.
+    """
+
+    name: str
+    arm: str
+    position: Numbers3
+    quat: Quaternion
+    width: int
+    height: int
+    K: tuple[Row, Row, Row]
+    distortion: tuple[float, ...] = ()
+    position_95_mm: Numbers3
+    rotation_95_deg: Numbers3
+    pictures: int = Field(ge=0)
+    outline_px: float = Field(ge=0)
+
+
 class CalibratedArm(Config):
     """An arm of the rig.
 
@@ -105,6 +131,23 @@ class Calibration(Config):
     reference: str
     cameras: tuple[CalibratedCamera, ...]
     arms: tuple[CalibratedArm, ...]
+    wrist_cameras: tuple[CalibratedWristCamera, ...] = ()
+
+    def camera(self, name: str | None) -> CalibratedCamera:
+        """Return a camera, None being the only one. Raise UsageError if there is none, or several."""
+        names = [one.name for one in self.cameras]
+        if name is None and len(names) > 1:
+            raise UsageError(f"the calibration has several cameras ({', '.join(names)}); name one: FILE:CAMERA")
+        for one in self.cameras:
+            if name in (None, one.name):
+                return one
+        raise UsageError(f"the calibration has no camera {name!r}; {suggest_similar(str(name), names)}")
+
+    def for_rig(self, rig: str, option: str) -> Calibration:
+        """Return the calibration itself. Raise UsageError if it is of another rig."""
+        if self.rig != rig:
+            raise UsageError(f"{option}: the calibration is of rig {self.rig!r}, not {rig!r}; give --rig {self.rig}")
+        return self
 
 
 def calibration_text(calibration: Calibration) -> str:

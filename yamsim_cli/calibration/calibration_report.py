@@ -26,9 +26,11 @@ from ..core.markup import (
 )
 from ..photos.picture_overlay import blend_arms
 from .calibrate_run import CameraOutcome, StationOutcome, outline_px
-from .calibration_file import CalibratedArm, CalibratedCamera, Calibration, Numbers3
+from .calibration_file import CalibratedArm, CalibratedCamera, CalibratedWristCamera, Calibration, Numbers3
+from .exchanges import WristCameraMoves, wrist_camera_fault
 from .station_fit import FitPriors, StationFit
 from .uncertainty import Z95, PoseInterval, StationIntervals
+from .wrist_fit import WristFit, WristOutcome
 
 CALIBRATION_FILE, REPORT_FILE, PAGE_FILE = "calibration.yaml", "calibration.json", "calibration.html"
 _MAX_INTERVAL_RATIO = 0.7  # an offset counts as estimated if its interval is at most this share of that before the fit
@@ -55,15 +57,42 @@ def _widths(interval: PoseInterval) -> dict[str, Numbers3]:
     }
 
 
-def make_calibration(rig: RigConfig, outcome: StationOutcome) -> Calibration | None:
-    """Return the calibration of the cameras with a certain pose; None without any."""
+def make_calibration(
+    rig: RigConfig, outcome: StationOutcome, wrists: Sequence[WristOutcome] = ()
+) -> Calibration | None:
+    """Return the calibration of the cameras with a certain pose; None without any fixed one."""
     fit, intervals = outcome.fit, outcome.intervals
     certain = [one for one in outcome.cameras if one.refusal is None]
     if fit is None or intervals is None or not certain:
         return None
     cameras = tuple(_calibrated_camera(one, outcome.fitted.index(one.name), fit, intervals) for one in certain)
     arms = tuple(_calibrated_arm(arm.name, number, fit, intervals) for number, arm in enumerate(rig.arms))
-    return Calibration(rig=rig.name, reference=rig.arms[rig.recording_order[0]].name, cameras=cameras, arms=arms)
+    return Calibration(
+        rig=rig.name,
+        reference=rig.arms[rig.recording_order[0]].name,
+        cameras=cameras,
+        arms=arms,
+        wrist_cameras=tuple(
+            _calibrated_wrist_camera(rig, one.model, one.fit) for one in wrists if one.fit and one.refusal is None
+        ),
+    )
+
+
+def _calibrated_wrist_camera(rig: RigConfig, model: CameraModel, fit: WristFit) -> CalibratedWristCamera:
+    T = fit.T_cam_in_flange
+    return CalibratedWristCamera(
+        name=fit.name,
+        arm=rig.arms[fit.arm].name,
+        position=_numbers(T[:3, 3]),
+        quat=_quat(T),
+        width=model.width,
+        height=model.height,
+        K=model.K,
+        distortion=model.distortion,
+        **_widths(fit.interval),
+        pictures=fit.pictures,
+        outline_px=fit.outline_px,
+    )
 
 
 def _calibrated_camera(
@@ -110,8 +139,15 @@ def _calibrated_arm(name: str, number: int, fit: StationFit, intervals: StationI
     )
 
 
-def make_report(rig: RigConfig, outcome: StationOutcome, calibration: Calibration | None) -> dict[str, Any]:
-    """Return the JSON report: the calibration, and figures or the refusal of each camera."""
+def make_report(
+    rig: RigConfig,
+    outcome: StationOutcome,
+    calibration: Calibration | None,
+    moves: Sequence[WristCameraMoves],
+    wrists: Sequence[WristOutcome] = (),
+) -> dict[str, Any]:
+    """Return the JSON report: the calibration, the refusal or figures of each camera, and the wrist cameras' arms."""
+    arms = [arm.name for arm in rig.arms]
     return {
         "rig": rig.name,
         "episodes": [one.name for one in outcome.episodes],
@@ -125,6 +161,22 @@ def make_report(rig: RigConfig, outcome: StationOutcome, calibration: Calibratio
             }
             for one in outcome.cameras
         ],
+        "wrist_cameras": [
+            {
+                "name": one.name,
+                "status": "ok" if one.refusal is None else "refused",
+                "reason": one.refusal,
+                "T_cam_in_flange": one.fit.T_cam_in_flange.tolist() if one.fit and one.refusal is None else None,
+                "pictures": one.fit.pictures if one.fit else 0,
+                "openings": one.fit.openings if one.fit else 0,
+                "found_share": one.fit.found_share if one.fit else 0.0,
+            }
+            for one in wrists
+        ],
+        "wrist_camera_moves": [
+            {"name": one.name, "correlations": dict(zip(arms, one.correlations.tolist(), strict=True))} for one in moves
+        ],
+        "wrist_cameras_fault": wrist_camera_fault(moves, arms),
         "joint_offsets_rad": {arm.name: arm.offsets.tolist() for arm in calibration.arms} if calibration else {},
         "frames": frame_residuals(outcome),
         "calibration": calibration.model_dump(mode="json") if calibration else None,
@@ -164,13 +216,14 @@ def frame_residuals(outcome: StationOutcome) -> list[dict[str, Any]]:
     return rows
 
 
-def raise_for_refusals(outcome: StationOutcome) -> None:
+def raise_for_refusals(outcome: StationOutcome, wrists: Sequence[WristOutcome] = ()) -> None:
     """Raise DatasetError if no camera has a certain pose, and PartialJobError if some have none."""
-    refused = [one for one in outcome.cameras if one.refusal is not None]
+    every: list[CameraOutcome | WristOutcome] = [*outcome.cameras, *wrists]
+    refused = [one for one in every if one.refusal is not None]
     if not refused:
         return
     text = "; ".join(f"camera {one.name!r}: {one.refusal}" for one in refused)
-    if len(refused) == len(outcome.cameras):
+    if len(refused) == len(every):
         raise DatasetError(text)
     raise PartialJobError(f"{text}; the other cameras are calibrated")
 
@@ -274,6 +327,22 @@ def _picture_figures(outcome: StationOutcome, number: int) -> list[Markup]:
         caption = f"{name}, {frame.time:.2f} s: outline {residuals[k].median:.2f} px from the picture's edges"
         figures.append(captioned_jpeg(caption, encode_jpeg(picture, _JPEG_QUALITY), _PAGE_PX))
     return figures
+
+
+def wrist_lines(wrists: Sequence[WristOutcome]) -> list[str]:
+    """Return a line for each wrist camera."""
+    lines = []
+    for one in wrists:
+        if one.fit is None or one.refusal is not None:
+            lines.append(f"{one.name}: refused: {one.refusal}")
+            continue
+        x, y, z = (f"{value:.4f}" for value in one.fit.T_cam_in_flange[:3, 3])
+        shift, turn = 1000 * one.fit.interval.position.max(), math.degrees(one.fit.interval.turn.max())
+        lines.append(
+            f"{one.name}: ok, on the flange at ({x}, {y}, {z}) m within {shift:.1f} mm and {turn:.2f} degrees (95 %), "
+            f"outline {one.fit.outline_px:.2f} px, {one.fit.pictures} pictures"
+        )
+    return lines
 
 
 def result_lines(outcome: StationOutcome, calibration: Calibration | None) -> list[str]:

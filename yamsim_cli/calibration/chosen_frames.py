@@ -19,7 +19,7 @@ _JOINT_WEIGHTS = (1.0, 1.0, 1.0, 0.5, 0.5, 0.25)  # of a joint's angle in the di
 _BACKGROUND_FRAMES = 24  # pictures of an episode whose median is the background
 _MIN_BACKGROUND_FRAMES = 6  # with fewer, an episode has the background of all
 _MIN_UNCOVERED = 3  # pictures in which a pixel is uncovered, for a known background
-_BLUR = 0.8  # px, sigma before the difference to the background
+CHANGE_BLUR = 0.8  # px, sigma before the difference to the background
 _MASK_THRESHOLD = 20.0  # grey levels; shadows and noise are mostly below
 _NOISE_FACTOR = 6.0  # times the picture's noise, for the same
 # A shadow darkens all colours alike, to these shares of the background, within this deviation of the shares.
@@ -147,7 +147,7 @@ def compare_with_background(
     frame: tuple[int, int, float], image: Image, number: int, background: Background
 ) -> ChosenFrame:
     """Return a picture, `frame` being its episode, number and time, with its difference to a background."""
-    own, behind = (cv2.GaussianBlur(one, (0, 0), _BLUR).astype(np.float32) for one in (image, background.image))
+    own, behind = (cv2.GaussianBlur(one, (0, 0), CHANGE_BLUR).astype(np.float32) for one in (image, background.image))
     signed = own - behind
     # The exposure may have changed: its level is that of most pixels.
     signed -= np.median(signed, axis=(0, 1), keepdims=True)

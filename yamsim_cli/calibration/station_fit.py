@@ -15,24 +15,27 @@ from ..core.config.rig import RigConfig
 from ..core.geometry.se3 import Array, invert_pose, pose, rotation_from_vector, rotation_vector
 from ..photos.edge_alignment import EdgeOffsets, MaskOutline, edge_offsets, grain_px, mask_outline
 from ..photos.overlay.body_views import BodyPicture, BodyRenderer, JointAxes
-from .chosen_frames import ChosenFrame
+from .chosen_frames import CHANGE_BLUR, ChosenFrame
 from .episode_pictures import EpisodePictures
 
 _REACHES = (16.0, 10.0, 7.0, 5.0, 3.5, 2.5, 2.5, 2.5, 2.5, 2.5)  # grains, search distance for edges by round
 FINAL_REACH = _REACHES[-1]
 _TUKEY_CUTOFF = 4.685  # standard deviations, beyond which Tukey's biweight is 0 (95 % efficiency)
-_EDGE_SIGMA = 0.3  # grains, least standard deviation of an edge's position
+_EDGE_SIGMA = 0.12  # grains, least standard deviation of an edge's position
 _INDEPENDENT_POINTS = 60.0  # outline points of a picture that count as independent
 _STILL_PICTURES = 3.0  # pictures that count as independent for the outlines of bodies that stand still
 _CONVERGED = 2e-5  # m, movement of the arms in a round, below which the fit ends
 _ARM_REACH = 0.4  # m, from the middle of the arms to their ends, about
 MOVING, STILL, UNCLEAR = 1, 2, 3  # kinds of bodies in a picture
+_PIXEL_BLUR = 0.29  # px, standard deviation of a pixel's own area
+_FULL = 250  # grey level of rendered bodies
+_RENDERED_REACH = 2.5  # grains, within which the edge of a rendered body is searched
+_MOSTLY = 0.5  # share of pictures in which a body stands still, for the biases of still bodies
 _MIN_LINE = 10  # outline points; a shorter outline is not used
 
 # Parameters of a camera: the turn and shift of its pose, the logarithm of its focal length, its delay (s), the distance
 # (px) of edges from outlines that all bodies share, and for each body three biases (px) of its edges that all pictures
-# share: outwards, to the right and down. Light, shadows and reduced meshes cause them. The fit holds biases at 0, since
-# they look like other parameters; the intervals include them.
+# share: outwards, to the right and down. Light, shadows and reduced meshes cause them.
 FOCAL, DELAY, MARGIN, BIASES = 6, 7, 8, 9
 _BIASES = 3  # of each body
 
@@ -47,7 +50,8 @@ class FitPriors:
         offset: of a joint, rad.
         base_shift, base_turn: of the second base in the first one, m and rad.
         margin: of the common distance of edges from outlines, px.
-        biases: of a body's edges outwards, and to the right and down, px.
+        biases: of a moving body's edges outwards, and to the right and down, px.
+        still_biases: the same of a still body, whose background is not known.
     """
 
     focal: tuple[float, ...]
@@ -56,7 +60,8 @@ class FitPriors:
     base_shift: float = 0.03
     base_turn: float = math.radians(3.0)
     margin: float = 0.5
-    biases: tuple[float, float, float] = (0.25, 0.2, 0.2)
+    biases: tuple[float, float, float] = (0.15, 0.1, 0.1)
+    still_biases: tuple[float, float, float] = (0.3, 0.3, 0.3)
 
 
 # rad; a turn of a base about its first joint's axis looks like an offset of that joint, which is therefore 0.
@@ -72,6 +77,7 @@ class StationState:
         log_focal: logarithm of each camera's focal length over the given one.
         delays: of each camera, s: its pictures show the arms as they were this much earlier than stamped.
         margins: of each camera, px.
+        biases: of each camera's bodies (3 x nbody,), px.
         offsets: of each arm's joints (dof,), rad: measured minus true.
         T_arm_in_base: pose (4, 4) of each arm's base in the reference arm's base.
     """
@@ -80,6 +86,7 @@ class StationState:
     log_focal: tuple[float, ...]
     delays: tuple[float, ...]
     margins: tuple[float, ...]
+    biases: tuple[Array, ...]
     offsets: tuple[Array, ...]
     T_arm_in_base: tuple[Array, ...]
 
@@ -178,7 +185,6 @@ class StationFit:
 
     Attributes:
         prior: inverse covariance (k, k) of what was known before.
-        biases: standard deviations (k,) of the biases that the fit holds at 0; 0 for other parameters.
         centres: points (3,) in the cameras' frames about which poses turn.
     """
 
@@ -186,7 +192,6 @@ class StationFit:
     state: StationState
     equations: tuple[FrameEquations, ...]
     prior: Array
-    biases: Array
     centres: tuple[Array, ...]
 
 
@@ -200,20 +205,21 @@ class StationProblem:
         self._rig, self._priors = rig, priors
         bodies = len(views[0].renderer.arm_of_body)
         self.layout = Layout(len(views), bodies, tuple(arm.robot.dof for arm in rig.arms), rig.recording_order[0])
-        sigma, biases = np.full(self.layout.size, np.inf), np.zeros(self.layout.size)
-        for number in range(len(views)):
+        sigma = np.full(self.layout.size, np.inf)
+        for number, view in enumerate(views):
             start = self.layout.camera(number).start
             sigma[start + FOCAL] = max(priors.focal[number], _HELD)
             sigma[start + DELAY] = max(priors.delay, _HELD)
             sigma[start + MARGIN] = priors.margin
-            held = slice(start + BIASES, self.layout.camera(number).stop)
-            sigma[held], biases[held] = _HELD, priors.biases * bodies
+            still = (view.kinds == STILL).mean(axis=0) > _MOSTLY
+            biases = np.where(still[:, None], priors.still_biases, priors.biases)
+            sigma[start + BIASES : self.layout.camera(number).stop] = biases.ravel()
         for arm in range(len(rig.arms)):
             sigma[self.layout.offsets(arm)] = max(priors.offset, _HELD)
             sigma[self.layout.offsets(arm).start] = _HELD
             if (place := self.layout.base(arm)) is not None:
                 sigma[place] = [priors.base_turn] * 3 + [priors.base_shift] * 3
-        self.sigma, self._biases = sigma, biases
+        self.sigma = sigma
         self.prior = np.diag(sigma**-2.0)
 
     def fit(self, state: StationState, reaches: Sequence[float] = _REACHES) -> StationFit:
@@ -228,7 +234,7 @@ class StationProblem:
             if number >= len(reaches) - 3 and self._displacement(step) < _CONVERGED:
                 break
         equations, centres = self.linearize(state, reaches[-1])
-        return StationFit(self.layout, state, tuple(equations), self.prior, self._biases, tuple(centres))
+        return StationFit(self.layout, state, tuple(equations), self.prior, tuple(centres))
 
     def with_views(self, views: Sequence[FittedCameraView]) -> StationProblem:
         """Return the same problem with other pictures of its cameras."""
@@ -242,6 +248,7 @@ class StationProblem:
             deviation[start + FOCAL] = state.log_focal[number]
             deviation[start + DELAY] = state.delays[number]
             deviation[start + MARGIN] = state.margins[number]
+            deviation[start + BIASES : self.layout.camera(number).stop] = state.biases[number]
         for arm, (offsets, T, T_prior) in enumerate(
             zip(state.offsets, state.T_arm_in_base, rig_bases(self._rig), strict=True)
         ):
@@ -257,19 +264,22 @@ class StationProblem:
 
     def apply(self, state: StationState, step: Array, centres: Sequence[Array]) -> StationState:
         """Return the state after a step (k,)."""
-        poses, focal, delays, margins = [], [], [], []
+        poses, focal, delays, margins, biases = [], [], [], [], []
         for number, centre in enumerate(centres):
             own = step[self.layout.camera(number)]
             poses.append(_moved(state.T_base_in_cam[number], own[:6], centre))
             focal.append(state.log_focal[number] + float(np.clip(own[FOCAL], -0.1, 0.1)))
             delays.append(state.delays[number] + float(own[DELAY]))
             margins.append(state.margins[number] + float(own[MARGIN]))
+            biases.append(state.biases[number] + own[BIASES:])
         bases = list(state.T_arm_in_base)
         for arm in range(len(bases)):
             if (place := self.layout.base(arm)) is not None:
                 bases[arm] = _moved(bases[arm], step[place], bases[arm][:3, 3])
         offsets = tuple(rows + step[self.layout.offsets(arm)] for arm, rows in enumerate(state.offsets))
-        return StationState(tuple(poses), tuple(focal), tuple(delays), tuple(margins), offsets, tuple(bases))
+        return StationState(
+            tuple(poses), tuple(focal), tuple(delays), tuple(margins), tuple(biases), offsets, tuple(bases)
+        )
 
     def linearize(self, state: StationState, reach: float) -> tuple[list[FrameEquations], list[Array]]:
         """Return the equations of each picture, and the points about which the cameras' poses turn."""
@@ -295,7 +305,7 @@ class StationProblem:
         ]
         axes = view.renderer.joint_axes()
         velocities = self.episodes[shown.episode].velocities_at(shown.time)
-        jacobians, residuals, still, points = [], [], [], 0
+        jacobians, residuals, still, labels, points = [], [], [], [], 0
         for line, offsets, kind in parts:
             points += len(line.points)
             inside = np.round(line.points - 1.5 * line.normals).astype(int)
@@ -304,13 +314,25 @@ class StationProblem:
             use = np.isfinite(offsets.offsets) & (bodies > 0) & (depth > 0)
             outline = _OutlinePoints(line.points[use], line.normals[use], bodies[use], depth[use])
             jacobians.append(self._jacobian(outline, K, centre, state, camera, view.renderer, axes, velocities))
-            residuals.append(offsets.offsets[use] - state.margins[camera])
+            by_body = state.biases[camera].reshape(-1, _BIASES)[outline.bodies]
+            biases = (outline.bias_jacobian() * by_body).sum(axis=1)
+            residuals.append(offsets.offsets[use] - state.margins[camera] - biases)
             still.append(np.full(int(use.sum()), kind == STILL))
-        if not jacobians:
-            return _FrameRows(camera, frame, np.zeros((0, self.layout.size)), np.zeros(0), np.zeros(0, bool), 0, 1.0)
+            labels.append(outline.bodies)
         grain = grain_px(shown.grey.shape)
+        if not jacobians:
+            nothing = np.zeros(0)
+            empty = np.zeros((0, self.layout.size))
+            return _FrameRows(camera, frame, empty, nothing, nothing > 0, nothing.astype(np.int64), 0, grain)
         return _FrameRows(
-            camera, frame, np.concatenate(jacobians), np.concatenate(residuals), np.concatenate(still), points, grain
+            camera,
+            frame,
+            np.concatenate(jacobians),
+            np.concatenate(residuals),
+            np.concatenate(still),
+            np.concatenate(labels),
+            points,
+            grain,
         )
 
     def _jacobian(
@@ -384,6 +406,7 @@ class _FrameRows:
     jacobian: Array
     residuals: Array
     still: NDArray[np.bool_]
+    bodies: NDArray[np.int64]
     points: int
     grain: float
 
@@ -397,11 +420,30 @@ def outlines_and_edges(
     if moving.any():
         # The moving arm is where the picture differs from the background: towards its outline, the difference ends.
         line = mask_outline(moving, ((kind_of > 0) & ~moving) | ~shown.known)
-        yield line, edge_offsets(shown.change, line, reach, falling=True), MOVING
+        seen = edge_offsets(shown.change, line, reach, falling=True)
+        yield line, _without_own(seen, rendered_edges(picture, kinds == MOVING, line, CHANGE_BLUR)), MOVING
     still = kind_of == STILL
     if still.any():
         line = mask_outline(still, ((kind_of > 0) & ~still) | _grown(shown.changed & ~still))
-        yield line, edge_offsets(shown.grey, line, reach), STILL
+        seen = edge_offsets(shown.grey, line, reach)
+        yield line, _without_own(seen, rendered_edges(picture, kinds == STILL, line, 0.0)), STILL
+
+
+def rendered_edges(picture: BodyPicture, bodies: NDArray[np.bool_], line: MaskOutline, blur: float) -> EdgeOffsets:
+    """Return where the edges of rendered bodies (nbody,) are found along an outline, in a picture blurred by `blur` px.
+
+    The blur moves the edges of curved and thin bodies, and an outline's points are on a grid of pixels. Both hold for
+    the picture's edges too, so that the difference tells how far the bodies are from their places.
+    """
+    sigma = picture.step * math.hypot(blur, _PIXEL_BLUR)
+    fine = np.where(bodies[picture.fine_bodies], _FULL, 0).astype(np.uint8)
+    soft = cv2.GaussianBlur(fine, (0, 0), sigma)[:: picture.step, :: picture.step]
+    return edge_offsets(np.ascontiguousarray(soft), line, _RENDERED_REACH, falling=True)
+
+
+def _without_own(seen: EdgeOffsets, rendered: EdgeOffsets) -> EdgeOffsets:
+    """Return the offsets of seen edges from rendered ones; NaN where one of both is not found."""
+    return EdgeOffsets(seen.offsets - rendered.offsets, seen.search_distance)
 
 
 def _grown(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -409,20 +451,14 @@ def _grown(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
 
 
 def _weighted(rows: Sequence[_FrameRows], size: int) -> Iterator[FrameEquations]:
-    """Yield each picture's equations, with robust weights by each camera's spread of residuals."""
-    by_camera: dict[int, list[Array]] = {}
+    """Yield each picture's equations, with robust weights by the spread of residuals of each camera's bodies."""
+    sigmas = _edge_sigmas(rows)
     for one in rows:
-        by_camera.setdefault(one.camera, []).append(one.residuals)
-    scales = {
-        camera: 1.4826 * float(np.median(np.abs(np.concatenate(parts)))) if sum(map(len, parts)) else 1.0
-        for camera, parts in by_camera.items()
-    }
-    for one in rows:
-        sigma = max(_EDGE_SIGMA * one.grain, scales[one.camera])
+        sigma = np.array([sigmas[one.camera, body] for body in one.bodies.tolist()])
         weight = np.clip(1 - (one.residuals / (_TUKEY_CUTOFF * sigma)) ** 2, 0, None) ** 2
         weight *= min(1.0, _INDEPENDENT_POINTS / max(len(weight), 1)) / sigma**2
         # All pictures show the same edges of what stands still, with the same errors.
-        weight[one.still] *= min(1.0, _STILL_PICTURES / len(by_camera[one.camera]))
+        weight[one.still] *= min(1.0, _STILL_PICTURES / sum(other.camera == one.camera for other in rows))
         weighted = one.jacobian * weight[:, None]
         median = float(np.median(np.abs(one.residuals))) if len(weight) else float("nan")
         yield FrameEquations(
@@ -436,7 +472,22 @@ def _weighted(rows: Sequence[_FrameRows], size: int) -> Iterator[FrameEquations]
         )
 
 
-def start_state(rig: RigConfig, T_base_in_cam: Sequence[Array], log_focal: Sequence[float]) -> StationState:
+def _edge_sigmas(rows: Sequence[_FrameRows]) -> dict[tuple[int, int], float]:
+    """Return the standard deviation (px) of edges' positions by camera and body."""
+    parts: dict[tuple[int, int], list[Array]] = {}
+    grains = {one.camera: one.grain for one in rows}
+    for one in rows:
+        for body in np.unique(one.bodies).tolist():
+            parts.setdefault((one.camera, body), []).append(one.residuals[one.bodies == body])
+    return {
+        key: max(_EDGE_SIGMA * grains[key[0]], 1.4826 * float(np.median(np.abs(np.concatenate(own)))))
+        for key, own in parts.items()
+    }
+
+
+def start_state(
+    rig: RigConfig, T_base_in_cam: Sequence[Array], log_focal: Sequence[float], bodies: int
+) -> StationState:
     """Return the state before the fit: the rig's bases, no offsets and no delays."""
     cameras = len(T_base_in_cam)
     return StationState(
@@ -444,6 +495,7 @@ def start_state(rig: RigConfig, T_base_in_cam: Sequence[Array], log_focal: Seque
         tuple(log_focal),
         (0.0,) * cameras,
         (0.0,) * cameras,
+        (np.zeros(_BIASES * bodies),) * cameras,
         tuple(np.zeros(arm.robot.dof) for arm in rig.arms),
         rig_bases(rig),
     )

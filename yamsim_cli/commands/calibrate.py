@@ -10,7 +10,7 @@ import typer
 from yamsim_cli.core.errors import UsageError, suggest_similar
 from yamsim_cli.flags.output_files import Overwrite, require_unused_paths
 from yamsim_cli.flags.session_options import Json, Margin, Offline, Revision, session_opener
-from yamsim_cli.terminal.console import print_json, print_line, progress_bar
+from yamsim_cli.terminal.console import print_json, print_line, print_note, progress_bar
 
 if TYPE_CHECKING:
     from yamsim_cli.calibration.calibrate_run import CalibrationRequest
@@ -36,7 +36,7 @@ def calibrate(
         typer.Option(
             metavar="NAME[=FILE[:CAMERA]]",
             help="A camera of the episodes, with its calibration (as for overlay); may be repeated.  [default: all "
-            "fixed cameras, with the recorded intrinsics]",
+            "fixed cameras, with the recorded intrinsics; name wrist cameras to have them too]",
         ),
     ] = None,
     mapping: Annotated[
@@ -60,7 +60,7 @@ def calibrate(
     offline: Offline = False,
     json: Json = False,
 ) -> None:
-    """Estimate the poses of fixed cameras from episodes: from the arms in the pictures and the measured joints.
+    """Estimate the poses of cameras from episodes: from the arms in the pictures and the measured joints.
 
     Example: yamsim calibrate dataset --rig single --out calibration
     """
@@ -79,9 +79,11 @@ def calibrate(
         raise_for_refusals,
         require_agreement,
         result_lines,
+        wrist_lines,
         write_page,
     )
     from yamsim_cli.calibration.episode_pictures import read_episode_pictures
+    from yamsim_cli.calibration.exchanges import measure_wrist_cameras
     from yamsim_cli.core.config.loader import load_config
     from yamsim_cli.core.config.rendering import RenderConfig
     from yamsim_cli.core.config.scene import SceneConfig
@@ -92,9 +94,7 @@ def calibrate(
     yaml_file, report_file, page_file = output_files(out)
     require_unused_paths("--out", [yaml_file, report_file, page_file], overwrite=overwrite)
     earlier = near or check
-    given = load_calibration(earlier, where) if earlier else None
-    if given and given.rig != settings.name:
-        raise UsageError(f"{earlier} is of rig {given.rig!r}, not {settings.name!r}; give --rig {given.rig}")
+    given = load_calibration(earlier, where).for_rig(settings.name, str(earlier)) if earlier else None
     found = read_episode_pictures(episodes, settings, where, mapping)
     request = _make_request(camera, found, settings, where, (frames, max_shift / 1000, math.radians(max_turn)))
     request = request.with_near(given)
@@ -103,9 +103,10 @@ def calibrate(
     where = session_opener.with_mesh_folders(where, rig_mesh_sets(settings))
     with ExitStack() as stack, progress_bar("calibration", "cameras") as advance:
         calibrator = StationCalibrator(settings, found, request, (scene, quality, where), stack)
+        wrists = calibrator.estimate_wrist_cameras()
         outcome = calibrator.run(advance)
-        calibration = make_calibration(settings, outcome)
-        report = make_report(settings, outcome, calibration)
+        calibration = make_calibration(settings, outcome, wrists)
+        report = make_report(settings, outcome, calibration, measure_wrist_cameras(found, settings), wrists)
         files = {
             report_file: json_text(report).encode(),
             page_file: write_page(settings, outcome, calibration).encode(),
@@ -113,15 +114,17 @@ def calibrate(
     if calibration is not None:
         files[yaml_file] = calibration_text(calibration).encode()
     write_outputs(files, make_folder=True)
+    if fault := report["wrist_cameras_fault"]:
+        print_note(fault)
     if json:
         print_json(report)
     else:
-        for line in result_lines(outcome, calibration):
+        for line in (*result_lines(outcome, calibration), *wrist_lines(wrists)):
             print_line(line)
         print_line(f"{len(files)} files, such as {page_file}")
     if check is not None and given is not None and calibration is not None:
         require_agreement(given, calibration)
-    raise_for_refusals(outcome)
+    raise_for_refusals(outcome, wrists)
 
 
 def _make_request(
@@ -150,11 +153,13 @@ def _make_request(
     if len(set(names)) < len(names):
         raise UsageError(f"--camera names a camera twice: {', '.join(names)}")
     require_cameras(names, episodes)
-    if on_wrist := [name for name in names if name not in fixed]:
+    on_wrist = tuple(name for name in names if name in wrists)
+    if unknown := [name for name in names if name not in (*fixed, *wrists)]:
         raise UsageError(
-            f"--camera {on_wrist[0]}: calibrate estimates fixed cameras, and this one is on a wrist; "
-            f"{suggest_similar(on_wrist[0], fixed)}"
+            f"--camera {unknown[0]}: this is neither a fixed camera nor one of the rig's wrist cameras; "
+            f"{suggest_similar(unknown[0], (*fixed, *sorted(wrists)))}"
         )
     if not names:
         raise UsageError(f"all cameras are on wrists: {', '.join(known)}; give episodes with a fixed camera")
-    return CalibrationRequest(tuple(names), models, *limits)
+    still = tuple(name for name in names if name not in on_wrist)
+    return CalibrationRequest(still, models, *limits, wrist_cameras=on_wrist)

@@ -1,7 +1,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -9,6 +9,11 @@ from yamsim_cli.core.errors import count_noun
 from yamsim_cli.flags.output_files import RenameExisting, open_mode
 from yamsim_cli.flags.session_options import Json, session_opener
 from yamsim_cli.terminal.console import note_moved, print_json, print_line, print_note, progress_bar
+
+if TYPE_CHECKING:
+    from yamsim_cli.core.config.rig import RigConfig
+    from yamsim_cli.core.files.resources import Locations
+    from yamsim_cli.real.import_recording.importing import KnownCamera
 
 
 def import_recording(
@@ -48,6 +53,13 @@ def import_recording(
     swap_arms: Annotated[
         bool, typer.Option("--swap-arms", help="The left arm's measurements belong to the right arm, and the reverse.")
     ] = False,
+    calibration: Annotated[
+        Path | None,
+        typer.Option(
+            help="calibration.yaml of `yamsim calibrate`, whose cameras' matrices and poses are stored.",
+            show_default=False,
+        ),
+    ] = None,
     resume: Annotated[bool, typer.Option("--resume", help="Add to an existing dataset.")] = False,
     overwrite: RenameExisting = False,
     json: Json = False,
@@ -64,7 +76,8 @@ def import_recording(
     from yamsim_cli.real.import_recording.importing import Corrections, ImportRequest, import_recordings
 
     corrections = Corrections(degrees, swap_arms, gripper, mirror_gripper)
-    request = ImportRequest(source, settings, kind, mapping, corrections, out, mode)
+    cameras = _known_cameras(calibration, settings, where) if calibration else {}
+    request = ImportRequest(source, settings, kind, mapping, corrections, out, mode, cameras)
     with progress_bar("import", "episodes") as advance:
         report = import_recordings(request, where, advance)
     if json:
@@ -79,3 +92,16 @@ def import_recording(
         f"{report.path}: {count_noun(report.episodes, 'episode')}, {count_noun(report.frames, 'frame')}{kept}, "
         "source: real"
     )
+
+
+def _known_cameras(path: Path, rig: RigConfig, locations: Locations) -> dict[str, KnownCamera]:
+    import numpy as np
+
+    from yamsim_cli.calibration.calibration_file import load_calibration
+    from yamsim_cli.real.import_recording.importing import KnownCamera
+
+    found = load_calibration(path, locations).for_rig(rig.name, "--calibration")
+    return {
+        one.name: KnownCamera(np.array(one.K), (one.width, one.height), one.T_cam_in_base, bool(one.distortion))
+        for one in found.cameras
+    }

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from yamsim_cli.core.config.rig import RigConfig
     from yamsim_cli.core.files.resources import Locations
     from yamsim_cli.photos.overlay.overlay_report import OverlayReport
+    from yamsim_cli.photos.overlay.photos import PlacedCamera
 
 
 def overlay(
@@ -30,6 +31,13 @@ def overlay(
         typer.Option(
             metavar="NAME|FILE[:CAMERA]",
             help="Calibration: yamsim's, or a file of OpenCV, ROS, Kalibr or raiden; else estimated from the boards.",
+        ),
+    ] = None,
+    calibration: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE[:CAMERA]",
+            help="calibration.yaml of `yamsim calibrate`: its camera, bases, joint offsets and delay replace boards.",
         ),
     ] = None,
     joints: Annotated[Path | None, typer.Option(help="Joints in rad: .npy, .yaml or a lowdim .pkl; else home.")] = None,
@@ -79,6 +87,8 @@ def overlay(
         raise UsageError("--episode-camera needs --episode")
     if camera and episode:
         raise UsageError("--camera needs --img; a recorded episode has its own camera")
+    if camera and calibration:
+        raise UsageError("--camera and --calibration exclude each other; give one of them")
     if min_iou is not None and mask_image is None:
         raise UsageError("--min-iou needs --mask-image")
     if video is not None:
@@ -92,6 +102,7 @@ def overlay(
     from yamsim_cli.core.config.scene import SceneConfig
 
     model = load_config(CameraConfig, "cameras", camera, where).camera_model if camera else None
+    placed = _placed_camera(calibration, episode_camera, settings, where) if calibration else None
     scene = load_config(SceneConfig, "scenes", "studio", where)
     quality = load_config(RenderConfig, "quality", "fast", where)
     session_opener.choose_gl_backend(where)
@@ -104,15 +115,17 @@ def overlay(
     from yamsim_cli.photos.overlay.photos import Photo, find_photos, recorded_photos
 
     photos = (
-        recorded_photos(episode, episode_camera, settings)
+        recorded_photos(episode, episode_camera or (placed[0] if placed else None), settings, placed and placed[1])
         if episode
-        else [Photo(path) for path in find_photos(img or [])]
+        else [Photo(path, placed=placed and placed[1]) for path in find_photos(img or [])]
     )
     postures = load_postures(joints, settings) if joints else None
+    if placed and postures:
+        postures = [placed[1].true_postures(one) for one in postures]
     request = OverlayRequest(
         photo_jobs(photos[::every], out, postures=postures, write_masks=mask, mask_images=mask_image),
         out,
-        model,
+        placed[1].camera if placed else model,
         trust_margin=trust_margin,
         refine=refine,
         opacity=opacity,
@@ -132,6 +145,21 @@ def overlay(
     else:
         _print(report)
     report.raise_for_failures()
+
+
+def _placed_camera(path: Path, camera: str | None, rig: RigConfig, locations: Locations) -> tuple[str, PlacedCamera]:
+    """Return the name and place of a calibration's camera: that of `path`, written FILE:CAMERA, or the only one."""
+    from yamsim_cli.calibration.calibration_file import load_calibration
+    from yamsim_cli.core.geometry.se3 import invert_pose
+    from yamsim_cli.photos.overlay.photos import PlacedCamera
+
+    file, _, name = str(path).partition(".yaml:")
+    found = load_calibration(Path(f"{file}.yaml") if name else path, locations).for_rig(rig.name, "--calibration")
+    chosen = found.camera(name or camera)
+    T_reference_in_cam = invert_pose(chosen.T_cam_in_base)
+    bases = tuple(T_reference_in_cam @ arm.T_base_in_reference for arm in found.arms)
+    offsets = tuple(arm.offsets for arm in found.arms)
+    return chosen.name, PlacedCamera(chosen.camera_model, bases, offsets, chosen.delay_ms / 1000)
 
 
 def _choose_rig(

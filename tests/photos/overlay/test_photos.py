@@ -14,7 +14,13 @@ from yamsim_cli.core.config.rig import RigConfig
 from yamsim_cli.core.dataset.lowdim import dump_frame, make_frame
 from yamsim_cli.core.errors import ConfigError, DatasetError, ResourceError, UsageError
 from yamsim_cli.core.geometry.se3 import invert_pose, pose, rotation_z
-from yamsim_cli.photos.overlay.photos import episode_photos, find_mask, find_photos
+from yamsim_cli.photos.overlay.photos import (
+    PlacedCamera,
+    episode_photos,
+    find_mask,
+    find_photos,
+    pinhole_camera,
+)
 
 JOINTS = [0.3, 1.2, 1.0, -0.2, 0.1, 0.4, 0.02]
 K = [[60.0, 0, 31.5], [0, 60.0, 23.5], [0, 0, 1]]
@@ -128,6 +134,23 @@ def test_another_camera_of_the_episode(episode: Path, single: RigConfig) -> None
     assert photo.T_base_in_cam == pytest.approx(np.eye(4))
     with pytest.raises(UsageError, match="has no camera 'scene_cam'; did you mean 'scene_camera'"):
         episode_photos(episode, "scene_cam", single)
+
+
+def test_a_calibrated_camera_replaces_what_is_recorded(episode: Path, single: RigConfig) -> None:
+    for k in range(3):
+        data = frame(joints=np.array(JOINTS) + 0.01 * k, timestamp=0.1 * k)
+        del data["intrinsics"], data["extrinsics"]
+        (episode / "lowdim" / f"{k:06d}.pkl").write_bytes(dump_frame(data))
+    camera = pinhole_camera(np.diag([50.0, 50.0, 1.0]), 64, 48)
+    offsets = np.array([0.0, 0.02, 0.0, 0.0, 0.0, -0.01])
+    placed = PlacedCamera(camera, (pose((0.0, 0.0, 1.0)),), (offsets,), 0.05)
+    photo = episode_photos(episode, None, single, placed)[2]
+    assert (photo.camera, photo.placed, photo.T_base_in_cam) == (camera, placed, None)
+    # The photo shows the arm 0.05 s before its time stamp, between the second and the third frame.
+    assert photo.postures[0].joints == pytest.approx(np.array(JOINTS[:6]) + 0.015 - offsets, abs=1e-6)
+    (episode / "lowdim" / "000001.pkl").write_bytes(b"no frame")
+    with pytest.raises(DatasetError, match=r"000001\.pkl: cannot be used"):
+        episode_photos(episode, None, single, placed)
 
 
 @pytest.mark.parametrize(

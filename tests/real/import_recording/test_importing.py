@@ -31,7 +31,13 @@ from yamsim_cli.core.recorded_motion import RecordedMotion
 from yamsim_cli.datasets.check_summary import summarize_checks
 from yamsim_cli.datasets.summarize import check_dataset
 from yamsim_cli.photos.overlay.photos import episode_photos
-from yamsim_cli.real.import_recording.importing import Corrections, ImportReport, ImportRequest, import_recordings
+from yamsim_cli.real.import_recording.importing import (
+    Corrections,
+    ImportReport,
+    ImportRequest,
+    KnownCamera,
+    import_recordings,
+)
 from yamsim_cli.real.recordings.motion_reading import read_motions
 
 
@@ -87,6 +93,27 @@ def test_photos_with_a_known_place_are_overlaid_on(single: RigConfig, locations:
     assert photos[3].T_base_in_cam is not None
     np.testing.assert_allclose(photos[3].T_base_in_cam, np.linalg.inv(T), atol=1e-6)
     assert photos[3].time == pytest.approx(0.03)
+
+
+def test_the_calibration_of_a_camera_is_stored(single: RigConfig, locations: Locations, tmp_path: Path) -> None:
+    folder = write_lowdim(tmp_path / "one", swinging(single, 0.1), single)
+    T, K = pose([0.4, 0.0, 0.9], np.diag([1.0, -1.0, -1.0])), np.diag([30.0, 30.0, 1.0])
+
+    def request(name: str, size: tuple[int, int], out: str) -> ImportRequest:
+        cameras = {name: KnownCamera(K, size, T, distorted=True)}
+        return ImportRequest([folder], single, out=tmp_path / out, cameras=cameras)
+
+    bring_in(request("scene_camera", (32, 24), "real"), locations)
+    (photo, *_) = episode_photos(tmp_path / "real/ep_000000", None, read_recorded_rig(tmp_path / "real", locations))
+    assert photo.camera is not None and photo.camera.mean_focal_length == 30
+    assert photo.T_base_in_cam is not None
+    np.testing.assert_allclose(photo.T_base_in_cam, np.linalg.inv(T), atol=1e-6)
+    problems = open_recorded_episode(tmp_path / "real/ep_000000").record.problems
+    assert any("lens distortion" in problem for problem in problems)
+    with pytest.raises(DatasetError, match=r"is calibrated for \(320, 240\)"):
+        bring_in(request("scene_camera", (320, 240), "other"), locations)
+    with pytest.raises(UsageError, match="the calibration has cameras top, and the recording scene_camera"):
+        bring_in(request("top", (32, 24), "none"), locations)
 
 
 def test_photos_without_a_place_say_how_they_are_used(single: RigConfig, locations: Locations, tmp_path: Path) -> None:

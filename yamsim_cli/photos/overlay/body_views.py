@@ -27,11 +27,17 @@ _POINT_SEED = 0  # of the sampled surface points
 class BodyPicture:
     """The arms' bodies in an ideal pinhole picture.
 
-    `bodies` (height, width) is the visible body's id, 0 for the background; `depth` its z in the camera frame, m.
+    Attributes:
+        bodies: (height, width), the visible body's id, 0 for the background.
+        depth: (height, width), its z in the camera frame, m.
+        fine_bodies: the same as `bodies` with `step` times as many rows and columns, of which each `step`-th lies on a
+            pixel's centre.
     """
 
     bodies: NDArray[np.uint8]
     depth: NDArray[np.float32]
+    fine_bodies: NDArray[np.uint8]
+    step: int
 
 
 @dataclass(frozen=True)
@@ -53,7 +59,7 @@ class BodyRenderer(ArmRenderer):
     def __init__(
         self, rig: RigConfig, scene: SceneConfig, quality: RenderConfig, camera: CameraModel, locations: Locations
     ) -> None:
-        super().__init__(rig, scene, quality, camera, locations, supersample=1)
+        super().__init__(rig, scene, quality, camera, locations)
         model = self._model
         numbers = {root: k for k, root in enumerate(self._roots)}
         self.arm_of_body = np.array([numbers.get(int(root), -1) for root in model.body_rootid])
@@ -84,17 +90,26 @@ class BodyRenderer(ArmRenderer):
     def body_picture(self) -> BodyPicture:
         """Render bodies and depth for the poses of `set_poses`."""
         no_flex = np.zeros(self._model.nflex, np.uint8)
-        bodies, depth = self._renderer.render_labels_and_depth(self._data, _CAMERA, self._label_of_geom, no_flex)
-        return BodyPicture(bodies, depth)
+        fine, depth = self._renderer.render_labels_and_depth(self._data, _CAMERA, self._label_of_geom, no_flex)
+        step = self._warp.supersample
+        coarse = np.ascontiguousarray(fine[::step, ::step])
+        return BodyPicture(coarse, np.ascontiguousarray(depth[::step, ::step]), fine, step)
 
     def arm_picture(self) -> ArmPicture:
         """Render colours and arms' labels for the poses of `set_poses`, without lens distortion."""
         labels = (self.arm_of_body + 1)[self.body_picture().bodies].astype(np.uint8)
-        return ArmPicture(self._renderer.render(self._data, _CAMERA), labels)
+        step = self._warp.supersample
+        return ArmPicture(np.ascontiguousarray(self._renderer.render(self._data, _CAMERA)[::step, ::step]), labels)
 
     def joint_axes(self) -> list[JointAxes]:
         """Return each arm's joints for the poses of `set_poses`."""
         return [JointAxes(self._data.xanchor[ids].copy(), self._data.xaxis[ids].copy()) for ids in self._joints]
+
+    def flange_pose(self, arm: int) -> Array:
+        """Return the pose (4, 4) of an arm's flange in the camera frame for the poses of `set_poses`."""
+        config = self._rig.arms[arm]
+        body = self._model.body(config.prefix + config.robot.flange).id
+        return pose(self._data.xpos[body], self._data.xmat[body].reshape(3, 3))
 
     def body_poses(self) -> Array:
         """Return all bodies' poses (nbody, 4, 4) in the camera frame, m."""

@@ -18,10 +18,11 @@ from ..fiducials.board_detection import DEFAULT_POSE_LIMITS, BoardDetection, Boa
 from ..fiducials.board_localization import detections_without_pose, locate_boards, locate_boards_together
 from ..fiducials.markers import sorted_marker_ids
 from .photo_cameras import PhotoCamera
-from .photos import Photo
+from .photos import Photo, PlacedCamera
 
 STATUS_INFERRED = "inferred"  # arm status: pose from the other board and the rig
 STATUS_RECORDED = "recorded"  # arm status: pose from the recording
+STATUS_CALIBRATED = "calibrated"  # arm status: pose from a calibration of the station
 STATUS_NO_BOARD = "no_board"  # arm status: no board in the rig, pose unknown
 
 _MAX_REPROJECTION_PX = 0.5  # px, above which the result has a note
@@ -41,7 +42,8 @@ class ArmBasePose:
 
     Attributes:
         board: name, if the arm has one.
-        status: the board's `BoardStatus`, STATUS_INFERRED, STATUS_RECORDED or STATUS_NO_BOARD.
+        status: the board's `BoardStatus`, STATUS_INFERRED, STATUS_RECORDED, STATUS_CALIBRATED or
+            STATUS_NO_BOARD.
         T_base_in_cam: pose (4, 4); None if unknown.
         edge_residual: median distance of the rendered outline to edges, px; None if not measured.
     """
@@ -104,7 +106,7 @@ def find_arms(
     before: RigInPhoto | None = None,
     limits: PoseLimits = DEFAULT_POSE_LIMITS,
 ) -> RigInPhoto:
-    """Find base poses by each arm's board, with `trust_margin` by all boards, else from the recording.
+    """Find base poses by the photo's calibration, each arm's board, all boards (`trust_margin`) or the recording.
 
     Args:
         grey: the photo (height, width).
@@ -112,6 +114,8 @@ def find_arms(
         trust_margin: take the rig's relative arm poses as exact, and fit one rig pose.
         before: the previous photo's result, for start poses.
     """
+    if photo.placed is not None:
+        return _with_calibrated_poses(rig, photo, lens, photo.placed)
     boards, camera = [arm.board.board_in_metres for arm in rig.arms if arm.board], lens.camera
     if lens.focal.reason:
         sightings, markers = detections_without_pose(grey, camera, boards, lens.focal.reason)
@@ -207,6 +211,14 @@ def _without_pose(detection: BoardDetection) -> BoardDetection:
 def _with_replaced_pose(arm: ArmBasePose, status: str, T_base_in_cam: Array) -> ArmBasePose:
     sighting = arm.detection and _without_pose(arm.detection)
     return replace(arm, status=status, detection=sighting, T_base_in_cam=T_base_in_cam)
+
+
+def _with_calibrated_poses(rig: RigConfig, photo: Photo, lens: PhotoCamera, placed: PlacedCamera) -> RigInPhoto:
+    arms = tuple(
+        ArmBasePose(arm.name, arm.board.name if arm.board else None, STATUS_CALIBRATED, T_base_in_cam=T)
+        for arm, T in zip(rig.arms, placed.T_bases_in_cam, strict=True)
+    )
+    return RigInPhoto(photo.path, lens, photo.joints_source, arms, (), time=photo.time)
 
 
 def _with_recorded_poses(rig: RigConfig, result: RigInPhoto, T_first_base_in_cam: Array) -> RigInPhoto:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +27,27 @@ MASK_SUFFIX = "_mask.png"
 
 
 @dataclass(frozen=True)
+class PlacedCamera:
+    """A calibrated camera and the arms that it sees, by `yamsim calibrate`.
+
+    Attributes:
+        T_bases_in_cam: pose (4, 4) of each arm's base in the camera frame, in the rig's order.
+        offsets: of each arm's joints (dof,), rad: measured minus true.
+        delay: s; photos show the arms as they were this much before their time stamps.
+    """
+
+    camera: CameraModel
+    T_bases_in_cam: tuple[Array, ...]
+    offsets: tuple[Array, ...]
+    delay: float
+
+    def true_postures(self, measured: ArmPostures) -> ArmPostures:
+        """Return postures without the joints' offsets."""
+        pairs = zip(measured, self.offsets, strict=True)
+        return tuple(replace(one, joints=one.joints - offsets) for one, offsets in pairs)
+
+
+@dataclass(frozen=True)
 class Photo:
     """A photo, with what is known of camera, joints and pose.
 
@@ -35,6 +56,7 @@ class Photo:
         joints_source: "home", "file" or "episode".
         T_base_in_cam: pose (4, 4) of the first arm's base in the camera frame.
         time: s.
+        placed: the calibration of its camera and arms, which replaces boards and recorded poses.
     """
 
     path: Path
@@ -43,6 +65,7 @@ class Photo:
     joints_source: str = "home"
     T_base_in_cam: Array | None = None
     time: float | None = None
+    placed: PlacedCamera | None = None
 
 
 def find_photos(paths: Sequence[Path]) -> list[Path]:
@@ -89,13 +112,15 @@ def find_mask(masks: Path, photo: Path) -> Path:
     )
 
 
-def recorded_photos(recordings: Sequence[Path], camera: str | None, rig: RigConfig) -> list[Photo]:
+def recorded_photos(
+    recordings: Sequence[Path], camera: str | None, rig: RigConfig, placed: PlacedCamera | None = None
+) -> list[Photo]:
     """Return one camera's photos in episodes or datasets. Raises as `episode_photos`."""
     episodes: list[Path] = []
     for path in recordings:
         within = [episode for _, episode in episode_directories(path)] if path.is_dir() else []
         episodes += within or [path]
-    return [photo for episode in episodes for photo in episode_photos(episode, camera, rig)]
+    return [photo for episode in episodes for photo in episode_photos(episode, camera, rig, placed)]
 
 
 def choose_camera(cameras: Sequence[str], camera: str | None) -> str:
@@ -103,8 +128,12 @@ def choose_camera(cameras: Sequence[str], camera: str | None) -> str:
     return camera or next((name for name in cameras if "wrist" not in name), cameras[0])
 
 
-def episode_photos(episode: Path, camera: str | None, rig: RigConfig) -> list[Photo]:
+def episode_photos(
+    episode: Path, camera: str | None, rig: RigConfig, placed: PlacedCamera | None = None
+) -> list[Photo]:
     """Return an episode's photos from one camera, by default the first that is no wrist camera.
+
+    With `placed`, the camera and the arms are where it says, and the frames need neither intrinsics nor extrinsics.
 
     Raises:
         DatasetError: the directory is no episode or has no pictures, or a frame is damaged.
@@ -121,9 +150,34 @@ def episode_photos(episode: Path, camera: str | None, rig: RigConfig) -> list[Ph
     if camera not in cameras:
         raise UsageError(f"{episode} has no camera {camera!r}; {suggest_similar(camera, cameras)}")
     files = sorted((episode / "rgb" / camera).iterdir())
-    photos = [_frame_photo(episode, camera, path, rig) for path in files if path.suffix.lower() in PHOTO_SUFFIXES]
-    if not photos:
+    files = [path for path in files if path.suffix.lower() in PHOTO_SUFFIXES]
+    if not files:
         raise DatasetError(f"{episode}/rgb/{camera} contains no image")
+    if placed is not None:
+        return _placed_photos(episode, files, rig, placed)
+    return [_frame_photo(episode, camera, path, rig) for path in files]
+
+
+def _placed_photos(episode: Path, files: Sequence[Path], rig: RigConfig, placed: PlacedCamera) -> list[Photo]:
+    rows, times = [], []
+    for path in files:
+        lowdim = episode / "lowdim" / f"{path.stem}.pkl"
+        try:
+            frame = load_frame(lowdim.read_bytes())
+            rows.append(np.asarray(frame["joints"], dtype=np.float64))
+            times.append(float(frame["timestamp"]))
+        except OSError as error:
+            raise DatasetError(f"{lowdim}: cannot be read: {error.strerror or error}") from error
+        except (KeyError, TypeError, ValueError, DatasetError) as error:
+            raise DatasetError(f"{lowdim}: cannot be used: {error}") from error
+    if len({row.shape for row in rows}) > 1:
+        raise DatasetError(f"{episode}: frames have different numbers of joints; record it again")
+    seen = np.array(times) - placed.delay
+    shown = np.stack([np.interp(seen, times, column) for column in np.stack(rows).T], axis=1)
+    photos = []
+    for path, row, time in zip(files, shown, times, strict=True):
+        measured = recorded_postures(row, rig, episode / "lowdim")
+        photos.append(Photo(path, placed.camera, placed.true_postures(measured), "episode", time=time, placed=placed))
     return photos
 
 

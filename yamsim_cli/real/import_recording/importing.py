@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -67,6 +67,19 @@ class Corrections:
 
 
 @dataclass(frozen=True)
+class KnownCamera:
+    """A camera by a calibration: matrix `K` (3, 3), px, of pictures of `size` (width, height), and pose in the base.
+
+    `T_cam_in_base` (4, 4) is in the left or only arm's base. `distorted`: its lens needs more than `K`.
+    """
+
+    K: Array
+    size: tuple[int, int]
+    T_cam_in_base: Array
+    distorted: bool
+
+
+@dataclass(frozen=True)
 class ImportRequest:
     """Parameters of an import.
 
@@ -76,6 +89,7 @@ class ImportRequest:
         mapping: config or YAML file of columns; None selects one that fits.
         out: directory of the dataset.
         mode: whether a non-empty directory is an error, is continued, or is replaced.
+        cameras: name -> calibration, which replaces the recorded intrinsics and extrinsics.
     """
 
     sources: Sequence[Path]
@@ -85,6 +99,7 @@ class ImportRequest:
     corrections: Corrections = field(default_factory=Corrections)
     out: Path = Path("real")
     mode: ExistingDatasetMode = ExistingDatasetMode.NEW
+    cameras: Mapping[str, KnownCamera] = field(default_factory=dict)
 
 
 @dataclass
@@ -167,7 +182,32 @@ def _corrected_recordings(path: Path, request: ImportRequest, locations: Locatio
         for problem in find_faults(made.motion_in_metres(request.rig), request.rig):
             if (flag := _FLAG_CORRECTING_FAULT.get(problem.fault)) is not None:
                 raise DatasetError(f"{recording.motion.name}: {problem.text} If so, add {flag}")
-        yield name, made
+        yield name, _with_known_cameras(made, request.cameras)
+
+
+def _with_known_cameras(recording: Recording, cameras: Mapping[str, KnownCamera]) -> Recording:
+    """Return a recording with the calibrations of its cameras. Raise UsageError if none of them is calibrated."""
+    known = {name: one for name, one in cameras.items() if name in recording.pictures}
+    if cameras and not known:
+        raise UsageError(
+            f"{recording.motion.name}: the calibration has cameras {', '.join(cameras)}, and the recording "
+            f"{', '.join(recording.pictures) or 'none'}; calibrate with these recordings"
+        )
+    count = len(recording.motion.times)
+    notes = tuple(
+        f"{name}: stored with its camera matrix only; its lens distortion is in the calibration file"
+        for name, one in known.items()
+        if one.distorted
+    )
+    return replace(
+        recording,
+        intrinsics={**recording.intrinsics, **{name: one.K for name, one in known.items()}},
+        extrinsics={
+            **recording.extrinsics,
+            **{name: np.repeat(one.T_cam_in_base[None], count, axis=0) for name, one in known.items()},
+        },
+        problems=(*recording.problems, *notes),
+    )
 
 
 def _apply_corrections(recording: Recording, corrections: Corrections, rig: RigConfig) -> Recording:
@@ -246,6 +286,11 @@ def _publish_episode(
             if size is None or sizes.setdefault(camera, size) != size:
                 raise DatasetError(f"{motion.name}: picture {k} of {camera} is not a JPEG of {sizes.get(camera)} px")
             files[image_path(camera, k)] = data
+        if (known := request.cameras.get(camera)) and sizes.get(camera, known.size) != known.size:
+            raise DatasetError(
+                f"{motion.name}: {camera} has pictures of {sizes[camera]} px, and is calibrated for {known.size}; "
+                "calibrate with these recordings"
+            )
     times = motion.times[samples]
     record = RealEpisodeRecord(
         episode=number,

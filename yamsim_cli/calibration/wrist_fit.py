@@ -1,0 +1,298 @@
+"""Estimate where a wrist camera is on the flange, from the outline of the gripper that it always sees.
+
+Behind the gripper, the pictures change as the arm moves. So the mean of pictures with the same opening shows the edges
+of the gripper alone.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ..core.config.rendering import RenderConfig
+from ..core.config.rig import RigConfig
+from ..core.config.scene import SceneConfig
+from ..core.errors import DatasetError
+from ..core.files.resources import Locations
+from ..core.geometry.camera import CameraModel
+from ..core.geometry.se3 import Array, invert_pose, pose, rotation_from_vector, rotation_vector
+from ..core.images.image import Image
+from ..photos.edge_alignment import edge_offsets, grain_px, mask_outline
+from ..photos.overlay.body_views import BodyRenderer
+from .chosen_frames import spread_choice, weighted_poses
+from .episode_pictures import EpisodePictures
+from .station_fit import rendered_edges
+from .uncertainty import Z95, PoseInterval
+
+_BIN = 0.002  # m of one finger's opening; pictures within count as of the same opening
+_BINS = 5  # openings, at most
+_MIN_PICTURES = 12  # of an opening; with fewer, the mean shows what lies behind the gripper
+_PICTURES = 30  # of an opening, at most
+_STARTS = 40  # poses near the rig's from which the fit starts; from one alone, it ends at wrong edges
+_START_TURN, _START_SHIFT = math.radians(2.5), 0.006  # rad and m, standard deviations of their distances from the rig's
+_START_REACHES = (10.0, 6.0, 3.5)  # grains, search distance for edges by round, from each start
+_BEST = 4  # starts whose fit goes on
+_REACHES = (3.5, 2.5, 2.5, 2.5, 2.5, 2.5)  # grains, the same for these
+_FAR = 3.0  # grains, distance of an outline point without a nearer edge in the comparison of fits
+_CUTOFF = 4.685  # standard deviations, beyond which Tukey's biweight is 0
+_MIN_SIGMA = 0.12  # grains, least standard deviation of an edge's position
+_INDEPENDENT_POINTS = 60.0  # outline points of a mean picture that count as independent
+_PRIOR_TURN, _PRIOR_SHIFT = math.radians(5.0), 0.02  # rad and m, standard deviations of the rig's pose
+_BIASES = (0.5, 0.3, 0.3)  # px, standard deviations of shifts that all edges share: outwards, to the right and down
+_INFLATION = 3.5  # of intervals; without it, the errors of a planted camera exceeded them by up to 3.4 times
+_MIN_FOUND = 0.6  # share of outline points with an edge within the last reach
+
+
+@dataclass(frozen=True)
+class WristFit:
+    """The pose (4, 4) of a wrist camera's OpenCV frame on the flange.
+
+    Attributes:
+        arm: number of the arm.
+        interval: half widths of the 95 % intervals along and about the flange's axes.
+        pictures, openings: pictures that were used, and the number of different openings.
+        found_share: share of the outline's points with an edge.
+        outline_px: median distance of the outline to the edges, px.
+    """
+
+    name: str
+    arm: int
+    T_cam_in_flange: Array
+    interval: PoseInterval
+    pictures: int
+    openings: int
+    found_share: float
+    outline_px: float
+
+
+def rig_wrist_pose(rig: RigConfig, arm: int) -> Array:
+    """Return the pose (4, 4) of an arm's wrist camera, in its OpenCV frame, on the flange by the rig."""
+    camera = rig.arms[arm].wrist_camera
+    x, y = (np.asarray(axis) / np.linalg.norm(axis) for axis in (camera.x_axis, camera.y_axis))
+    return pose(camera.position, np.column_stack([x, y, np.cross(x, y)]))
+
+
+@dataclass(frozen=True)
+class _MeanPicture:
+    grey: NDArray[np.uint8]
+    episode: EpisodePictures
+    time: float
+    count: int
+
+
+@dataclass(frozen=True)
+class WristOutcome:
+    """What the pictures of a wrist camera gave: a fit, and why it is refused, or None for a certain pose."""
+
+    name: str
+    model: CameraModel
+    fit: WristFit | None
+    refusal: str | None
+
+
+def estimate_wrist_camera(
+    name: str,
+    model: CameraModel,
+    rig: RigConfig,
+    episodes: Sequence[EpisodePictures],
+    surroundings: tuple[SceneConfig, RenderConfig, Locations],
+    limits: tuple[float, float],
+) -> WristOutcome:
+    """Return the pose of a wrist camera of the rig; `limits` (m, rad) of its intervals' half widths, else refused."""
+    arm = [one.wrist_camera_name for one in rig.arms].index(name)
+    scene, quality, locations = surroundings
+    with BodyRenderer(rig, scene, quality, model, locations) as renderer:
+        try:
+            fit = fit_wrist_camera(name, arm, rig, episodes, renderer, model.focal_sigma)
+        except DatasetError as error:
+            return WristOutcome(name, model, None, str(error).removeprefix(f"camera {name!r}: "))
+    shift, turn = float(fit.interval.position.max()), float(fit.interval.turn.max())
+    refusal = None
+    if shift > limits[0] or turn > limits[1]:
+        refusal = (
+            f"its pose is uncertain by {1000 * shift:.1f} mm and {math.degrees(turn):.2f} degrees (95 %), more than "
+            f"{1000 * limits[0]:g} mm and {math.degrees(limits[1]):g} degrees (--max-shift, --max-turn): give larger "
+            "pictures, or more episodes with different openings of the gripper"
+        )
+    return WristOutcome(name, model, fit, refusal)
+
+
+def fit_wrist_camera(
+    name: str,
+    arm: int,
+    rig: RigConfig,
+    episodes: Sequence[EpisodePictures],
+    renderer: BodyRenderer,
+    focal_sigma: float,
+) -> WristFit:
+    """Return the fit of a wrist camera that starts at the rig's pose.
+
+    Raises:
+        DatasetError: too few pictures, or the gripper's outline does not meet the pictures' edges.
+    """
+    means = _mean_pictures(name, arm, episodes, renderer)
+    if not means:
+        raise DatasetError(
+            f"camera {name!r}: no opening of the gripper is in {_MIN_PICTURES} pictures or more; give more episodes"
+        )
+    problem = _WristProblem(arm, rig, renderer, means, focal_sigma)
+    T_flange_in_cam, rows = problem.search(invert_pose(rig_wrist_pose(rig, arm)))
+    if rows.found_share < _MIN_FOUND:
+        raise DatasetError(
+            f"camera {name!r}: the gripper's outline meets the edges of pictures at {rows.found_share:.0%} of its "
+            f"points, at least {_MIN_FOUND:.0%} are needed: are the gripper and the wrist camera those of the rig, and "
+            "is the camera's calibration correct?"
+        )
+    return WristFit(
+        name,
+        arm,
+        invert_pose(T_flange_in_cam),
+        problem.interval(T_flange_in_cam, rows.normal),
+        sum(one.count for one in means),
+        len(means),
+        rows.found_share,
+        rows.median,
+    )
+
+
+def _mean_pictures(
+    name: str, arm: int, episodes: Sequence[EpisodePictures], renderer: BodyRenderer
+) -> list[_MeanPicture]:
+    """Return the mean pictures of the commonest openings, each of different poses of one episode."""
+    found = []
+    for episode in episodes:
+        if name not in episode.cameras:
+            continue
+        times = episode.cameras[name].times
+        bins = np.round(np.interp(times, episode.times, episode.openings[arm]) / _BIN).astype(int)
+        for value in np.unique(bins):
+            places = np.flatnonzero(bins == value)
+            if len(places) >= _MIN_PICTURES:
+                found.append((len(places), episode, places))
+    found.sort(key=lambda one: -one[0])
+    means = []
+    for _, episode, places in found[:_BINS]:
+        times = episode.cameras[name].times[places]
+        chosen = [int(places[k]) for k in spread_choice(weighted_poses(episode, times), _PICTURES)]
+        images = [renderer.undistort_photo(one) for one in episode.cameras[name].read(chosen)]
+        middle = float(episode.cameras[name].times[chosen[len(chosen) // 2]])
+        means.append(_MeanPicture(_mean_grey(images), episode, middle, len(chosen)))
+    return means
+
+
+def _mean_grey(images: Sequence[Image]) -> NDArray[np.uint8]:
+    mean = np.mean([cv2.cvtColor(one, cv2.COLOR_RGB2GRAY) for one in images], axis=0)
+    return np.asarray(np.round(mean), dtype=np.uint8)
+
+
+@dataclass(frozen=True)
+class _Rows:
+    normal: Array
+    gradient: Array
+    found_share: float
+    median: float
+    cost: float
+
+
+class _WristProblem:
+    """Equations of turn and shift, the logarithm of the focal length, and the three shared biases."""
+
+    size = 10
+
+    def __init__(
+        self, arm: int, rig: RigConfig, renderer: BodyRenderer, means: Sequence[_MeanPicture], focal_sigma: float
+    ) -> None:
+        self._arm, self._rig, self._renderer, self._means = arm, rig, renderer, means
+        gripper = renderer.moved_by[arm][-1]
+        self._gripper = gripper & (renderer.arm_of_body == arm)
+        sigma = np.array([_PRIOR_TURN] * 3 + [_PRIOR_SHIFT] * 3 + [max(focal_sigma, 1e-6), *_BIASES])
+        self._prior = np.diag(sigma**-2.0)
+        self._T_prior = invert_pose(rig_wrist_pose(rig, arm))
+
+    def search(self, T_rig: Array) -> tuple[Array, _Rows]:
+        """Return the best pose of the flange in the camera near the rig's, and its equations."""
+        rng = np.random.default_rng(0)
+        fits = []
+        for number in range(_STARTS):
+            step = np.concatenate([rng.normal(0, _START_TURN, 3), rng.normal(0, _START_SHIFT, 3)]) * (number > 0)
+            fits.append(self._refine(self.moved(T_rig, step), np.zeros(self.size), _START_REACHES))
+        fits.sort(key=lambda one: one[2].cost)
+        finished = [self._refine(T, state, _REACHES) for T, state, _ in fits[:_BEST]]
+        T, _, rows = min(finished, key=lambda one: one[2].cost)
+        return T, rows
+
+    def _refine(self, T: Array, state: Array, reaches: Sequence[float]) -> tuple[Array, Array, _Rows]:
+        for reach in reaches:
+            rows = self.linearize(T, state, reach)
+            step: Array = np.linalg.solve(rows.normal, rows.gradient).astype(np.float64)
+            T, state = self.moved(T, step), state + step
+        return T, state, self.linearize(T, state, _FAR)
+
+    def moved(self, T: Array, step: Array) -> Array:
+        """Return the flange's pose after a step that turns about the flange."""
+        return pose(T[:3, 3] + step[3:6], rotation_from_vector(step[:3]) @ T[:3, :3])
+
+    def _deviation(self, T: Array, state: Array) -> Array:
+        turn = rotation_vector(T[:3, :3] @ self._T_prior[:3, :3].T)
+        return np.concatenate([turn, T[:3, 3] - self._T_prior[:3, 3], state[6:]])
+
+    def linearize(self, T_flange_in_cam: Array, state: Array, reach: float) -> _Rows:
+        """Return the equations of a step, weighted robustly, and how many outline points have an edge."""
+        parts = [self._mean_rows(one, T_flange_in_cam, state, reach) for one in self._means]
+        residuals = np.concatenate([own for _, own, _ in parts])
+        points = sum(count for _, _, count in parts)
+        grain = grain_px(self._means[0].grey.shape)
+        spread = 1.4826 * float(np.median(np.abs(residuals))) if len(residuals) else 0.0
+        sigma = max(_MIN_SIGMA * grain, spread)
+        normal = self._prior.copy()
+        gradient = -self._prior @ self._deviation(T_flange_in_cam, state)
+        for J, own, _ in parts:
+            weight = np.clip(1 - (own / (_CUTOFF * sigma)) ** 2, 0, None) ** 2 / sigma**2
+            weight *= min(1.0, _INDEPENDENT_POINTS / max(len(own), 1))
+            normal += (J * weight[:, None]).T @ J
+            gradient += (J * weight[:, None]).T @ own
+        median = float(np.median(np.abs(residuals))) if len(residuals) else math.inf
+        found = len(residuals) / max(points, 1)
+        near = float(np.minimum(np.abs(residuals), _FAR * grain).mean()) if len(residuals) else _FAR * grain
+        return _Rows(normal, gradient, found, median, found * near + (1 - found) * _FAR * grain)
+
+    def _mean_rows(self, one: _MeanPicture, T: Array, state: Array, reach: float) -> tuple[Array, Array, int]:
+        renderer = self._renderer
+        postures = one.episode.postures_at(one.time)
+        renderer.set_focal_scale(math.exp(state[6]))
+        renderer.set_poses({self._arm: np.eye(4)}, postures)
+        flange = renderer.flange_pose(self._arm)
+        renderer.set_poses({self._arm: T @ invert_pose(flange)}, postures)
+        picture = renderer.body_picture()
+        line = mask_outline(self._gripper[picture.bodies])
+        seen = edge_offsets(one.grey, line, reach).offsets
+        seen = seen - rendered_edges(picture, self._gripper, line, 0.0).offsets
+        inside = np.round(line.points - 1.5 * line.normals).astype(int)
+        depth = picture.depth[inside[:, 1], inside[:, 0]].astype(np.float64)
+        use = np.isfinite(seen) & (depth > 0)
+        K = renderer.intrinsics.K
+        K[[0, 1], [0, 1]] *= math.exp(state[6])
+        ray = (line.points[use] - K[:2, 2]) / K[[0, 1], [0, 1]]
+        normals, z = line.normals[use], depth[use]
+        points = np.column_stack([ray * z[:, None], z])
+        across = normals * K[[0, 1], [0, 1]] / z[:, None]
+        across = np.column_stack([across, -(across * ray).sum(axis=1)])
+        focal = ((line.points[use] - K[:2, 2]) * normals).sum(axis=1)
+        J = np.column_stack([np.cross(points - T[:3, 3], across), across, focal, np.ones(len(z)), normals])
+        return J, seen[use] - J[:, 7:] @ state[7:], len(line.points)
+
+    def interval(self, T_flange_in_cam: Array, normal: Array) -> PoseInterval:
+        """Return the intervals of the camera's pose on the flange."""
+        covariance = _INFLATION**2 * np.linalg.inv(normal)[:6, :6]
+        R, shift = T_flange_in_cam[:3, :3].T, T_flange_in_cam[:3, 3]
+        # Seen from the flange, a turn of the flange by w moves the camera by -R w x (camera from flange).
+        x, y, z = -R @ shift
+        cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+        by_step = np.block([[-R, np.zeros((3, 3))], [cross @ R, -R]])
+        widths = Z95 * np.sqrt(np.diag(by_step @ covariance @ by_step.T))
+        return PoseInterval(widths[3:], widths[:3])
