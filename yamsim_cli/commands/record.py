@@ -32,6 +32,7 @@ def record(
     task: flags.Task = None,
     item: flags.Object = None,
     target: flags.Target = None,
+    scene: flags.Scene = None,
     rig: flags.Rig = None,
     revision: flags.Revision = None,
     robot: flags.Robot = None,

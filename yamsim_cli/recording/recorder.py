@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+from ..camera_rendering import require_fixed_plates
 from ..core.config.recording import RecordConfig
 from ..core.config.session import Session
 from ..core.dataset.disk_errors import explain_disk_error
@@ -74,6 +75,7 @@ def fill_dataset(
     `session` states its meshes. `began` is the start of the job on the monotonic clock, s.
     """
     config = session.config
+    require_fixed_plates(config)
     with open_destination(config, output, callbacks) as destination:
         collector = make_collector(destination.config, destination.episode_writer)
         with _report_on_early_end(config, collector, destination):
