@@ -1,4 +1,4 @@
-"""Errors of `yamsim match` for stations with hidden truth, and how near the matched scene is to a photo not given to it.
+"""Errors of `yamsim match` for stations with hidden truth, and its likeness to a photo that was not given to it.
 
     python -m tools.bench.match [--stations N] [--first SEED] [--photos N] [--size 640x480] [--picture FILE]
 
@@ -71,7 +71,7 @@ def measure(opener: SessionOpener, seed: int, photos: int, size: tuple[int, int]
     scenes = [load_config(SceneConfig, "scenes", name, where) for name in ("tabletop", "studio")]
     quality = load_config(RenderConfig, "quality", "balanced", where)
     taken = take_photos(station, where, seed)
-    with scratch_directory() as folder:
+    with scratch_directory("match_") as folder:
         (folder / "masks").mkdir()
         for k, (photo, mask) in enumerate(taken):
             write_file(folder / f"photo_{k}.jpg", encode_jpeg(photo, _JPEG))
