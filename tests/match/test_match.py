@@ -11,15 +11,20 @@ import pytest
 
 from tests.cli.run_cli import yamsim
 from tests.hidden_stations import HiddenStation, hidden_station, write_station
+from tests.rig_photos import CAMERA as BOARD_CAMERA
+from tests.rig_photos import JOINTS, RigPhotographer, looking
 from yamsim_cli.core.config.loader import load_config
+from yamsim_cli.core.config.rendering import RenderConfig
 from yamsim_cli.core.config.scene import SceneConfig
 from yamsim_cli.core.files.resources import Locations
 from yamsim_cli.core.geometry.camera import CameraModel
-from yamsim_cli.core.geometry.se3 import pose
+from yamsim_cli.core.geometry.se3 import pose, rotation_vector
+from yamsim_cli.core.images.png import encode_png
 from yamsim_cli.core.scene.cameras import fixed_camera
-from yamsim_cli.match.match_run import _scene_camera
+from yamsim_cli.match.match_run import MatchRequest, common_view, locate_arms, scene_camera_of
 from yamsim_cli.match.pinhole_view import PinholeView
 from yamsim_cli.match.plate import make_plate
+from yamsim_cli.photos.overlay.rendered_arms import ArmRenderers
 
 CAMERA = CameraModel(320, 240, ((300.0, 0.0, 165.0), (0.0, 299.0, 117.0), (0.0, 0.0, 1.0)), (-0.1, 0.03, 0.0, 0.0, 0.0))
 
@@ -67,7 +72,6 @@ def test_the_matched_scene_is_nearer_to_the_photos(station: tuple[HiddenStation,
 def test_flags_that_contradict_each_other_are_refused(tmp_path: Path) -> None:
     for flags, text in (
         ((), "give either --camera or --calibration"),
-        (("--camera", "a", "--calibration", "b"), "give either --camera or --calibration"),
         (("--camera", "a", "--min-iou", "0.9"), "--min-iou needs --mask-image"),
         (("--camera", "a", "--calibrated-camera", "b"), "--calibrated-camera needs --calibration"),
     ):
@@ -103,11 +107,33 @@ def test_the_scene_camera_of_a_rig_with_two_arms_is_the_view_too(span: float, lo
     x /= np.linalg.norm(x)
     view = PinholeView.of_camera(CAMERA, pose((1.0, 0.1, 0.8), np.column_stack([x, np.cross(z, x), z])))
     scene = load_config(SceneConfig, "scenes", "tabletop", locations)
-    scene = scene.model_copy(update={"scene_camera": _scene_camera(view, span)}).widened_for_arm_distance(span)
+    scene = scene.model_copy(update={"scene_camera": scene_camera_of(view, span)}).widened_for_arm_distance(span)
     assert scene.scene_camera is not None
     made = fixed_camera("photo", scene.scene_camera)
     np.testing.assert_allclose(made.T_in_body, view.scene_camera.T_in_body, atol=1e-5)
     assert made.fovy_deg == pytest.approx(view.scene_camera.fovy_deg, abs=1e-4)
+
+
+@pytest.mark.render
+def test_boards_give_the_camera_s_pose(locations: Locations, tmp_path: Path) -> None:
+    T = looking((0.95, -0.12, 0.7), (0.08, 0.0, 0.1))
+    with RigPhotographer("russet", locations, BOARD_CAMERA) as photographer:
+        shots = [photographer.shoot(T, JOINTS, seed=seed) for seed in (0, 1)]
+    paths = [tmp_path / f"{k}.png" for k in range(2)]
+    for path, shot in zip(paths, shots, strict=True):
+        path.write_bytes(encode_png(shot.image))
+    rig = shots[0].rig
+    request = MatchRequest(paths, [shots[0].stands], camera=BOARD_CAMERA)
+    studio = load_config(SceneConfig, "scenes", "studio", locations)
+    quality = load_config(RenderConfig, "quality", "fast", locations)
+    with ArmRenderers(rig, studio, quality, locations) as outlines:
+        located = locate_arms(rig, request, [shot.image for shot in shots], [shots[0].stands] * 2, outlines)
+    view, notes = common_view(rig, located)
+    apart = np.linalg.inv(T) @ view.T_cam_in_world
+    assert np.linalg.norm(apart[:3, 3]) < 0.002
+    assert np.degrees(np.linalg.norm(rotation_vector(apart[:3, :3]))) < 0.2
+    assert notes == ()
+    assert all(found.edge_residual is not None and found.edge_residual < 1 for found in located)
 
 
 def test_a_plate_shows_what_the_arms_hide_in_some_photos_and_fills_the_rest() -> None:

@@ -138,9 +138,9 @@ def match_station(
     postures = _postures(rig, request)
     with ExitStack() as stack:
         outlines = stack.enter_context(ArmRenderers(rig, outline_scene, quality, locations))
-        located = _locate(rig, request, images, postures, outlines)
+        located = locate_arms(rig, request, images, postures, outlines)
         steps.done()
-        view, notes = _common_view(rig, located)
+        view, notes = common_view(rig, located)
         flat = [view.undistort(image) for image in images]
         size = view.intrinsics.width, view.intrinsics.height
         parts = (quality, view.scene_camera)
@@ -237,7 +237,7 @@ def _calibrated_camera(rig: RigConfig, request: MatchRequest) -> tuple[CameraMod
     return camera.camera_model, invert_pose(T_cam_in_world) @ rig.T_base_in_world(0)
 
 
-def _locate(
+def locate_arms(
     rig: RigConfig,
     request: MatchRequest,
     images: Sequence[Image],
@@ -270,7 +270,7 @@ def _locate(
     return found
 
 
-def _common_view(rig: RigConfig, located: Sequence[RigInPhoto]) -> tuple[PinholeView, tuple[str, ...]]:
+def common_view(rig: RigConfig, located: Sequence[RigInPhoto]) -> tuple[PinholeView, tuple[str, ...]]:
     """Return the view of the mean pose of the camera, and notes."""
     poses = []
     for found in located:
@@ -316,7 +316,7 @@ def _matched_scene(
     scene: SceneConfig, rig: RigConfig, view: PinholeView, light: LightFit | None, plate: Image, surface: Image | None
 ) -> SceneConfig:
     assert scene.table is not None
-    changes: dict[str, object] = {"scene_camera": _scene_camera(view, rig.arm_span)}
+    changes: dict[str, object] = {"scene_camera": scene_camera_of(view, rig.arm_span)}
     if light is not None:
         ambient, diffuse = (
             tuple(round(float(part), 4) for part in np.clip(values, 0, 1))
@@ -335,7 +335,7 @@ def _matched_scene(
     return scene.model_copy(update=changes)
 
 
-def _scene_camera(view: PinholeView, span: float) -> FixedCamera:
+def scene_camera_of(view: PinholeView, span: float) -> FixedCamera:
     """Return the view as a scene's camera, which rigs with an arm distance of `span`, m, move back to the view."""
     T = view.T_cam_in_world
     forward, up = T[:3, 2], -T[:3, 1]
