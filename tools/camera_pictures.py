@@ -1,4 +1,4 @@
-"""Draw one moment of a pick and place through each camera effect and preset, and in six looks, into `docs/images/`.
+"""Draw one moment of a pick and place through each camera effect and preset, and in looks, into `docs/images/`.
 
 python -m tools.camera_pictures
 """
@@ -9,7 +9,7 @@ import os
 import sys
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, get_args
 
 import cv2
 import numpy as np
@@ -17,6 +17,7 @@ from PIL import Image as Pillow
 
 from tools.task_pictures import first_success
 from yamsim_cli.core.config.session import Session
+from yamsim_cli.procedural.textures import Texture
 from yamsim_cli.session_opener import SessionOpener
 
 if TYPE_CHECKING:
@@ -27,6 +28,9 @@ _FOLDER = Path(__file__).resolve().parents[1] / "docs" / "images"
 _FRAMES = 3  # up to the shown one, for delay and blur
 _JPEG_QUALITY = 88
 _LOOKS = 6
+_PROCEDURAL_LOOKS = 3  # of each set
+_TEXTURE_SEED, _TEXTURE_REPEAT, _TEXTURE_SIZE = 3, 4, 160  # the last in px
+_TEXTURE_COLOURS = ((0.80, 0.65, 0.45), (0.45, 0.30, 0.20))
 
 # Title -> effects, each strong enough to see in a small picture.
 EFFECTS: dict[str, dict[str, Any]] = {
@@ -53,7 +57,10 @@ def main() -> None:
     tiles = [draw_effects(opener, where, title, keys) for title, keys in EFFECTS.items()]
     write("camera_effects", grid(tiles, 4))
     write("camera_presets", grid([draw_effects(opener, where, name, {"like": name}) for name in PRESETS], 3))
-    write("looks", grid([draw_look(opener, where, look) for look in range(1, _LOOKS + 1)], 3))
+    write("looks", grid([draw_look(opener, where, "default", look) for look in range(1, _LOOKS + 1)], 3))
+    sets = [(name, look) for name in ("looks", "heldout") for look in range(1, _PROCEDURAL_LOOKS + 1)]
+    write("procedural_looks", grid([draw_look(opener, where, *each) for each in sets], _PROCEDURAL_LOOKS))
+    write("textures", grid([draw_texture(name) for name in get_args(Texture) if name != "plain"], 7))
 
 
 def draw_effects(opener: SessionOpener, where: Locations, title: str, keys: dict[str, Any]) -> np.ndarray:
@@ -73,11 +80,20 @@ def draw_effects(opener: SessionOpener, where: Locations, title: str, keys: dict
     return titled(draw(session), title)
 
 
-def draw_look(opener: SessionOpener, where: Locations, look: int) -> np.ndarray:
-    """Return the titled image of a look."""
-    config = opener.load_record_config("default", where, size=_SIZE, quality="balanced", randomize=True)
+def draw_texture(name: str) -> np.ndarray:
+    """Return the titled image of a procedural texture."""
+    from yamsim_cli.core.config.variation import SurfaceSample
+    from yamsim_cli.core.scene.randomized_model import texture_image
+
+    surface = SurfaceSample(name, _TEXTURE_COLOURS, _TEXTURE_REPEAT, _TEXTURE_SEED)
+    return titled(texture_image(surface, _TEXTURE_SIZE), name)
+
+
+def draw_look(opener: SessionOpener, where: Locations, ranges: str, look: int) -> np.ndarray:
+    """Return the titled image of a look, with the ranges of a file in `configs/randomization/`."""
+    config = opener.load_record_config("default", where, size=_SIZE, quality="balanced", randomization=ranges)
     session = opener.with_scene_meshes(Session(config.model_copy(update={"look": look}), where))
-    return titled(draw(session), f"look_{look}")
+    return titled(draw(session), f"look_{look}" if ranges == "default" else f"{ranges}, look_{look}")
 
 
 def draw(session: Session) -> np.ndarray:

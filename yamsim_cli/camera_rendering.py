@@ -2,11 +2,15 @@
 
 A distorted image is remapped from a wider image of an ideal camera at the same pose. Depth and segmentation take the
 same way, and `LensIntrinsics` projects points, so ground truth fits the images.
+
+A camera with a plate shows a photo in place of the surroundings, see `scene_photos`. Rendered arms and objects occlude
+the photo, and their shadows darken it.
 """
 
 from __future__ import annotations
 
 import contextlib
+import copy
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -21,15 +25,26 @@ from .camera_effects.lens_distortion import LensWarp, project_points, viewing_ra
 from .camera_effects.sensor import Sensor
 from .camera_effects.shutter import combine, row_weights, sample_times
 from .core.attempt_data import AttemptJob
+from .core.closable import Closable
+from .core.config.recording import SCENE_CAMERA, RecordConfig
 from .core.config.rendering import RenderConfig
+from .core.errors import UsageError
 from .core.geometry.camera import CameraModel, Intrinsics
 from .core.geometry.se3 import Array
 from .core.images.image import Image
 from .core.rendering.renderer import GeomIds, SceneRenderer
 from .core.scene.random_streams import Stream, random_generator
 from .core.sim.state_replay import StateReplay
+from .scene_photos.config import Plate, decode_photo
 
 _MAX_ROUND_TRIP = 1e-3  # of x/z and y/z, error of a projection and its inverse, which agree where the model is valid
+_EDGE_PX = 3  # px, width of the transition between a plate and what is before it
+_SHADE_FLOOR = 8.0  # of 255, added to both images of a shade, whose quotient is inaccurate in the dark
+_HIDDEN_GROUP = 5  # MuJoCo's geom group that is not rendered
+_LOOK_FIELDS = (  # fields of `MjModel` that change the image of the surroundings
+    "light_diffuse", "light_dir", "light_pos", "cam_fovy", "cam_pos", "cam_quat",
+    "geom_matid", "mat_rgba", "mat_specular", "mat_shininess",
+)  # fmt: skip
 _SAME_SURFACE = 0.01  # of the depth: neighbouring pixels that differ by more show different surfaces
 
 
@@ -68,19 +83,26 @@ def with_lens(ideal: Intrinsics, effects: CameraEffects | None) -> Intrinsics:
 
 
 class EffectsRenderer(SceneRenderer):
-    """Renders cameras through their lenses; a camera without a lens as `SceneRenderer`.
+    """Renders cameras through their lenses and before their plates; other cameras as `SceneRenderer`.
 
     Each camera with a lens has a renderer of its own for the ideal image, in a size that its first lens determines.
     """
 
     def __init__(
-        self, model: mujoco.MjModel, size: tuple[int, int], quality: RenderConfig, effects: Mapping[str, CameraEffects]
+        self,
+        model: mujoco.MjModel,
+        size: tuple[int, int],
+        quality: RenderConfig,
+        effects: Mapping[str, CameraEffects],
+        plates: Sequence[Plate] = (),
     ) -> None:
         super().__init__(model, size, quality.fine_size(size), smooth_shadows=quality.smooth_shadows)
         self._size, self._quality = size, quality
         self._lenses = {name: each for name, each in effects.items() if each.has_lens}
         self._wide: dict[str, tuple[SceneRenderer, tuple[int, int]]] = {}
         self._warps: dict[str, tuple[LensIntrinsics, LensWarp]] = {}
+        self._plates = {plate.camera: _resized(decode_photo(plate.photo), size) for plate in plates}
+        self._surroundings: _Surroundings | None = None
 
     def intrinsics(self, camera: str) -> Intrinsics:
         """See `SceneRenderer.intrinsics`; of a camera with a lens, they include the distortion."""
@@ -91,9 +113,15 @@ class EffectsRenderer(SceneRenderer):
         super().upload_texture(texture)
         for renderer, _ in self._wide.values():
             renderer.upload_texture(texture)
+        if self._surroundings is not None:
+            self._surroundings.upload_texture(texture)
 
     def render(self, data: mujoco.MjData, camera: str, out: Image | None = None) -> Image:
         """See `SceneRenderer.render`."""
+        if camera in self._plates:
+            image = super().render(data, camera, out)
+            self._lay_behind(self._plates[camera], data, camera, image)
+            return image
         if camera not in self._lenses:
             return super().render(data, camera, out)
         with self._wide_view(camera) as (renderer, warp):
@@ -102,6 +130,16 @@ class EffectsRenderer(SceneRenderer):
             return image
         out[:] = image
         return out
+
+    def _lay_behind(self, plate: Image, data: mujoco.MjData, camera: str, image: Image) -> None:
+        """Replace the surroundings in an image (height, width, 3) by a plate of the same size, in place."""
+        if self._surroundings is None:
+            self._surroundings = _Surroundings(self._model, self._size, self._quality)
+        empty = self._surroundings.render(camera).astype(np.float32)
+        labels, _ = super().render_labels_and_depth(data, camera, *self._surroundings.front_labels)
+        front = cv2.blur((labels > 0).astype(np.float32), (_EDGE_PX, _EDGE_PX))[..., None]
+        shade = np.minimum((image + _SHADE_FLOOR) / (empty + _SHADE_FLOOR), 1.0)
+        image[:] = np.rint(front * image + (1 - front) * shade * plate)
 
     def render_geom_ids(self, data: mujoco.MjData, camera: str) -> GeomIds:
         """See `SceneRenderer.render_geom_ids`."""
@@ -156,7 +194,83 @@ class EffectsRenderer(SceneRenderer):
         """Free all OpenGL contexts. Repeated calls have no effect."""
         for renderer, _ in self.__dict__.get("_wide", {}).values():
             renderer.close()
+        if (surroundings := self.__dict__.get("_surroundings")) is not None:
+            surroundings.close()
         super().close()
+
+
+def _resized(photo: Image, size: tuple[int, int]) -> Image:
+    """Return a photo (height, width, 3) in a size (width, height), px."""
+    smaller = size[0] < photo.shape[1]
+    return np.asarray(cv2.resize(photo, size, interpolation=cv2.INTER_AREA if smaller else cv2.INTER_LINEAR), np.uint8)
+
+
+class _Surroundings(Closable):
+    """Renders a model without arms and objects: what they shade is the difference to the whole image.
+
+    Attributes:
+        front_labels: for `render_labels_and_depth`: 1 for geoms and flexes before the surroundings, else 0.
+    """
+
+    def __init__(self, model: mujoco.MjModel, size: tuple[int, int], quality: RenderConfig) -> None:
+        self._source = model
+        self._model = copy.copy(model)
+        moves = model.geom_bodyid > 0
+        self._model.geom_group[moves] = _HIDDEN_GROUP
+        self._model.flex_group[:] = _HIDDEN_GROUP
+        self.front_labels = moves.astype(np.uint8), np.ones(model.nflex, np.uint8)
+        self._data = mujoco.MjData(self._model)
+        self._renderer = SceneRenderer(
+            self._model, size, quality.fine_size(size), smooth_shadows=quality.smooth_shadows
+        )
+        self._state = b""
+        self._images: dict[str, Image] = {}
+
+    def render(self, camera: str) -> Image:
+        """Return the image (height, width, 3) with the source's lights, materials and cameras; not a copy."""
+        headlights = [model.vis.headlight for model in (self._source, self._model)]
+        values = [getattr(self._source, key) for key in _LOOK_FIELDS] + [headlights[0].ambient, headlights[0].diffuse]
+        state = b"".join(np.ascontiguousarray(value).tobytes() for value in values)
+        if state != self._state:
+            for key in _LOOK_FIELDS:
+                getattr(self._model, key)[:] = getattr(self._source, key)
+            headlights[1].ambient, headlights[1].diffuse = headlights[0].ambient, headlights[0].diffuse
+            mujoco.mj_kinematics(self._model, self._data)
+            mujoco.mj_comPos(self._model, self._data)
+            mujoco.mj_camlight(self._model, self._data)
+            self._state, self._images = state, {}
+        if camera not in self._images:
+            self._images[camera] = self._renderer.render(self._data, camera).copy()
+        return self._images[camera]
+
+    def upload_texture(self, texture: int) -> None:
+        """Take over a texture of the source."""
+        model, start = self._source, int(self._source.tex_adr[texture])
+        end = start + int(model.tex_width[texture] * model.tex_height[texture] * model.tex_nchannel[texture])
+        self._model.tex_data[start:end] = model.tex_data[start:end]
+        self._renderer.upload_texture(texture)
+        self._images = {}
+
+    def close(self) -> None:
+        """Free the OpenGL context."""
+        self._renderer.close()
+
+
+def require_fixed_plates(config: RecordConfig) -> None:
+    """Raise UsageError if a camera with a plate would move away from its photo, or has a lens of its own."""
+    ranges = config.randomization
+    for plate in config.scene.plates:
+        effects = config.effects_of(plate.camera)
+        if plate.camera == SCENE_CAMERA and (ranges.camera or ranges.lens_deg):
+            raise UsageError(
+                f"randomization {ranges.name!r} moves {plate.camera}, but scene {config.scene.name!r} has a photo "
+                "behind it, which fits only its own pose; leave `camera` and `lens_deg` out of the ranges"
+            )
+        if effects and effects.has_lens:
+            raise UsageError(
+                f"camera_effects give {plate.camera} a lens, but scene {config.scene.name!r} has a photo without "
+                "distortion behind it; leave out its `lens`, `distortion` and `principal_point`"
+            )
 
 
 def _remap_depth(warp: LensWarp, depth: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -25,6 +25,7 @@ from .commands.evaluate import evaluate
 from .commands.gap import gap
 from .commands.identify import excite, identify
 from .commands.import_recording import import_recording
+from .commands.match import match
 from .commands.overlay import overlay
 from .commands.record import record
 from .commands.render_views import render_views
@@ -64,6 +65,7 @@ app.command("can-run")(run_can_program)
 app.command("compose-xml")(compose_xml)
 app.command("render-views")(render_views)
 app.command()(overlay)
+app.command()(match)
 app.command()(calibrate)
 app.command()(identify)
 app.command()(excite)

@@ -41,6 +41,7 @@ _KEY_PATH_OF_SETTING: dict[str, tuple[str, ...]] = {
     "object": ("task", "object"),
     "target": ("task", "target"),
     "threshold": ("task", "success", "threshold"),
+    "scene": ("scene",),
     "n": ("episodes",),
     "workers": ("workers",),
     "seed": ("seed",),

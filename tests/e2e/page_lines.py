@@ -59,6 +59,7 @@ NOT_RUN = {
     r"^yamsim (merge|split)\b": "it needs other datasets; tests/datasets/test_derive.py has some",
     r"^pip install\b": "it would change this environment; what is missing skips the test",
     r"^yamsim calibrate\b": "it needs larger pictures; tests/cli/test_calibrate_command.py has them",
+    r"^yamsim match\b|matched.yaml": "it needs photos of a station; tests/match/test_match.py renders some",
     r"^yamsim identify log": "it takes minutes and a log of one; tests/real/identify has some",
     r"--robot my_arm": "it is of an arm that was measured; tests/core/robots/test_dynamics.py has one",
     r"^ray start\b": "it starts a cluster on this machine; test_ray_cluster.py has one",

@@ -68,6 +68,61 @@ def test_without_changes_every_image_and_state_has_the_same_bytes(recorded: Path
     assert set(new["versions"]) - set(old["versions"]) == {"drawn_by", "drawn_from"}
 
 
+@pytest.fixture(scope="module")
+def physics(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The first episode of `recorded`, without images."""
+    out = tmp_path_factory.mktemp("physics") / "dataset"
+    flags = ("--n", "1", "--workers", "1", "--seed", "6", "--randomize", *SMALL, "--no-images")
+    done = yamsim("record", *flags, "--out", out)
+    assert done.code == 0, done.err
+    return out
+
+
+def test_an_episode_without_images_is_drawn_as_it_would_have_been_recorded(
+    recorded: Path, physics: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "drawn"
+    assert {path.name for path in (physics / "ep_000000").iterdir()} == {"episode.json", "lowdim"}
+    assert record_of(physics, 0)["cameras"] == {}
+    assert yamsim("draw", physics, "--out", out, "--workers", "1", "--offline").code == 0
+    wanted, made = contents(recorded / "ep_000000"), contents(out / "ep_000000")
+    assert made.keys() == wanted.keys()
+    assert {name for name in made if made[name] != wanted[name]} == {"episode.json"}
+
+
+def test_exports_name_the_command_that_makes_the_missing_images(physics: Path, tmp_path: Path) -> None:
+    done = yamsim("export", "lerobot", physics, tmp_path / "out")
+    assert done.code == 4
+    assert f"{physics} has no pictures" in done.err
+    assert f"yamsim draw {physics}" in done.err
+    assert len(done.err.splitlines()) == 1
+    assert not (tmp_path / "out").exists()
+
+
+def test_flags_for_images_contradict_no_images(tmp_path: Path) -> None:
+    for flag in (("--truth",), ("--camera", "scene_camera"), ("--wrist",)):
+        done = yamsim("record", "--no-images", *flag, "--out", tmp_path / "out")
+        assert done.code == 2
+        assert f"{flag[0]} and --no-images contradict each other" in done.err
+
+
+@pytest.mark.slow
+def test_other_commands_read_a_dataset_without_images(physics: Path, tmp_path: Path) -> None:
+    done = yamsim("verify", physics, "--images", "--workers", "1", "--json")
+    assert done.code == 0, done.err
+    report = json.loads(done.out)
+    assert report["checks"]["seed"]["max_error"] == 0
+    assert report["checks"]["images"]["skipped"] == ["it was recorded without images"]
+    assert yamsim("summarize", physics, "--strict").code == 0
+    done = yamsim("replay", physics, "--episode", "0", "--video", tmp_path / "video.mp4")
+    assert done.code == 4
+    assert "--render" in done.err
+    flags = ("--render", "--size", "64x48", "--video", tmp_path / "video.mp4", "--offline")
+    assert yamsim("replay", physics, "--episode", "0", *flags).code == 0
+    flags = ("--n", "1", "--workers", "1", "--seed", "6", "--randomize", *SMALL, "--no-images")
+    assert yamsim("record", *flags, "--resume", "--out", physics).code == 0
+
+
 @pytest.mark.slow
 def test_looks_differ_in_images_and_have_the_same_physics(recorded: Path, looks: Path) -> None:
     for look in (looks / "look_1", looks / "look_2"):

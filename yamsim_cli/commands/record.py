@@ -34,6 +34,7 @@ def record(
     task: flags.Task = None,
     item: flags.Object = None,
     target: flags.Target = None,
+    scene: flags.Scene = None,
     rig: flags.Rig = None,
     revision: flags.Revision = None,
     robot: flags.Robot = None,
@@ -45,6 +46,10 @@ def record(
     randomize: flags.Randomize = None,
     randomization: flags.Randomization = None,
     boards: flags.Boards = None,
+    no_images: Annotated[
+        bool,
+        typer.Option("--no-images", help="Record physics without images; `yamsim draw` renders them later."),
+    ] = False,
     truth: Annotated[
         bool | None, typer.Option("--truth/--no-truth", help="Also record depth, segmentation, keypoints and boxes.")
     ] = None,
@@ -82,10 +87,17 @@ def record(
     """
     mode = open_mode(resume=resume, overwrite=overwrite)
     settings = session_settings(locals())
+    if no_images:
+        given = {"--camera": camera, "--camera-effects": camera_effects, "--truth": truth, "--wrist": wrist}
+        if flag := next((name for name, value in given.items() if value), None):
+            raise UsageError(
+                f"{flag} and --no-images contradict each other; leave one out, or give {flag} to yamsim draw"
+            )
+        settings["camera"] = ()  # an empty list, not a setting that is left out
     if executor == "process" and address is not None:
         raise UsageError("--address needs --executor ray")
     with _start_worker() if executor == "process" else nullcontext() as early:
-        session = session_opener.open(config, resumes=out if resume else None, **settings)
+        session = session_opener.open(config, renders=not no_images, resumes=out if resume else None, **settings)
 
         from yamsim_cli.recording.collect import RecordCallbacks
         from yamsim_cli.recording.recorder import record as run

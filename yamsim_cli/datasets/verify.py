@@ -183,7 +183,10 @@ class EpisodeVerifier(Closable):
 
     @staticmethod
     def _has_other_looks(record: EpisodeRecord, skipped: dict[str, str]) -> bool:
-        """Return whether the images have another appearance revision, and then say so in `skipped`."""
+        """Return whether there are no images of this appearance revision, and then say so in `skipped`."""
+        if not record.cameras:
+            skipped[IMAGES] = "it was recorded without images"
+            return True
         if (looks := record.versions["looks"]) == APPEARANCE_REVISION:
             return False
         skipped[IMAGES] = (
@@ -202,7 +205,7 @@ class EpisodeVerifier(Closable):
     def _changed_versions(self, episode: StoredEpisode) -> dict[str, tuple[str, str]]:
         then, now = dict(episode.record.versions), library_versions()
         simulator = self._simulator_of(episode.record)
-        if self._tolerances.images is not None:
+        if self._tolerances.images is not None and episode.record.cameras:
             then["renderer"], now["renderer"] = episode.record.renderer, simulator.renderer.description
             for name, text in (episode.record.meshes or {}).items():
                 then[f"meshes {name}"] = describe_mesh_content(text)

@@ -244,9 +244,16 @@ def open_source(
     Args:
         episodes: numbers and ranges, such as `0,3,5-9`; None for all.
         selection: decisions of a person, which also cut off frames.
+
+    Raises DatasetError if the episodes have no images.
     """
     directories = _select_directories(dataset, episodes, selection)
     first = selection.open_episode(directories[0]) if selection else open_episode(directories[0])
+    if not first.record.cameras:
+        raise DatasetError(
+            f"{dataset} has no pictures, which exports need; make them with `yamsim draw {dataset} --out drawn`, and "
+            "export drawn"
+        )
     return SimulatedSource(dataset, directories, first, read_recording_config(dataset, locations), selection=selection)
 
 

@@ -61,6 +61,10 @@ Target = Annotated[
     str | None,
     typer.Option(metavar="NAME|FILE", help="What the object is put onto or into: a name or file, as for --object."),
 ]
+Scene = Annotated[
+    str | None,
+    typer.Option(metavar="NAME|FILE", help="Surroundings: a name from configs/scenes/ or a YAML file."),
+]
 Grasp = Annotated[
     str | None,
     typer.Option(
@@ -123,8 +127,8 @@ session_opener = SessionOpener(
 
 # Session settings that a command may have as parameters; `SessionOpener.load_record_config` explains them.
 _SESSION_SETTING_NAMES = (
-    "rig", "revision", "robot", "task", "target", "n", "workers", "seed", "grasp", "arm", "wrist", "camera", "boards",
-    "truth", "size", "jpeg_quality", "action", "fps", "quality", "threshold", "randomize", "randomization",
+    "scene", "rig", "revision", "robot", "task", "target", "n", "workers", "seed", "grasp", "arm", "wrist", "camera",
+    "boards", "truth", "size", "jpeg_quality", "action", "fps", "quality", "threshold", "randomize", "randomization",
     "camera_effects",
 )  # fmt: skip
 

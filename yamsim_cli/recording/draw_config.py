@@ -67,8 +67,10 @@ def draw_config(source: RecordConfig, config_sha256: str, changes: DrawChanges) 
     added = (*changes.fixed_cameras, *_random_views(scene, rig, source.seed, look, changes.views))
     if added:
         rig = rig.model_copy(update={"cameras": (*rig.cameras, *added)})
+    if source.cameras == ():  # recorded with --no-images
+        source = source.model_copy(update={"cameras": None})
     if changes.cameras or added:
-        first = tuple(changes.cameras or (source.recorded_cameras))
+        first = tuple(changes.cameras or source.recorded_cameras)
         values["cameras"] = (*first, *(camera.name for camera in added if camera.name not in first))
     drawn = DrawnFrom(config_sha256=config_sha256, rig=physical)
     fields = {name: getattr(source, name) for name in RecordConfig.model_fields}

@@ -7,11 +7,12 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+from ..camera_rendering import require_fixed_plates
 from ..core.config.recording import RecordConfig
 from ..core.config.session import Session
 from ..core.dataset.disk_errors import explain_disk_error
 from ..core.dataset.writing.staged_writer import EpisodeWriter
-from ..core.errors import InterruptedJobError, PartialJobError, ResourceError
+from ..core.errors import InterruptedJobError, PartialJobError, ResourceError, UsageError
 from ..core.scene.assets import load_lock
 from ..core.scene.build import with_mesh_descriptions
 from ..core.scene.certificates import CertificateStatus, find_certificate
@@ -40,8 +41,16 @@ def record(
     callbacks: RecordCallbacks,
     stop: StopRequest,
 ) -> RecordReport:
-    """Record until the dataset holds as many successful episodes as the config requests."""
+    """Record until the dataset holds as many successful episodes as the config requests.
+
+    Raises UsageError for looks that are held out for tests of policies.
+    """
     began = time.monotonic()
+    if session.config.randomization.held_out:
+        raise UsageError(
+            f"randomization {session.config.randomization.name!r} is held out for tests of policies, so nothing is "
+            "recorded with it; give another, such as looks, or test a policy with `yamsim eval --randomization`"
+        )
     _check_certificates(session, callbacks)
     session = with_mesh_descriptions(session)
     starts = functools.partial(all_starts_fail, session)
@@ -66,6 +75,7 @@ def fill_dataset(
     `session` states its meshes. `began` is the start of the job on the monotonic clock, s.
     """
     config = session.config
+    require_fixed_plates(config)
     with open_destination(config, output, callbacks) as destination:
         collector = make_collector(destination.config, destination.episode_writer)
         with _report_on_early_end(config, collector, destination):

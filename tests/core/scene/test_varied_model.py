@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from yamsim_cli.core.attempt_data import AttemptJob
+from yamsim_cli.core.config.randomization import RandomizationConfig, SurfaceRanges
 from yamsim_cli.core.config.recording import SCENE_CAMERA, RecordConfig
 from yamsim_cli.core.config.session import Session
 from yamsim_cli.core.config.variation import RandomizationSample, SurfaceSample
@@ -17,6 +18,7 @@ from yamsim_cli.core.geometry.se3 import quat_from_rotation, rotation_z
 from yamsim_cli.core.scene.build import build_scene
 from yamsim_cli.core.scene.randomization_sampling import sample_randomization
 from yamsim_cli.core.scene.randomized_model import RandomizedModel, scale_masses, texture_image
+from yamsim_cli.procedural.walls import WALL_NAMES
 from yamsim_cli.session_opener import SessionOpener
 
 THINGS = {"drawer": "cabinet", "onto_napkin": "piece", "lift_tray": "tray"}
@@ -62,7 +64,7 @@ def test_nothing_stays_of_an_attempt(model: mujoco.MjModel, varied: RandomizedMo
     before = numbers(model)
     for k in range(5):
         varied.apply_randomization(
-            sample_randomization(config.randomization, AttemptJob(0, k), 2, config.task.objects, ())
+            sample_randomization(config.randomization, AttemptJob(0, k), config.scene.lights, config.task.objects, ())
         )
         varied.place_distractor("mug", (0.6, 0.2, 0.0, 1.0))
         assert changed(before, numbers(model))
@@ -75,7 +77,9 @@ def test_only_mass_and_friction_touch_physics(
 ) -> None:
     before = numbers(model)
     ranges = config.randomization.model_copy(update={"mass": None, "friction": None})
-    varied.apply_randomization(sample_randomization(ranges, AttemptJob(0, 0), 2, config.task.objects, ()))
+    varied.apply_randomization(
+        sample_randomization(ranges, AttemptJob(0, 0), config.scene.lights, config.task.objects, ())
+    )
     looks = ("light_", "mat_", "cam_", "geom_matid", "geom_group", "ambient", "diffuse")
     assert all(name.startswith(looks) for name in changed(before, numbers(model)))
 
@@ -211,3 +215,16 @@ def test_noise_can_be_repeated_without_a_seam() -> None:
     inside = np.abs(np.diff(image, axis=0)).max()
     assert np.abs(image[0] - image[-1]).max() <= inside + 2
     assert np.abs(image[:, 0] - image[:, -1]).max() <= inside + 2
+
+
+def test_walls_are_there_only_with_their_ranges_and_touch_nothing(config: RecordConfig, locations: Locations) -> None:
+    ranges = SurfaceRanges(saturation=(0, 1), value=(0, 1), contrast=(0, 1), textures={"wood": 1})
+    with_walls = RandomizationConfig(name="walls", walls=ranges)
+    model = build_scene(Session(config.model_copy(update={"randomization": with_walls}), locations)).model
+    walls = [model.geom(name) for name in WALL_NAMES]
+    assert not any(wall.contype[0] or wall.conaffinity[0] for wall in walls)
+    varied = RandomizedModel(model, with_walls, config.scene)
+    varied.apply_randomization(RandomizationSample(walls=SurfaceSample("wood", (GREY, RED), 3, 0)))
+    assert {int(model.geom(name).matid[0]) for name in WALL_NAMES} == {model.material("walls_textured").id}
+    varied.apply_randomization(RandomizationSample())
+    assert {int(model.geom(name).matid[0]) for name in WALL_NAMES} == {model.material("walls").id}

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated
 
 from pydantic import AfterValidator, Field, FiniteFloat, model_validator
 
+from ...procedural.light_kinds import HELD_OUT_LIGHTS, LightKind
+from ...procedural.textures import HELD_OUT_TEXTURES, Texture
 from ..files.documents.config_base import (
     Config,
     ConfigReference,
@@ -39,7 +41,6 @@ _FieldOfViewChange = Annotated[FiniteFloat, QuantityBounds("degrees", -60, 60)]
 _DelayMs = Annotated[FiniteFloat, QuantityBounds("ms", 0, 500)]
 _EncoderError = Annotated[FiniteFloat, QuantityBounds("rad", 0, 0.1)]
 _GravityErrorShare = Annotated[FiniteFloat, QuantityBounds("of 1", -1, 1)]
-Texture = Literal["plain", "checker", "gradient", "noise"]
 
 
 class LightRanges(Config):
@@ -49,11 +50,14 @@ class LightRanges(Config):
         intensity: range of the factor on a light's colour.
         tint: largest relative deviation of red, green and blue from the factor.
         tilt_deg: largest rotation of a light's direction, degrees; its position turns with it.
+        kinds: kind -> its relative probability. A kind replaces the direction and the colour of the first light, see
+            `procedural.light_kinds`; if left out, that light varies like the others.
     """
 
     intensity: FactorRange
     tint: float = Field(default=0.0, ge=0, le=0.5)
     tilt_deg: float = Field(default=0.0, ge=0, le=45)
+    kinds: Annotated[dict[LightKind, Positive], Field(min_length=1)] | None = None
 
 
 class HeadlightRanges(Config):
@@ -71,13 +75,13 @@ class CameraRanges(Config):
 
 
 class SurfaceRanges(Config):
-    """Ranges for the appearance of the table or the floor.
+    """Ranges for the appearance of the table, the floor or the walls.
 
     Attributes:
         saturation, value: ranges of the colours' saturation and value; the hue is arbitrary.
         contrast: range of the difference in `value` between the two colours of a pattern.
-        textures: texture -> its relative probability. A checkered floor is made of tiles and costs no rendering time;
-            other patterns do, see docs/recording.md.
+        textures: texture of `procedural.textures` -> its relative probability. A checkered floor is made of tiles and
+            costs no rendering time; other patterns do, see docs/recording.md.
     """
 
     saturation: ShareRange
@@ -169,6 +173,9 @@ class RandomizationConfig(Config):
     Each part has its own random stream, so that leaving a part out does not change the samples of the others.
 
     Attributes:
+        held_out: whether these looks are only for tests of policies: `record` refuses them. Only such looks may have
+            the textures and the kinds of lights in `procedural.textures.HELD_OUT_TEXTURES` and `HELD_OUT_LIGHTS`.
+        walls: four walls around the station, which a scene does not have otherwise.
         mass: range of the factor on each object's mass.
         friction: range of the factor on the friction of each object and of the table. Only mass, friction and
             arm_dynamics affect physics.
@@ -177,6 +184,7 @@ class RandomizationConfig(Config):
     """
 
     name: Name = "none"
+    held_out: bool = False
     lights: LightRanges | None = None
     headlight: HeadlightRanges | None = None
     mass: FactorRange | None = None
@@ -185,15 +193,25 @@ class RandomizationConfig(Config):
     camera: CameraRanges | None = None
     table: SurfaceRanges | None = None
     floor: SurfaceRanges | None = None
+    walls: SurfaceRanges | None = None
     objects: LookRanges | None = None
     distractors: Distractors | None = None
     picture: PictureRanges | None = None
     arm_dynamics: ArmRanges | None = None
 
+    @model_validator(mode="after")
+    def _held_out_looks_are_marked(self) -> RandomizationConfig:
+        surfaces = (part.textures for part in (self.table, self.floor, self.walls) if part)
+        used: set[str] = set().union(*surfaces, (self.lights and self.lights.kinds) or ())
+        if not self.held_out and (kept := sorted(used & (HELD_OUT_TEXTURES | HELD_OUT_LIGHTS))):
+            raise ValueError(f"{', '.join(kept)}: only for looks with held_out: true, so that no recording shows them")
+        return self
+
     @property
     def varied_parts(self) -> tuple[str, ...]:
         """Keys of the parts of this config that are given, and so vary between attempts."""
-        return tuple(key for key in type(self).model_fields if key != "name" and getattr(self, key) is not None)
+        keys = type(self).model_fields.keys() - {"name", "held_out"}
+        return tuple(key for key in type(self).model_fields if key in keys and getattr(self, key) is not None)
 
     @property
     def distractor_configs(self) -> tuple[ObjectConfig, ...]:

@@ -64,8 +64,9 @@ class RecordConfig(Config):
         action: "drives" records the commands to all drives; "joints" also `state` and `action` as YAM stations do.
         seed: determines, with an attempt's number, everything random in the attempt.
         wrist: whether to record wrist cameras too; see `cameras`.
-        cameras: the cameras to record, in order. If left out, a rig's own cameras and the wrist cameras. If the rig has
-            no own cameras, the scene camera, and with `wrist` the wrist cameras of the acting arms.
+        cameras: the cameras to record, in order; an empty list records no images. If left out, a rig's own cameras and
+            the wrist cameras. If the rig has no own cameras, the scene camera, and with `wrist` the wrist cameras of
+            the acting arms.
         boards: whether to show the base boards and their mounts, as on a real arm.
         randomization: domain randomization of the episodes, in addition to the starts of objects.
         truth: whether to record ground truth for every image, see `core.dataset.ground_truth_files`.
@@ -87,7 +88,7 @@ class RecordConfig(Config):
     workers: int = Field(default=2, ge=1, le=1024)
     seed: int = Field(ge=0, lt=2**63)
     wrist: bool
-    cameras: Annotated[tuple[Name, ...] | None, Field(min_length=1)] = None
+    cameras: tuple[Name, ...] | None = None
     boards: bool = False
     truth: bool = False
     image: ImageConfig

@@ -7,18 +7,23 @@ from typing import Annotated
 
 from pydantic import Field, model_validator
 
+from ...scene_photos.config import PhotoText, Plate
 from ..files.documents.config_base import Config, ConflictError, Name, Rgb, Rgba, Vector
 from ..files.documents.units import FieldOfView, Place, PlacePoint, Size
 from .objects.object_config import Contact
 
 
 class Table(Config):
-    """The work surface, a box: centre and half-size (m), and the share of light that the surface reflects."""
+    """The work surface, a box: centre and half-size (m), and the share of light that the surface reflects.
+
+    `photo` shows its surface from above as base64 text, with +x to the right and +y up; see `scene_photos`.
+    """
 
     position: PlacePoint
     half_size: tuple[Size, Size, Size]
     rgba: Rgba
     reflectance: float = Field(default=0.0, ge=0, le=1)
+    photo: PhotoText | None = None
     contact: Contact = Contact()
 
     @property
@@ -51,11 +56,12 @@ _CAMERA_SHIFT_PER_SPAN = 0.5  # m of backward shift of the scene camera for each
 
 
 class FixedCamera(Config):
-    """A camera in `world`: its position and the point in the middle of its image (m); image up is world up."""
+    """A camera in `world`: its position and the point in the middle of its image, m; `up` is by default world up."""
 
     position: PlacePoint
     look_at: PlacePoint
     fovy_deg: Annotated[FieldOfView, Field(gt=1, lt=179)]
+    up: Vector | None = None
 
     @model_validator(mode="after")
     def _not_along_up(self) -> FixedCamera:
@@ -80,6 +86,7 @@ class SceneConfig(Config):
         sky: the two colours of the sky's gradient.
         ambient: colour of the ambient light.
         scene_camera: the fixed camera that recordings use.
+        plates: photos behind the arms and objects in images of fixed cameras, as `yamsim match` writes them.
     """
 
     name: Name
@@ -90,6 +97,7 @@ class SceneConfig(Config):
     ambient: Rgb
     lights: tuple[Light, ...] = Field(min_length=1)
     scene_camera: FixedCamera | None = None
+    plates: tuple[Plate, ...] = ()
 
     @model_validator(mode="after")
     def _plane_below_table(self) -> SceneConfig:

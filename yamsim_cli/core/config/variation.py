@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Annotated
+
+from pydantic import Field
 
 
 @dataclass(frozen=True)
@@ -75,3 +78,5 @@ class RandomizationSample:
     noise: float | None = None
     salt_pepper: float | None = None
     arm_dynamics: tuple[ArmDynamicsSample, ...] = ()
+    # Left out of records without walls, whose bytes stay the same.
+    walls: Annotated[SurfaceSample | None, Field(exclude_if=lambda walls: walls is None)] = None

@@ -36,6 +36,7 @@ _CONFIG_DEFAULTS: tuple[tuple[frozenset[str], Mapping[str, Any]], ...] = (
         frozenset({"things", "starts", "expert"}),
         {"arms": "all", "grasps": ["contact"], "held_at_the_end": False, "language_task": ""},
     ),
+    (frozenset({"distractors", "headlight"}), {"held_out": False}),
     (frozenset({"of", "count"}), {"named": "role"}),
     (frozenset({"collision", "inertia", "rest_height"}), {"base": "free"}),
     (frozenset({"set", "file", "origin"}), {"castshadow": True}),

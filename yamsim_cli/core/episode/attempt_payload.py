@@ -69,7 +69,7 @@ def build_payload(simulator: Simulator, simulated: SimulatedAttempt) -> AttemptP
         len(recorded),
         content_hash(recorded),
         library_versions(),
-        simulator.renderer.description,
+        simulator.renderer.description if simulator.scene.cameras else "",
     )
 
 
@@ -170,7 +170,7 @@ def encode_images(simulator: Simulator, attempt: Attempt, positions: Iterable[Ar
     truth: GroundTruthCollector | None = None
     if simulator.labels is not None:
         truth = GroundTruthCollector(simulator.labels, simulator.scene.cameras, simulator.scene.T_base_in_world)
-    for k, camera, image in render_recorded_images(simulator, attempt, positions):
+    for k, camera, image in render_recorded_images(simulator, attempt, positions) if simulator.scene.cameras else ():
         files[image_path(camera, k)] = encode_jpeg(image, simulator.config.image.jpeg_quality)
         if truth:
             truth.add(simulator.state_replay.data, camera, simulator.renderer)

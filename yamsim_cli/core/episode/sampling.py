@@ -79,7 +79,7 @@ def sample_variation(config: RecordConfig, job: AttemptJob) -> RandomizationSamp
     if not config.randomization.varied_parts:
         return RandomizationSample()
     dofs = [config.rig.arms[number].robot.dof for number in config.rig.recording_order]
-    lights, objects = len(config.scene.lights), config.task.objects
+    lights, objects = config.scene.lights, config.task.objects
     return sample_randomization(config.randomization, job, lights, objects, dofs, config.look)
 
 

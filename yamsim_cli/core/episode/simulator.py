@@ -83,7 +83,8 @@ class Simulator(Closable):
         if self._renderer is None:
             size = self.config.image.size_px
             effects = {name: each for name in self.scene.cameras if (each := self.config.effects_of(name))}
-            self._renderer = EffectsRenderer(self.scene.model, size, self.config.render, effects)
+            plates = self.config.scene.plates
+            self._renderer = EffectsRenderer(self.scene.model, size, self.config.render, effects, plates)
         return self._renderer
 
     def intrinsics(self, camera: str) -> Intrinsics:

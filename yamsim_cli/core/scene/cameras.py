@@ -63,7 +63,7 @@ def _look_at(camera: FixedCamera) -> Array:
     """Return the rotation of a MuJoCo camera in `world`: -z to the target, +y as far up as possible."""
     forward = np.asarray(camera.look_at) - np.asarray(camera.position)
     forward /= np.linalg.norm(forward)
-    right = np.cross(forward, (0.0, 0.0, 1.0))
+    right = np.cross(forward, camera.up or (0.0, 0.0, 1.0))
     if np.linalg.norm(right) < 1e-6:
         # In the image of a vertical camera, +x, which points away from the arm, is up.
         right = np.array([0.0, -1.0, 0.0]) * math.copysign(1.0, -forward[2])

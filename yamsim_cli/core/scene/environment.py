@@ -5,8 +5,9 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
+from ...procedural.floor_tiles import checkerboard_mesh
+from ...scene_photos.table_texture import add_table_texture
 from ..config.rendering import SHADOW_REACH, RenderConfig
 from ..config.scene import SceneConfig, Table
 from ..geometry.se3 import Array
@@ -44,7 +45,7 @@ def add_background(spec: mujoco.MjSpec, scene: SceneConfig) -> None:
     )
     # The tiles are a mesh. Without a GPU, texture look-ups would take longer than the rest of the floor.
     file = "meshes/surroundings/floor_tiles.stl"
-    spec.assets = {**spec.assets, file: encode_stl(*_checkerboard_mesh())}
+    spec.assets = {**spec.assets, file: encode_stl(*checkerboard_mesh(_HALF_FLOOR, _TILE))}
     spec.add_mesh(name="floor_tiles", file=file, inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL)
     spec.worldbody.add_geom(
         name="floor_tiles",
@@ -57,17 +58,6 @@ def add_background(spec: mujoco.MjSpec, scene: SceneConfig) -> None:
         mass=0,
         castshadow=False,
     )
-
-
-def _checkerboard_mesh() -> tuple[Array, NDArray[np.int32]]:
-    """Return every second tile of the floor: vertices (4 n, 3), m, and triangles (2 n, 3) that face up."""
-    row, column = np.meshgrid(*2 * [np.arange(round(2 * _HALF_FLOOR / _TILE))], indexing="ij")
-    low = np.stack([row, column], axis=-1)[(row + column) % 2 == 0] * _TILE - _HALF_FLOOR
-    square = _TILE * np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
-    flat = (low[:, None] + square).reshape(-1, 2)
-    corner = 4 * np.arange(len(low), dtype=np.int32)[:, None, None]
-    halves = np.array([[0, 1, 2], [0, 2, 3]], np.int32)
-    return np.pad(flat, ((0, 0), (0, 1))), (corner + halves).reshape(-1, 3)
 
 
 def add_lights(spec: mujoco.MjSpec, scene: SceneConfig, centre: Sequence[float] | Array) -> None:
@@ -93,7 +83,8 @@ def add_lights(spec: mujoco.MjSpec, scene: SceneConfig, centre: Sequence[float] 
 def add_table(spec: mujoco.MjSpec, table: Table, floor: float, bases: Sequence[Array]) -> None:
     """Add the table, its legs, and a post from each arm's base to the floor. Legs and posts have no contacts."""
     spec.add_material(name="table", rgba=table.rgba, specular=0.1, shininess=0.1, reflectance=table.reflectance)
-    _add_box(spec, "table", table.position, table.half_size, contact_attributes(table.contact))
+    surface = add_table_texture(spec, table.photo, table.reflectance) if table.photo else "table"
+    _add_box(spec, "table", table.position, table.half_size, contact_attributes(table.contact), surface)
     x, y, _ = table.position
     half_x, half_y, half_z = table.half_size
     inset = 0.03
@@ -107,7 +98,12 @@ def add_table(spec: mujoco.MjSpec, table: Table, floor: float, bases: Sequence[A
 
 
 def _add_box(
-    spec: mujoco.MjSpec, name: str, position: Sequence[float], half_size: Sequence[float], contact: Mapping[str, Any]
+    spec: mujoco.MjSpec,
+    name: str,
+    position: Sequence[float],
+    half_size: Sequence[float],
+    contact: Mapping[str, Any],
+    material: str = "table",
 ) -> None:
     """Add a box with a smaller box inside, which casts the shadow and avoids shadow acne.
 
@@ -116,7 +112,7 @@ def _add_box(
     shared = {"type": mujoco.mjtGeom.mjGEOM_BOX, "pos": position, "group": VISIBLE_GROUP}
     nothing = {"contype": 0, "conaffinity": 0}
     spec.worldbody.add_geom(
-        name=name, size=half_size, material="table", castshadow=False, **shared, **(contact or nothing)
+        name=name, size=half_size, material=material, castshadow=False, **shared, **(contact or nothing)
     )
     core = np.maximum(np.asarray(half_size) - _SHADOW_BOX_INSET, np.asarray(half_size) / 4)
     # MuJoCo renders each box of a reflective material in a separate pass, so the core has no material.

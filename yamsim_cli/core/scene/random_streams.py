@@ -29,6 +29,7 @@ class Stream(IntEnum):
     READINGS = 23
     ARMS = 24
     SENSOR = 25
+    WALLS = 26
     ROLES = 30
     PHRASING = 31
     PLACES = 32

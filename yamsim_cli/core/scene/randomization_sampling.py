@@ -3,14 +3,19 @@ from __future__ import annotations
 import colorsys
 import math
 from collections.abc import Mapping, Sequence
+from typing import TypeVar
 
 import numpy as np
 
+from ...procedural.light_kinds import sample_light
 from ..attempt_data import AttemptJob
 from ..config.objects.object_config import ObjectConfig
-from ..config.randomization import ArmRanges, LightRanges, LookRanges, RandomizationConfig, SurfaceRanges, Texture
+from ..config.randomization import ArmRanges, LightRanges, LookRanges, RandomizationConfig, SurfaceRanges
+from ..config.scene import Light
 from ..config.variation import AppearanceSample, ArmDynamicsSample, LightSample, RandomizationSample, SurfaceSample
 from .random_streams import Stream, random_generator
+
+K = TypeVar("K", bound=str)
 
 _PATTERN_REPEATS = (2, 9)  # half-open range of a pattern's repetitions along each edge of a surface
 _SEEDS = 2**31
@@ -21,14 +26,14 @@ TABLE = "table"  # key in `RandomizationSample.friction`, whose other keys are o
 def sample_randomization(
     config: RandomizationConfig,
     job: AttemptJob,
-    lights: int,
+    lights: Sequence[Light],
     objects: Sequence[ObjectConfig],
     dofs: Sequence[int],
     look: int = 0,
 ) -> RandomizationSample:
     """Sample an attempt's variation without distractors, which `sim.placement` places when the motion is known.
 
-    `lights` and `dofs` are the numbers of lights and of each arm's joints. `look` affects all parts but the physical.
+    `lights` are the scene's, `dofs` the numbers of each arm's joints. `look` affects all parts but the physical.
     """
 
     def rng(stream: Stream) -> np.random.Generator:
@@ -56,6 +61,7 @@ def sample_randomization(
         else {},
         noise=uniform(Stream.NOISE, *picture.noise) if picture else None,
         salt_pepper=uniform(Stream.SALT_PEPPER, *picture.salt_pepper) if picture else None,
+        walls=_sample_surface(config.walls, rng(Stream.WALLS)) if config.walls else None,
         arm_dynamics=_sample_arms(config.arm_dynamics, dofs, rng(Stream.ARMS)) if config.arm_dynamics else (),
     )
 
@@ -76,14 +82,18 @@ def _sample_factors(
     return {name: math.exp(float(rng.uniform(low, high))) for name in names}
 
 
-def _sample_lights(ranges: LightRanges, count: int, rng: np.random.Generator) -> tuple[LightSample, ...]:
+def _sample_lights(ranges: LightRanges, lights: Sequence[Light], rng: np.random.Generator) -> tuple[LightSample, ...]:
     sampled = []
-    for _ in range(count):
+    for number, light in enumerate(lights):
         intensity = float(rng.uniform(*ranges.intensity))
         r, g, b = (intensity * (1 + float(part)) for part in rng.uniform(-ranges.tint, ranges.tint, 3))
         axis = rng.normal(size=3)
         angle = math.radians(ranges.tilt_deg) * math.sqrt(float(rng.uniform()))
         x, y, z = (float(part) for part in angle * axis / np.linalg.norm(axis))
+        if ranges.kinds and number == 0:
+            kind = _weighted_choice(ranges.kinds, float(rng.uniform()))
+            (x, y, z), colour = (v.tolist() for v in sample_light(kind, light.direction, rng))
+            r, g, b = (intensity * part for part in colour)
         sampled.append(LightSample((r, g, b), (x, y, z)))
     return tuple(sampled)
 
@@ -116,7 +126,7 @@ def _sample_surface(ranges: SurfaceRanges, rng: np.random.Generator) -> SurfaceS
     return SurfaceSample(texture, colours, int(rng.integers(*_PATTERN_REPEATS)), int(rng.integers(_SEEDS)))
 
 
-def _weighted_choice(weights: Mapping[Texture, float], share: float) -> Texture:
+def _weighted_choice(weights: Mapping[K, float], share: float) -> K:
     """Return the name at a share (0 to 1) of the weights, summed up in alphabetical order."""
     rest = share * sum(weights.values())
     for name in sorted(weights):

@@ -7,6 +7,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from ...procedural.textures import texture_pattern
+from ...procedural.walls import WALL_NAMES, add_walls
 from ..config.randomization import RandomizationConfig, SurfaceRanges
 from ..config.recording import SCENE_CAMERA
 from ..config.scene import SceneConfig
@@ -14,16 +16,15 @@ from ..config.variation import ArmDynamicsSample, LightSample, RandomizationSamp
 from ..files.resources import MeshFolders
 from ..geometry.se3 import Array, UprightPose, pose_from_quat, quat_from_rotation, rotation_from_vector, rotation_z
 from .compiled import ArmAddresses, CompiledScene
-from .objects.object_geoms import HIDDEN_GROUP
+from .objects.object_geoms import HIDDEN_GROUP, VISIBLE_GROUP
 from .objects.scene_object import add_object
 
 _ABSENT_GROUP, _ABSENT_POSITION = 4, (0.0, 0.0, -5.0)  # unrendered geom group and position, m, of unused distractors
 _TEXTURED = "_textured"
 _TEXTURE_SIZE = 256  # px, edge of a texture
-_OCTAVES = 4  # noise grids, each twice as fine as the previous one
 _FLOOR_TEXTURE = "floor_tiles"
 _FLOOR_REPEAT = 8  # per repetition of the table's texture: the floor is ten times as wide
-_SURFACES = {"table": "table", "floor": "safety_plane"}  # surface in the config -> name of its geom
+_SURFACES = {"table": ("table",), "floor": ("safety_plane",), "walls": WALL_NAMES}  # surface -> names of its geoms
 
 _RANDOMIZED_FIELDS = (  # fields of `MjModel` that a variation can change; `apply_randomization` resets them
     "light_diffuse", "light_dir", "light_pos",
@@ -45,6 +46,8 @@ def add_randomized_parts(spec: mujoco.MjSpec, config: RandomizationConfig, meshe
     """Add the distractors of a randomization config, and materials with an image texture, to a scene's spec."""
     for item in config.distractor_configs:
         add_object(spec, item, meshes, fixed=True)
+    if config.walls:
+        add_walls(spec, spec.geom("safety_plane").pos[2], VISIBLE_GROUP)
     for part in _SURFACES:
         if _is_textured(getattr(config, part), part):
             name = part + _TEXTURED
@@ -103,7 +106,7 @@ class RandomizedModel:
             model.cam_fovy[self._camera] += variation.lens_deg
         if variation.camera:
             self._move_camera(np.array(variation.camera))
-        for part, surface in (("table", variation.table), ("floor", variation.floor)):
+        for part, surface in (("table", variation.table), ("floor", variation.floor), ("walls", variation.walls)):
             if surface:
                 self._apply_surface(part, surface)
         for name, look in variation.looks.items():
@@ -140,7 +143,7 @@ class RandomizedModel:
     def _apply_friction(self, name: str, factor: float) -> None:
         model = self._model
         if name in _SURFACES:
-            geoms = [model.geom(_SURFACES[name]).id]
+            geoms = [model.geom(geom).id for geom in _SURFACES[name]]
         else:
             geoms = list(np.flatnonzero(model.body_rootid[model.geom_bodyid] == model.body(name).id))
         model.geom_friction[geoms, 0] *= factor
@@ -160,7 +163,7 @@ class RandomizedModel:
                     model.mat_rgba[self._materials[material], :3] = colour
             return
         material = part + _TEXTURED
-        model.geom_matid[model.geom(_SURFACES[part]).id] = self._materials[material]
+        model.geom_matid[[model.geom(name).id for name in _SURFACES[part]]] = self._materials[material]
         if part == "floor":
             model.geom_group[model.geom(_FLOOR_TEXTURE).id] = HIDDEN_GROUP
         texture = model.texture(material).id
@@ -182,36 +185,9 @@ def scale_masses(model: mujoco.MjModel, factors: Mapping[str, float]) -> None:
 def texture_image(surface: SurfaceSample, size: int = _TEXTURE_SIZE) -> NDArray[np.uint8]:
     """Return the RGB image (size, size, 3) of a surface's pattern. Opposite edges match, except for a gradient."""
     first, second = np.array(surface.colours) * 255.0
-    match surface.texture:
-        case "checker":
-            cell = np.arange(size) * 2 * surface.repeat // size
-            share = ((cell[:, None] + cell[None, :]) % 2).astype(float)
-        case "gradient":
-            turn = 2 * np.pi * np.random.default_rng(surface.seed).uniform()
-            along = np.linspace(-0.5, 0.5, size)
-            share = 0.5 + (along[:, None] * np.sin(turn) + along[None, :] * np.cos(turn)) / np.sqrt(2)
-        case "noise":
-            share = _smooth_noise(np.random.default_rng(surface.seed), surface.repeat, size)
-        case _:
-            share = np.zeros((size, size))
+    share = texture_pattern(surface.texture, surface.repeat, surface.seed, size)
     image: NDArray[np.uint8] = np.rint(first + share[..., None] * (second - first)).astype(np.uint8)
     return image
-
-
-def _smooth_noise(rng: np.random.Generator, cells: int, size: int) -> NDArray[np.float64]:
-    """Return smooth noise (size, size) in 0..1: a sum of random grids with decreasing cell size and amplitude."""
-    total = np.zeros((size, size))
-    for octave in range(_OCTAVES):
-        n = cells * 2**octave
-        grid = rng.uniform(size=(n, n))
-        at = np.arange(size) * n / size
-        low = at.astype(int)
-        high, part = (low + 1) % n, at - low
-        part = part * part * (3 - 2 * part)
-        rows = grid[low] * (1 - part)[:, None] + grid[high] * part[:, None]
-        total += (rows[:, low] * (1 - part) + rows[:, high] * part) / 2**octave
-    total -= total.min()
-    return total / max(float(total.max()), 1e-9)
 
 
 class RandomizedArms:

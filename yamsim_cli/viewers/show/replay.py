@@ -50,7 +50,9 @@ def film_recorded(
 ) -> WrittenVideo:
     """Make a video of the recorded images of cameras side by side, by default the first, at `frame_period`, s."""
     if not episode.record.cameras:
-        raise DatasetError(f"{episode.directory} has no images; without --video, its arms are shown")
+        raise DatasetError(
+            f"{episode.directory} has no images; render them with --render, or show its arms without --video"
+        )
     chosen = _choose_cameras(cameras, tuple(episode.record.cameras))
     return _write_video(read_side_by_side_images(episode, chosen), chosen, path, frame_period, overwrite=overwrite)
 
@@ -97,8 +99,9 @@ def _choose_cameras(wanted: Sequence[str], valid: Sequence[str]) -> tuple[str, .
 
 def session_with_wrist_camera(session: Session, size: tuple[int, int] | None = None) -> Session:
     """Return the session of a dataset with a wrist camera, recorded or not, and images of `size` (w, h), px."""
-    image = session.config.image
-    return session.with_values(wrist=True, image=image.model_copy(update={"size_px": size}) if size else image)
+    image, cameras = session.config.image, session.config.cameras
+    image = image.model_copy(update={"size_px": size}) if size else image
+    return session.with_values(wrist=True, image=image, cameras=cameras or None)
 
 
 def episode_positions(episode: StoredEpisode, simulator: Simulator) -> Array:

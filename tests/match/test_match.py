@@ -1,0 +1,151 @@
+"""`yamsim match` on photos of a station whose light, table and camera are known to the test alone."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.cli.run_cli import yamsim
+from tests.hidden_stations import HiddenStation, hidden_station, write_station
+from tests.rig_photos import CAMERA as BOARD_CAMERA
+from tests.rig_photos import JOINTS, RigPhotographer, looking
+from yamsim_cli.core.config.loader import load_config
+from yamsim_cli.core.config.rendering import RenderConfig
+from yamsim_cli.core.config.scene import SceneConfig
+from yamsim_cli.core.files.resources import Locations
+from yamsim_cli.core.geometry.camera import CameraModel
+from yamsim_cli.core.geometry.se3 import pose, rotation_vector
+from yamsim_cli.core.images.png import encode_png
+from yamsim_cli.core.scene.cameras import fixed_camera
+from yamsim_cli.match.match_run import MatchRequest, common_view, locate_arms, scene_camera_of
+from yamsim_cli.match.pinhole_view import PinholeView
+from yamsim_cli.match.plate import make_plate
+from yamsim_cli.photos.overlay.rendered_arms import ArmRenderers
+
+CAMERA = CameraModel(320, 240, ((300.0, 0.0, 165.0), (0.0, 299.0, 117.0), (0.0, 0.0, 1.0)), (-0.1, 0.03, 0.0, 0.0, 0.0))
+
+
+@pytest.fixture(scope="module")
+def station(locations: Locations, tmp_path_factory: pytest.TempPathFactory) -> tuple[HiddenStation, Path]:
+    made = hidden_station(1, locations, 2, (320, 240))
+    folder = tmp_path_factory.mktemp("station")
+    for name in ("photos", "masks"):
+        (folder / name).mkdir()
+    write_station(made, locations, folder / "photos", folder / "masks", 2)
+    return made, folder
+
+
+@pytest.mark.slow
+@pytest.mark.render
+def test_the_matched_scene_is_nearer_to_the_photos(station: tuple[HiddenStation, Path], tmp_path: Path) -> None:
+    truth, folder = station
+    flags = ("--calibration", folder, "--joints", folder / "joints.npy", "--mask-image", folder / "masks", "--offline")
+    done = yamsim("match", folder / "photos", *flags, "--min-iou", "0.9", "--out", tmp_path / "out", "--json")
+    assert done.code == 0, done.err
+    report = json.loads(done.out)
+    assert json.loads((tmp_path / "out" / "match.json").read_text()) == {
+        key: value for key, value in report.items() if key != "scene"
+    }
+    cosine = np.dot(report["light"]["direction"], truth.direction)
+    assert math.degrees(math.acos(min(1, cosine))) < 25
+    for photo in report["photos"]:
+        assert photo["iou"] > 0.93
+        assert photo["outline_px"] < 1
+        assert photo["colour_arms"]["after"] < 0.7 * photo["colour_arms"]["before"]
+        assert photo["colour_all"]["after"] < 0.3 * photo["colour_all"]["before"]
+    # The scene is one for `record`, whose images have the photo's background.
+    small = ("--n", "1", "--size", "64x48", "--quality", "fast", "--offline", "--workers", "1")
+    scene = tmp_path / "out" / "matched.yaml"
+    done = yamsim("record", "--scene", scene, *small, "--out", tmp_path / "dataset")
+    assert done.code == 0, done.err
+    done = yamsim("verify", tmp_path / "dataset", "--images", "--workers", "1", "--json")
+    assert done.code == 0, done.err
+    done = yamsim("match", folder / "photos", *flags, "--min-iou", "0.999", "--out", tmp_path / "out", "--overwrite")
+    assert done.code == 5
+    assert "less than --min-iou 0.999" in done.err
+
+
+def test_flags_that_contradict_each_other_are_refused(tmp_path: Path) -> None:
+    for flags, text in (
+        ((), "give either --camera or --calibration"),
+        (("--camera", "a", "--min-iou", "0.9"), "--min-iou needs --mask-image"),
+        (("--camera", "a", "--calibrated-camera", "b"), "--calibrated-camera needs --calibration"),
+    ):
+        done = yamsim("match", tmp_path, *flags)
+        assert done.code == 2
+        assert text in done.err
+
+
+def test_the_view_shows_straight_lines_where_the_photo_shows_them_bent() -> None:
+    """A point's pixel in the photo, undistorted, is its pixel in the view."""
+    from yamsim_cli.camera_effects.lens_distortion import project_points
+
+    view = PinholeView.of_camera(CAMERA, pose())
+    K = view.intrinsics
+    assert (K.fx, K.cx, K.cy) == (K.fy, 159.5, 119.5)
+    photo = np.zeros((240, 320), np.uint8)
+    point = np.array([[0.12, -0.08, 1.0]])
+    u, v = np.rint(project_points(CAMERA, point)[0]).astype(int)
+    photo[v - 1 : v + 2, u - 1 : u + 2] = 255
+    flat = view.undistort(photo).astype(float)
+    row, column = (np.average(np.indices(flat.shape)[k], weights=flat) for k in (0, 1))
+    pixels, inside = view.project(point)
+    assert inside.all()
+    assert pixels[0] == pytest.approx((column, row), abs=0.8)
+    corners = view.undistort(np.full((240, 320), 9, np.uint8))
+    assert (corners == 9).all()
+
+
+@pytest.mark.parametrize("span", [0.0, 0.6])
+def test_the_scene_camera_of_a_rig_with_two_arms_is_the_view_too(span: float, locations: Locations) -> None:
+    z = np.array([-0.8, 0.1, -0.6]) / np.linalg.norm([-0.8, 0.1, -0.6])
+    x = np.cross(z, (0.05, 0.02, 1.0))
+    x /= np.linalg.norm(x)
+    view = PinholeView.of_camera(CAMERA, pose((1.0, 0.1, 0.8), np.column_stack([x, np.cross(z, x), z])))
+    scene = load_config(SceneConfig, "scenes", "tabletop", locations)
+    scene = scene.model_copy(update={"scene_camera": scene_camera_of(view, span)}).widened_for_arm_distance(span)
+    assert scene.scene_camera is not None
+    made = fixed_camera("photo", scene.scene_camera)
+    np.testing.assert_allclose(made.T_in_body, view.scene_camera.T_in_body, atol=1e-5)
+    assert made.fovy_deg == pytest.approx(view.scene_camera.fovy_deg, abs=1e-4)
+
+
+@pytest.mark.render
+def test_boards_give_the_camera_s_pose(locations: Locations, tmp_path: Path) -> None:
+    T = looking((0.95, -0.12, 0.7), (0.08, 0.0, 0.1))
+    with RigPhotographer("russet", locations, BOARD_CAMERA) as photographer:
+        shots = [photographer.shoot(T, JOINTS, seed=seed) for seed in (0, 1)]
+    paths = [tmp_path / f"{k}.png" for k in range(2)]
+    for path, shot in zip(paths, shots, strict=True):
+        path.write_bytes(encode_png(shot.image))
+    rig = shots[0].rig
+    request = MatchRequest(paths, [shots[0].stands], camera=BOARD_CAMERA)
+    studio = load_config(SceneConfig, "scenes", "studio", locations)
+    quality = load_config(RenderConfig, "quality", "fast", locations)
+    with ArmRenderers(rig, studio, quality, locations) as outlines:
+        located = locate_arms(rig, request, [shot.image for shot in shots], [shots[0].stands] * 2, outlines)
+    view, notes = common_view(rig, located)
+    apart = np.linalg.inv(T) @ view.T_cam_in_world
+    assert np.linalg.norm(apart[:3, 3]) < 0.002
+    assert np.degrees(np.linalg.norm(rotation_vector(apart[:3, :3]))) < 0.2
+    assert notes == ()
+    assert all(found.edge_residual is not None and found.edge_residual < 1 for found in located)
+
+
+def test_a_plate_shows_what_the_arms_hide_in_some_photos_and_fills_the_rest() -> None:
+    background = np.tile(np.linspace(50, 200, 200).astype(np.uint8)[None, :, None], (100, 1, 3))
+    photos, masks = [], []
+    for left in (20, 120):
+        photo, mask = background.copy(), np.zeros((100, 200), bool)
+        mask[30:60, left : left + 30] = mask[80:90, 90:110] = True
+        photo[mask] = 0
+        photos.append(photo)
+        masks.append(mask)
+    plate = make_plate(photos, masks)
+    np.testing.assert_array_equal(plate.image[:70], background[:70])
+    assert 0.01 < plate.filled_share < 0.03
+    assert np.abs(plate.image[85, 100].astype(int) - background[85, 100]).max() < 25

@@ -1,0 +1,1 @@
+"""From photos of a station to a scene whose images look like them."""

@@ -1,0 +1,1 @@
+"""Procedural looks: textures of surfaces and kinds of lights, generated from seeds without any picture."""
