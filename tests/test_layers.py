@@ -36,6 +36,7 @@ FLOORS: dict[str, int] = {
     "camera_rendering": 7,
     "core.sim": 6,
     "selection": 6,
+    "recorded_settings": 6,
     "core.expert": 7,
     "core.episode": 8,
     "cpu_limits": 8,
