@@ -54,6 +54,7 @@ FLOORS: dict[str, int] = {
     "real": 10,
     "recording": 10,
     "review": 10,
+    "training": 10,
     "viewers": 10,
     # Code that joins wings, and entry points of users.
     "calibration": 11,
@@ -284,6 +285,7 @@ def test_the_page_on_architecture_names_modules_that_exist() -> None:
 ENTRIES = {
     *("__main__", "can_site.yamsim_can", "gym_env", "kinematics", "kitchenbench.own_tasks", "kitchenbench.policy"),
     *("lerobot_camera", "live_station", "main", "raiden_camera", "vector_env"),
+    *("training.chunk_windows", "training.shuffled_batches"),
 }
 
 
