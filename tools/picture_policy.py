@@ -1,8 +1,8 @@
 """A small policy from images, as an example of a training loop of your own. It needs PyTorch.
 
     python tools/picture_policy.py demos picture_policy.pt
-    yamsim eval --policy tools/picture_policy.py --policy-arg weights=picture_policy.pt --trained-on demos \
-        --execute 2 --ensemble 0.01
+    yamsim eval --policy tools/picture_policy.py:PicturePolicy --policy-arg weights=picture_policy.pt \
+        --trained-on demos --execute 2 --ensemble 0.01
 
 A convolutional trunk reads the scene camera's image, cropped to the table. A linear layer on its maps and two layers
 on top answer with a chunk of absolute actions. The loss is the mean absolute error (L1).
