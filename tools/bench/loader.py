@@ -41,10 +41,8 @@ def measure(dataset: Path, cameras: list[str], workers: int, batch: int, chunk: 
         size = sum(file.stat().st_size for file in cache.rglob("*.npy"))
     finally:
         shutil.rmtree(cache, ignore_errors=True)
-    memory = {
-        name: resource.getrusage(who).ru_maxrss * 1024
-        for name, who in (("main", resource.RUSAGE_SELF), ("worker", resource.RUSAGE_CHILDREN))
-    }
+    processes = {"main": resource.RUSAGE_SELF, **({"worker": resource.RUSAGE_CHILDREN} if workers else {})}
+    memory = {name: resource.getrusage(who).ru_maxrss * 1024 for name, who in processes.items()}
     return {"workers": workers, "epochs": rows, "cache_bytes": size, "memory_bytes": memory}
 
 
