@@ -1,6 +1,6 @@
 """A small policy from images, as an example of a training loop of your own. It needs PyTorch.
 
-    python tools/picture_policy.py demos picture_policy.pt
+    python -m tools.picture_policy demos picture_policy.pt
     yamsim eval --policy tools/picture_policy.py:PicturePolicy --policy-arg weights=picture_policy.pt \
         --trained-on demos --execute 2 --ensemble 0.01
 
