@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import os
 import re
 import subprocess
@@ -14,6 +15,7 @@ import yamsim_cli
 from tests.e2e.test_record_summarize import digest
 from tests.pages import snippet
 from tests.unrendered import frame_count
+from yamsim_cli.commands.evaluate import evaluate as evaluate_command
 from yamsim_cli.core.errors import ConfigError, UsageError
 
 pytestmark = pytest.mark.render
@@ -76,8 +78,17 @@ def test_neither_typer_nor_rich_is_loaded() -> None:
     assert done.stdout == "[]\n"
 
 
+def test_evaluate_has_the_flags_of_the_command() -> None:
+    """Except those that write files or end the process, which a program does itself."""
+    outputs = {"out", "html", "json", "video", "video_trials", "video_all", "overwrite", "offline", "min_success"}
+    command = set(inspect.signature(evaluate_command).parameters) - outputs
+    keywords = set(inspect.signature(yamsim_cli.evaluate).parameters)
+    assert keywords == {{"item": "object", "policy_arg": "policy_args"}.get(name, name) for name in command}
+
+
 def test_evaluate_returns_what_the_command_prints() -> None:
-    report = yamsim_cli.evaluate("hold_still", n=2, seed=1)
+    report = yamsim_cli.evaluate("hold_still", n=2, seed=1, time_limit=0.5, execute=3, size=(64, 48))
+    assert (report["settings"]["execute"], report["settings"]["size_px"]) == (3, [64, 48])
     assert (report["stats"]["n"], report["stats"]["success_rate"], len(report["trials"])) == (2, 0.0, 2)
 
 

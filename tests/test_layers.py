@@ -38,6 +38,7 @@ FLOORS: dict[str, int] = {
     "camera_rendering": 7,
     "core.sim": 6,
     "selection": 6,
+    "recorded_settings": 6,
     "core.expert": 7,
     "core.episode": 8,
     "cpu_limits": 8,
@@ -56,6 +57,7 @@ FLOORS: dict[str, int] = {
     "real": 10,
     "recording": 10,
     "review": 10,
+    "training": 10,
     "viewers": 10,
     # Code that joins wings, and entry points of users.
     "calibration": 11,
@@ -292,6 +294,7 @@ def test_the_page_on_architecture_names_modules_that_exist() -> None:
 ENTRIES = {
     *("__main__", "can_site.yamsim_can", "gym_env", "kinematics", "kitchenbench.own_tasks", "kitchenbench.policy"),
     *("lerobot_camera", "live_station", "main", "raiden_camera", "vector_env"),
+    *("training.chunk_windows", "training.shuffled_batches"),
 }
 
 

@@ -13,6 +13,8 @@ _PUBLIC = {
     **dict.fromkeys(("evaluate", "open_dataset", "record"), "api"),
     **dict.fromkeys(("Kinematics", "OutOfReachError"), "kinematics"),
     "RecordReport": "recording.recorder",
+    "ChunkWindows": "training.chunk_windows",
+    "ShuffledBatches": "training.shuffled_batches",
     **dict.fromkeys(("StoredEpisode", "StoredEpisodes"), "core.dataset.reader"),
     **dict.fromkeys(("EpisodeRecord", "OutcomeRecord"), "core.dataset.records"),
     **dict.fromkeys(

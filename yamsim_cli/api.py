@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import logging
 import os
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from .kitchen_scenes import resolve_scene_task
 from .objects.importing.name_resolution import import_if_file
@@ -115,42 +116,84 @@ def evaluate(
     policy: str,
     n: int = 50,
     *,
-    seed: int = 0,
-    workers: int = 1,
-    rig: str | None = None,
+    seed: int | None = None,
+    workers: int | None = None,
+    policy_args: Mapping[str, int | float | str] | None = None,
+    policy_config: str | None = None,
+    trained_on: str | Path | None = None,
+    execute: int | None = None,
+    ensemble: float | None = None,
+    latency: str = "0ms",
+    threshold: float | None = None,
+    time_limit: float | None = None,
+    policy_timeout: float = 30.0,
+    trial_timeout: float = 600.0,
+    compare: Sequence[str] = (),
+    end: Literal["success", "actor"] = "success",
+    grasp: str | None = None,
+    randomize: bool | None = None,
+    randomization: str | None = None,
+    size: tuple[int, int] | None = None,
+    quality: str | None = None,
     task: str | None = None,
+    object: str | None = None,
+    target: str | None = None,
+    rig: str | None = None,
+    revision: str | None = None,
+    robot: Sequence[str] = (),
     arm: str | None = None,
     config: str = "default",
 ) -> dict[str, Any]:
-    """Evaluate a policy as `yamsim eval --json` does with the same flags, and return the report.
+    """Evaluate a policy as `yamsim eval --json` does with the flags of the same names, and return the report.
 
-    The function starts processes, so a script must guard its main part by `if __name__ == "__main__"`.
+    The function starts processes, so a script must guard its main part by `if __name__ == "__main__"`. Flags that write
+    files have no keyword.
 
     Args:
         policy: such as `my_policy.py:MyPolicy`, see docs/policies.md.
+        policy_args: keywords for the policy's class, as of `--policy-arg`.
+        latency: simulated time until an answer acts, such as "80ms", or "measured".
+        compare: other policies on the same starts, or reports `FILE.json`.
+        size: (width, height) of the images, px.
 
     Returns:
         The data that `--json` prints, such as `stats` and `trials`.
     """
-    from .policies.policy_loading import may_read_images
+    from contextlib import nullcontext
 
-    session = API_SESSION_OPENER.open(
+    from .core.episode.episode_rules import EndRule
+    from .policies.action_chunks import ChunkSettings, read_latency
+    from .policies.evaluate.policy_choice import PolicyChoice
+    from .policies.evaluate.run import evaluate_and_compare, open_evaluation_session
+
+    chunking = ChunkSettings(execute, ensemble, read_latency(latency))
+    choice = PolicyChoice(
+        policy, Path.cwd(), policy_timeout, time_limit, EndRule(end), dict(policy_args or {}), policy_config, chunking
+    )
+    session, training = open_evaluation_session(
+        API_SESSION_OPENER,
         config,
-        renders=may_read_images(policy),
+        choice,
+        compare,
+        None if trained_on is None else Path(trained_on),
         n=n,
         seed=seed,
         workers=workers,
-        rig=rig,
+        threshold=threshold,
+        grasp=grasp,
+        randomize=randomize,
+        randomization=randomization,
+        size=size,
+        quality=quality,
         task=task,
+        object=object,
+        target=target,
+        rig=rig,
+        revision=revision,
+        robot=list(robot),
         arm=arm,
-        wrist=True,
     )
-
-    from .core.statistics import THRESHOLDS
-    from .policies.evaluate.evaluation import evaluate as run
-    from .policies.evaluate.evaluation import evaluation_report
-    from .policies.evaluate.policy_choice import PolicyChoice
-
-    choice = PolicyChoice(policy, Path.cwd())
-    found = run(session, choice, lambda done, total: None)
-    return evaluation_report(found, session.config, THRESHOLDS)
+    found = evaluate_and_compare(
+        session, choice, compare, trial_timeout, training, lambda: nullcontext(lambda done, total: None)
+    )
+    return found.report

@@ -94,6 +94,8 @@ def test_a_share_of_successes_can_be_asked_for(words: tuple[str, ...], count: in
         (("--policy", "replay:nowhere"), 2, "nowhere: "),
         (("--policy", "scripted", "--min-success", "90"), 2, "'--min-success'"),
         (("--policy", f"{SAMPLES}:Chunked", "--policy-arg", "speed=1"), 2, "unexpected keyword argument 'speed'"),
+        ((), 2, "give --policy, or two reports of --out to compare: --compare A.json --compare B.json"),
+        (("--policy", "hold_still", "--trained-on", "nowhere"), 2, "--trained-on nowhere: give a dataset of yamsim"),
         (("--policy", "hold_still", "--compare", "nowhere.json"), 2, "--compare nowhere.json: cannot be read"),
     ],
 )

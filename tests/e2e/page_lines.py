@@ -57,6 +57,7 @@ NOT_RUN = {
     r"^yamsim serve-robot (--rig yam_v1|--fault)": "tests/clients/test_i2rt.py serves arms with faults",
     r"--selection dataset/selection.yaml|^yamsim review --merge": "a person decides first; see tests/test_selection.py",
     r"^yamsim (merge|split)\b": "it needs other datasets; tests/datasets/test_derive.py has some",
+    r"picture_policy": "it needs PyTorch, with which tests/test_picture_policy.py runs these lines in miniature",
     r"^pip install\b": "it would change this environment; what is missing skips the test",
     r"^yamsim calibrate\b": "it needs larger pictures; tests/cli/test_calibrate_command.py has them",
     r"^yamsim match\b|matched.yaml": "it needs photos of a station; tests/match/test_match.py renders some",

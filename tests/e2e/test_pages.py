@@ -133,6 +133,7 @@ def write_inputs(folder: Path, locations: Locations) -> None:
     """Write a user's files: the text of the page if it has some, else files of the test."""
     (folder / "my_policy.py").write_text(snippet("python", "class MyPolicy"))
     (folder / "first_policy.py").write_text(snippet("python", "class FirstPolicy"))
+    (folder / "only_lights.yaml").write_text(snippet("yaml", "only_lights.yaml"))
     (folder / "stream.jsonl").write_text(snippet("json", '"event": "start"'))
     (folder / "mug.stl").write_bytes(block((0.04, 0.04, 0.09)))
     (folder / "my_rack.sdf").write_text(rack_sdf())

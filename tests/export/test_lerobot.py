@@ -111,6 +111,7 @@ def test_the_whole_is_described(export: Path, dataset: Path) -> None:
     assert json.loads(table.schema.metadata[b"pandas"])["index_columns"] == ["task"]
     assert rows(export, "meta/episodes/*/*.parquet")["tasks"] == [[task]] * EPISODES
     provenance = json.loads((export / "meta" / "yamsim.json").read_text())
+    assert provenance["recorded"]["rig"] == "single" and provenance["recorded"]["quality"]["name"]
     assert provenance["episodes"][2] == {"episode_index": 2, "episode": "ep_000002", "seed": 0, "attempt": 2}
     assert {path.name for path in export.iterdir()} == {"data", "meta", "videos"}
 

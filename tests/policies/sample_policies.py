@@ -82,6 +82,14 @@ class Random(Still):
         return {"ctrl": HOME + self.rng.normal(0, 0.01, 7), "magnet": np.bool_(False)}
 
 
+class Loaded(Random):
+    """Acts as `Random` on a machine under load: its answers take unequal times."""
+
+    def __call__(self, observation: Mapping[str, Any]) -> Mapping[str, Any]:
+        time.sleep(0.02 * (int(observation["time"] / 0.032) % 7 == 0))
+        return super().__call__(observation)
+
+
 class NoReset:
     def __call__(self, observation: Mapping[str, Any]) -> Mapping[str, Any]:
         return {}

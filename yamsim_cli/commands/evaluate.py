@@ -1,7 +1,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
 import typer
 
@@ -12,21 +12,15 @@ from yamsim_cli.flags.session_options import session_opener, session_settings
 from yamsim_cli.terminal.console import print_note, print_report, progress_bar
 from yamsim_cli.terminal.trial_tables import evaluation_table, film_with_progress, open_films
 
-if TYPE_CHECKING:
-    from yamsim_cli.core.config.session import Session
-    from yamsim_cli.policies.evaluate.evaluation import Evaluation
-    from yamsim_cli.policies.evaluate.policy_choice import PolicyChoice
-
 
 def evaluate(
     policy: Annotated[
-        str,
+        str | None,
         typer.Option(
             help="module:Class, file.py:Class, act://HOST:PORT, ws://HOST:PORT, lerobot:CHECKPOINT, http://HOST:PORT, "
-            "scripted, hold_still, or replay:DATASET.",
-            show_default=False,
+            "scripted, hold_still, or replay:DATASET. Not needed to compare reports.",
         ),
-    ],
+    ] = None,
     n: Annotated[int, typer.Option("--n", min=1, help="Trials.")] = 50,
     seed: flags.Seed = None,
     workers: flags.Workers = None,
@@ -42,6 +36,14 @@ def evaluate(
         typer.Option(
             help="Names that a policy of another program uses: a config of the kind policies.  "
             "[default: by the policy's protocol]"
+        ),
+    ] = None,
+    trained_on: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="DATASET",
+            help="Dataset that the policy was trained on: its image size and quality are used unless given, and "
+            "differences are reported.  [default: that of the policy's config or checkpoint]",
         ),
     ] = None,
     execute: Annotated[
@@ -80,7 +82,9 @@ def evaluate(
     compare: Annotated[
         list[str] | None,
         typer.Option(
-            help="Another policy on the same starts, or a report of --out; may be repeated.", metavar="POLICY|FILE.json"
+            help="Another policy on the same starts, or a report of --out; may be repeated. Without --policy, the "
+            "first report is compared with the others.",
+            metavar="POLICY|FILE.json",
         ),
     ] = None,
     out: ReportFile = None,
@@ -118,73 +122,64 @@ def evaluate(
 
     Exit code 6 if no trial ran to its end, so that no success rate was measured.
 
+    Without --policy, compare reports that --out wrote.
+
     Example: yamsim eval --policy my_policy.py:MyPolicy --n 50 --seed 0 --workers 2
     """
     if video_all and video is None:
         raise UsageError("--video-all is for videos: give --video")
     require_unused_reports(out, html, overwrite=overwrite)
-    from yamsim_cli.policies.action_chunks import ChunkSettings, read_latency
-    from yamsim_cli.policies.policy_loading import may_read_images, read_arguments
-
-    arguments, chunking = read_arguments(policy_arg or []), ChunkSettings(execute, ensemble, read_latency(latency))
     others = compare or []
-    renders = video is not None or any(may_read_images(name) for name in (policy, *others))
-    session = session_opener.open(config, renders=renders, wrist=True, **session_settings(locals()))
-
+    if policy is None:
+        report, reports = _compare_files(others)
+        _write_reports(report, reports, out, html)
+        print_report(report, lambda: evaluation_table(report), json)
+        return
     from yamsim_cli.core.episode.episode_rules import EndRule
+    from yamsim_cli.policies.action_chunks import ChunkSettings, read_latency
     from yamsim_cli.policies.evaluate import evaluation
     from yamsim_cli.policies.evaluate.policy_choice import PolicyChoice
+    from yamsim_cli.policies.evaluate.run import evaluate_and_compare, open_evaluation_session
+    from yamsim_cli.policies.policy_loading import read_arguments
     from yamsim_cli.trials import require_success
 
-    films = open_films(video, session.config, overwrite=overwrite) if video else None
-    known = _read_reports(others, session)
+    arguments, chunking = read_arguments(policy_arg or []), ChunkSettings(execute, ensemble, read_latency(latency))
     choice = PolicyChoice(
         policy, Path.cwd(), policy_timeout, time_limit, EndRule(end), arguments, policy_config, chunking
     )
-    found, report = _evaluate_with_progress(session, choice, trial_timeout)
-    compared_reports = [
-        known.get(name) or _evaluate_with_progress(session, choice.compared_with(name), trial_timeout)[1]
-        for name in others
-    ]
-    if others:
-        from yamsim_cli.policies.evaluate.compare import compare_reports as compare_reports
-
-        report["compared"] = [compare_reports(report, other) for other in compared_reports]
+    session, training = open_evaluation_session(
+        session_opener, config, choice, others, trained_on, renders=video is not None, **session_settings(locals())
+    )
+    films = open_films(video, session.config, overwrite=overwrite) if video else None
+    found = evaluate_and_compare(
+        session, choice, others, trial_timeout, training, lambda: progress_bar("trials", "trials")
+    )
+    report = found.report
     if films:
         report["videos"] = film_with_progress(
             films,
-            lambda shown: evaluation.film_evaluation(found, video_trials, films, session, shown, successes=video_all),
+            lambda shown: evaluation.film_evaluation(
+                found.evaluation, video_trials, films, session, shown, successes=video_all
+            ),
         )
-    write_json_report(report, out)
-    if html is not None:
-        from yamsim_cli.datasets.summarize import write_leaderboard
-
-        write_leaderboard([report, *compared_reports], report.get("compared", []), html)
-        print_note(f"The page is in {html}.")
+    _write_reports(report, found.others, out, html)
     print_report(report, lambda: evaluation_table(report), json)
     evaluation.require_measured_trials(report)
     require_success(report["stats"], min_success)
 
 
-def _read_reports(names: list[str], session: Session) -> dict[str, dict[str, Any]]:
-    """Return name -> report of an earlier evaluation, for names that end in .json. Its trials must equal this
-    session's.
-    """
-    from yamsim_cli.policies.evaluate.compare import read_report, require_same_trials
-    from yamsim_cli.trials import trial_settings
+def _compare_files(names: list[str]) -> tuple[dict[str, Any], list[dict[str, Any]]]:
+    if len(names) < 2 or not all(name.endswith(".json") for name in names):
+        raise UsageError("give --policy, or two reports of --out to compare: --compare A.json --compare B.json")
+    from yamsim_cli.policies.evaluate.run import compare_report_files
 
-    reports = {name: read_report(Path(name)) for name in names if name.endswith(".json")}
-    for report in reports.values():
-        require_same_trials(trial_settings(session.config), report)
-    return reports
+    return compare_report_files(names)
 
 
-def _evaluate_with_progress(
-    session: Session, choice: PolicyChoice, trial_timeout: float
-) -> tuple[Evaluation, dict[str, Any]]:
-    from yamsim_cli.core.statistics import THRESHOLDS
-    from yamsim_cli.policies.evaluate import evaluation
+def _write_reports(report: dict[str, Any], others: list[dict[str, Any]], out: Path | None, html: Path | None) -> None:
+    write_json_report(report, out)
+    if html is not None:
+        from yamsim_cli.datasets.summarize import write_leaderboard
 
-    with progress_bar("trials", "trials") as advance:
-        found = evaluation.evaluate(session, choice, advance, trial_timeout)
-    return found, evaluation.evaluation_report(found, session.config, THRESHOLDS)
+        write_leaderboard([report, *others], report.get("compared", []), html)
+        print_note(f"The page is in {html}.")

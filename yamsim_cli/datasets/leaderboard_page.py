@@ -48,8 +48,12 @@ def _policy_row(report: Mapping[str, Any]) -> list[str]:
 def _pair_table(first: Mapping[str, Any], pairs: Sequence[Mapping[str, Any]]) -> Markup | None:
     if not pairs:
         return None
-    cells = [[pair["policy"], *(str(pair[key]) for key in _OUTCOMES), f"{pair['p_value']:.3g}"] for pair in pairs]
-    headings = ("against", "both", f"only {first['policy']}", "only the other", "neither", "p (McNemar, exact)")
+    cells = [
+        [pair["policy"], *(str(pair[key]) for key in _OUTCOMES), _difference(pair), f"{pair['p_value']:.3g}"]
+        for pair in pairs
+    ]
+    outcomes = ("both", f"only {first['policy']}", "only the other", "neither")
+    headings = ("against", *outcomes, "difference (95 % interval)", "p (McNemar, exact)")
     return html_section("Trial by trial", html_table(headings, cells))
 
 
@@ -69,6 +73,11 @@ def _instance_table(reports: Sequence[Mapping[str, Any]]) -> Markup:
     return html_section(
         "By instance", html_table(("instance", "policy", "success", "95 % interval", "answer, median"), cells)
     )
+
+
+def _difference(pair: Mapping[str, Any]) -> str:
+    low, high = pair["difference95"]
+    return f"{pair['difference']:+.1%} ({low:+.1%} to {high:+.1%})"
 
 
 def _interval(bounds: Sequence[float]) -> str:

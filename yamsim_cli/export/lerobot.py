@@ -22,6 +22,7 @@ from ..core.dataset.reader import RecordedEpisode, StoredEpisode, read_side_by_s
 from ..core.errors import DatasetError
 from ..core.images.video import BT601, VideoWriter, require_encoder
 from ..core.progress import Progress
+from ..recorded_settings import describe_recorded_settings
 from . import lerobot_schema as schema
 from .export_source import ActionSource, ExportSource, Frames, RealEpisode, RealSource, SimulatedSource
 from .lerobot_schema import LeRobotFeature, SeriesFile, TableSeries, episode_table, frames_table, write_tasks
@@ -106,7 +107,7 @@ class _FeatureSource(ABC):
 
 class _SimulatedContent(_FeatureSource):
     def __init__(self, source: SimulatedSource, pictures: bool, environment_state: bool) -> None:
-        super().__init__(pictures, {})
+        super().__init__(pictures, {"recorded": describe_recorded_settings(source.config)})
         self._source = source
         self._cameras = tuple(source.camera_sizes) if pictures else ()
         self._things = tuple(object_pose_keys(source.config)) if environment_state else ()

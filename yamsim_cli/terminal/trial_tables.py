@@ -91,6 +91,9 @@ def _evaluation_rows(report: dict[str, Any]) -> Iterator[tuple[str, str]]:
             f"{chunks['actions']} in {chunks['chunks']} chunks; {chunks['stale']} came too late, "
             f"and for {chunks['waited_s']:.2f} s no action was available",
         )
+    for key, label in (("offset_m", "mean offset from the target"), ("offset_in_hand_m", "mean offset in the hand")):
+        if found := stats.get(key):
+            yield label, _offset_text(found)
     if len(stats["by_instance"]) > 1:
         for one in stats["by_instance"]:
             low, high = one["wilson95"]
@@ -100,8 +103,11 @@ def _evaluation_rows(report: dict[str, Any]) -> Iterator[tuple[str, str]]:
             "compared",
             f"with {pair['policy']}: {pair['success_rate']:.1%}; both {pair['both']}, only {report['policy']} "
             f"{pair['only_first']}, only the other {pair['only_second']}, neither {pair['neither']} of {pair['n']}; "
+            f"difference {pair['difference']:+.1%} ({pair['difference95'][0]:+.1%} to {pair['difference95'][1]:+.1%}), "
             f"p = {pair['p_value']:.3g} (McNemar, exact)",
         )
+        for key, (one, other) in pair["settings_differ"].items():
+            yield "compared", f"{key} differs: {one} here, {other} for {pair['policy']}"
     for trial in report["trials"]:
         if trial["error"]:
             yield f"trial {trial['trial']}: {trial['ended']}", trial["error"]
@@ -111,6 +117,12 @@ def _evaluation_rows(report: dict[str, Any]) -> Iterator[tuple[str, str]]:
 
 def _spread_text(spread: dict[str, float], thousandths: str) -> str:
     return ", ".join(f"{name} {value * 1000:.1f} {thousandths}" for name, value in spread.items())
+
+
+def _offset_text(offset: dict[str, Any]) -> str:
+    """Return mean and standard deviation by axis, such as "x +1.0 mm (3.0), y -2.0 mm (4.0)"."""
+    values = zip("xyz", offset["mean"], offset["deviation"], strict=False)
+    return ", ".join(f"{axis} {mean * 1000:+.1f} mm ({deviation * 1000:.1f})" for axis, mean, deviation in values)
 
 
 def _film_rows(report: dict[str, Any]) -> Iterator[tuple[str, str]]:

@@ -12,6 +12,7 @@ import yamsim_cli
 from tests.core.dataset.making import FRAMES, made
 from yamsim_cli.core.dataset.reader import StoredEpisode, StoredEpisodes
 from yamsim_cli.core.errors import DatasetError
+from yamsim_cli.core.images.jpeg import decode_jpeg
 
 Build = Callable[..., Path]
 
@@ -44,6 +45,27 @@ def test_a_slice_of_a_dataset_is_a_sequence(episodes: StoredEpisodes) -> None:
     assert numbers(episodes[::-2]) == [2, 0]
     assert episodes[1:][0].record.episode == 1
     assert len(episodes[5:]) == 0
+
+
+def test_an_episode_and_a_dataset_become_arrays(episodes: StoredEpisodes, dataset: Path) -> None:
+    episode, frames = episodes[1], episodes[1].frames()
+    found = episode.arrays(["scene_camera"])
+    for key in ("joints", "ctrl", "magnet", "timestamp", "ee_pose"):
+        np.testing.assert_array_equal(found[key], [frame[key] for frame in frames])
+    width, height = episode.record.cameras["scene_camera"]
+    assert (found["scene_camera"].shape, found["scene_camera"].dtype) == ((FRAMES, height, width, 3), np.uint8)
+    np.testing.assert_array_equal(found["scene_camera"][2], decode_jpeg(episode.image("scene_camera", 2)))
+    assert {"language_task", "intrinsics", "sim_ctrl"}.isdisjoint(found)
+    whole = episodes.arrays(["scene_camera"])
+    assert whole["episode_index"].tolist() == [k for k in range(3) for _ in range(FRAMES)]
+    for key, rows in found.items():
+        np.testing.assert_array_equal(whole[key][FRAMES : 2 * FRAMES], rows)
+    assert episodes[5:].arrays() == {"episode_index": pytest.approx(np.zeros(0))}
+
+
+def test_arrays_of_a_camera_that_is_not_there_name_the_others(episodes: StoredEpisodes) -> None:
+    with pytest.raises(DatasetError, match="ep_000001: no camera 'front'; valid: scene_camera"):
+        episodes[1].arrays(["front"])
 
 
 @pytest.mark.parametrize("place", [3, -4])

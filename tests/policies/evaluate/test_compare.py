@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import itertools
 import json
+import math
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,13 @@ import pytest
 
 from yamsim_cli.core.errors import UsageError
 from yamsim_cli.datasets.leaderboard_page import leaderboard_page
-from yamsim_cli.policies.evaluate.compare import compare_reports, mcnemar_p_value, read_report
+from yamsim_cli.policies.evaluate.compare import (
+    compare_reports,
+    difference_interval_95,
+    mcnemar_p_value,
+    read_report,
+)
+from yamsim_cli.policies.evaluate.run import compare_report_files
 
 
 def report(name: str, good: str) -> dict[str, Any]:
@@ -55,8 +62,46 @@ def test_trials_are_paired() -> None:
     found = compare_reports(report("a", "1111100000"), report("b", "1100000001"))
     assert found == {
         "policy": "b", "success_rate": 0.3, "n": 10,
-        "both": 2, "only_first": 3, "only_second": 1, "neither": 4, "p_value": 0.625,
+        "both": 2, "only_first": 3, "only_second": 1, "neither": 4, "difference": 0.2,
+        "difference95": difference_interval_95(3, 1, 10), "p_value": 0.625, "settings_differ": {},
     }  # fmt: skip
+
+
+def test_the_interval_of_the_difference_holds_the_true_difference_as_often_as_it_says() -> None:
+    """For two dependent policies on few trials: of all outcomes, weighted by their probability."""
+    n, only_first, only_second = 30, 0.25, 0.1
+    other = 1 - only_first - only_second
+    covered = 0.0
+    for k in range(n + 1):
+        for m in range(n + 1 - k):
+            ways = math.factorial(n) // (math.factorial(k) * math.factorial(m) * math.factorial(n - k - m))
+            low, high = difference_interval_95(k, m, n)
+            chance = ways * only_first**k * only_second**m * other ** (n - k - m)
+            covered += chance * (low <= only_first - only_second <= high)
+    assert 0.94 < covered < 0.975
+
+
+def test_the_interval_of_the_difference_is_that_of_the_formula_and_symmetric() -> None:
+    # By hand: 7 / 102 = 0.068627, and 1.959964 sqrt((13 / 102 - 0.068627^2) / 102) = 0.067990
+    assert difference_interval_95(9, 2, 100) == pytest.approx((0.000638, 0.136617), abs=1e-6)
+    low, high = difference_interval_95(2, 9, 100)
+    assert (-high, -low) == pytest.approx(difference_interval_95(9, 2, 100))
+    assert difference_interval_95(3, 0, 3)[1] == 1.0
+
+
+def test_reports_in_files_are_compared_and_unequal_settings_named(tmp_path: Path) -> None:
+    """What is of the policies alone, such as their arguments, may differ."""
+    for name, good, settings in (
+        ("a", "1110", {"execute": 2, "quality": "fast", "policy_arguments": {"steps": 1}}),
+        ("b", "1000", {"execute": 8, "quality": "fast", "policy_arguments": {}}),
+        ("older", "0000", None),
+    ):
+        made = report(name, good) | ({} if settings is None else {"settings": settings})
+        (tmp_path / f"{name}.json").write_text(json.dumps(made))
+    first, others = compare_report_files([str(tmp_path / f"{name}.json") for name in ("a", "b", "older")])
+    assert [other["policy"] for other in others] == ["b", "older"]
+    assert [pair["settings_differ"] for pair in first["compared"]] == [{"execute": [2, 8]}, {}]
+    assert [pair["difference"] for pair in first["compared"]] == [0.5, 0.75]
 
 
 @pytest.mark.parametrize(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import math
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -22,6 +23,7 @@ from yamsim_cli.core.episode.episode_rules import EndRule, EpisodeRules
 from yamsim_cli.core.episode.simulator import Simulator, open_episode
 from yamsim_cli.core.errors import PartialJobError, UsageError
 from yamsim_cli.core.files.resources import Locations
+from yamsim_cli.policies.action_chunks import ChunkSettings
 from yamsim_cli.policies.evaluate.evaluation import (
     Evaluation,
     evaluate,
@@ -54,7 +56,7 @@ def strict(make_config: Callable[..., RecordConfig]) -> RecordConfig:
 def trial(config: RecordConfig, locations: Locations) -> Iterator[Callable[..., TrialResult]]:
     """One trial of a sample policy, or of a built-in one."""
 
-    def run(name: str, attempt: int = 0, seed: int = 0, **limits: float) -> TrialResult:
+    def run(name: str, attempt: int = 0, seed: int = 0, **limits: Any) -> TrialResult:
         choice = PolicyChoice(name, SAMPLES, **limits)
         with TrialRunner(Session(config, locations), choice) as runner:
             return runner.run(AttemptJob(seed, attempt))
@@ -252,6 +254,63 @@ def test_a_random_policy_is_seeded_by_its_trial(trial: Callable[..., TrialResult
     assert other.actions is not None
     np.testing.assert_array_equal(one.actions.ctrl, again.actions.ctrl)
     assert np.abs(one.actions.ctrl - other.actions.ctrl).max() > 1e-3
+
+
+@pytest.mark.parametrize("latency", [0.0, 0.08])
+def test_verdicts_do_not_depend_on_the_machine(
+    latency: float, trial: Callable[..., TrialResult], config: RecordConfig, locations: Locations
+) -> None:
+    """Slow answers and a simulated latency: the same states, bit for bit."""
+    quick, slow = (
+        trial(f"sample_policies.py:{name}", 2, time_limit=0.6, chunking=ChunkSettings(latency=latency))
+        for name in ("Random", "Loaded")
+    )
+    assert quick.actions is not None and slow.actions is not None
+    np.testing.assert_array_equal(quick.actions.ctrl, slow.actions.ctrl)
+    assert (quick.outcome, quick.ended, quick.chunk_stats) == (slow.outcome, slow.ended, slow.chunk_stats)
+    assert max(slow.seconds) >= 0.02
+
+
+def test_a_trial_says_where_the_object_was_grasped_and_left(trial: Callable[..., TrialResult]) -> None:
+    done = trial("scripted", attempt=1)
+    assert done.offset is not None and done.offset_in_hand is not None
+    assert math.hypot(*done.offset) == done.outcome.dxy_m
+    # The weld takes an object within 6 cm of the pinch site, here a banana of 19 cm.
+    assert 0 < math.hypot(*done.offset_in_hand) < 0.1
+    still = trial("hold_still", attempt=1, time_limit=0.2)
+    assert still.offset is not None
+    assert (math.hypot(*still.offset), still.offset_in_hand) == (still.outcome.dxy_m, None)
+
+
+def test_a_report_says_with_which_settings_it_ran(config: RecordConfig, locations: Locations) -> None:
+    """Of chunks those that acted: a policy's own where none are given."""
+    choice = PolicyChoice(
+        "sample_policies.py:Chunked",
+        SAMPLES,
+        10,
+        0.32,
+        arguments={"actions": 6},
+        chunking=ChunkSettings(3, 0.01, 0.064),
+    )
+    with TrialRunner(Session(config, locations), choice) as runner:
+        result = runner.run(AttemptJob(0, 0))
+    report = json.loads(json.dumps(evaluation_report(Evaluation(choice, (result,), 1.0, ("banana",)), config, ())))
+    assert report["settings"] == {
+        "policy_arguments": {"actions": 6},
+        "policy_config": None,
+        "execute": 3,
+        "ensemble": 0.01,
+        "latency_s": 0.064,
+        "time_limit_s": 0.32,
+        "policy_timeout_s": 10,
+        "size_px": list(config.image.size_px),
+        "quality": config.render.name,
+        "randomization": "none",
+        "randomized": [],
+        "camera_effects": [],
+    }
+    assert report["trials"][0]["offset_m"] == report["stats"]["offset_m"]["mean"] == list(result.offset or ())
+    assert report["stats"]["offset_in_hand_m"] is None
 
 
 @pytest.mark.render

@@ -106,6 +106,7 @@ class PolicyConfig(Config):
         seed: key of the trial's seed.
         constants: key -> constant value in every observation.
         realtime_chunking: how chunks continue each other; if left out, each chunk is for its own observation alone.
+        trained_on: dataset or export that the policy was trained on; `eval` uses its image size and quality.
     """
 
     name: Name
@@ -121,6 +122,7 @@ class PolicyConfig(Config):
     constants: dict[MessageKey, ConstantValue] = Field(default={}, max_length=32)
     actions: ActionsMapping
     realtime_chunking: RealtimeChunking | None = None
+    trained_on: str | None = Field(default=None, min_length=1, max_length=1000)
 
     @model_validator(mode="after")
     def _keys_are_unique(self) -> PolicyConfig:

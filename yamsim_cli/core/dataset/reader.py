@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, Self, SupportsIndex, overload
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..config.recording import RecordConfig
 from ..config.rig import RigConfig
@@ -84,6 +85,16 @@ class RecordedEpisode:
     def image(self, camera: str, number: int) -> bytes:
         """Return the JPEG bytes of a frame. Raise DatasetError if the file is missing or altered."""
         return self.read_verified(image_path(camera, self.first_frame + number))
+
+    def arrays(self, cameras: Sequence[str] = ()) -> dict[str, NDArray[Any]]:
+        """Return key -> numbers of all frames (frames, ...), and camera -> its RGB images (frames, height, width, 3).
+
+        Texts, cameras' matrices and keys of the simulation are left out. Raise DatasetError as `frames` and `image` do.
+        """
+        frames, images = self.frames(), RecordedImages(self)
+        kept = [key for key, value in frames[0].items() if not isinstance(value, str | dict) and key[:4] != "sim_"]
+        pictures = {camera: np.stack([images.read_image(camera, k) for k in range(len(frames))]) for camera in cameras}
+        return {key: np.array([frame[key] for frame in frames]) for key in kept} | pictures
 
 
 @dataclass(frozen=True)
@@ -161,6 +172,13 @@ class StoredEpisodes(Sequence[StoredEpisode]):
         except IndexError:
             raise IndexError(f"{self.path} has {count_noun(len(self), 'episode')}, but none at index {key}") from None
         return self._open(directory)
+
+    def arrays(self, cameras: Sequence[str] = ()) -> dict[str, NDArray[Any]]:
+        """Return the `arrays` of all episodes in a row, of keys that all have, and `episode_index` (frames,)."""
+        each = [episode.arrays(cameras) for episode in self]
+        index = np.repeat(np.arange(len(each)), [len(one["timestamp"]) for one in each])
+        shared = [key for key in each[0] if all(key in one for one in each)] if each else []
+        return {key: np.concatenate([one[key] for one in each]) for key in shared} | {"episode_index": index}
 
     def __repr__(self) -> str:
         return f"<{count_noun(len(self), 'episode')} of {self.path}>"
@@ -283,6 +301,8 @@ class RecordedImages:
         # Imported here because OpenCV takes 0.1 s to load and most readers need no images.
         from ..images.jpeg import decode_jpeg
 
+        if camera not in self.cameras:
+            raise DatasetError(f"{self._episode.directory}: no camera {camera!r}; valid: {', '.join(self.cameras)}")
         image = decode_jpeg(self._episode.image(camera, frame))
         width, height = self._episode.record.cameras[camera]
         if image is None or image.shape[:2] != (height, width):

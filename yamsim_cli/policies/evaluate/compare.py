@@ -1,4 +1,4 @@
-"""Compare two policies on the same starts by McNemar's test."""
+"""Compare two policies on the same starts: McNemar's test, and the interval of the difference."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from yamsim_cli.core.errors import UsageError
 
 _SHARED_KEYS = ("task", "rig", "grasp", "arms", "seed")  # keys of a report that must be equal
 _MAX_BYTES = 500_000_000  # largest size of a report's file
+_Z95 = 1.959963984540054  # two-sided 95 % quantile of the normal distribution
 
 
 def mcnemar_p_value(only_first: int, only_second: int) -> float:
@@ -25,6 +26,21 @@ def mcnemar_p_value(only_first: int, only_second: int) -> float:
     # Integers, because floats overflow from about a thousand trials on.
     as_uneven: int = 2 * sum(math.comb(n, k) for k in range(fewer + 1))
     return min(1.0, float(Fraction(as_uneven, 1 << n)))
+
+
+def difference_interval_95(only_first: int, only_second: int, n: int) -> tuple[float, float]:
+    """Return the 95 % interval of the difference of two success rates on the same `n` trials, -1 to 1.
+
+    Valid for small n. Source: D. G. Bonett and R. M. Price, "Adjusted Wald confidence interval for a difference of
+    binomial proportions based on paired data", Journal of Educational and Behavioral Statistics 37 (2012).
+
+    Args:
+        only_first, only_second: trials in which only this policy succeeded.
+    """
+    first, second = (only_first + 1) / (n + 2), (only_second + 1) / (n + 2)
+    difference = first - second
+    half = _Z95 * math.sqrt((first + second - difference**2) / (n + 2))
+    return max(-1.0, difference - half), min(1.0, difference + half)
 
 
 def read_report(path: Path) -> dict[str, Any]:
@@ -61,9 +77,11 @@ def require_same_trials(expected: Mapping[str, Any], report: Mapping[str, Any]) 
 
 
 def compare_reports(first: Mapping[str, Any], second: Mapping[str, Any]) -> dict[str, Any]:
-    """Compare two reports trial by trial. Return counts of successes and McNemar's exact p-value as JSON data.
+    """Compare two reports trial by trial, and return counts of successes as JSON data.
 
-    `policy` and `success_rate` come from the second report.
+    `policy` and `success_rate` are of the second report. `difference` is the success rate of the first report minus
+    that of the second, with its 95 % interval `difference95` and McNemar's exact `p_value`. `settings_differ` has each
+    setting with unequal values, as [first, second].
     """
     name = second["policy"]
     require_same_trials(first, second)
@@ -84,8 +102,18 @@ def compare_reports(first: Mapping[str, Any], second: Mapping[str, Any]) -> dict
         "success_rate": second["stats"]["success_rate"],
         "n": len(one),
         **counts,
+        "difference": (counts["only_first"] - counts["only_second"]) / len(one) if one else 0.0,
+        "difference95": difference_interval_95(counts["only_first"], counts["only_second"], len(one)),
         "p_value": mcnemar_p_value(counts["only_first"], counts["only_second"]),
+        "settings_differ": _differing_settings(first, second),
     }
+
+
+def _differing_settings(first: Mapping[str, Any], second: Mapping[str, Any]) -> dict[str, list[Any]]:
+    # Reports of older versions have no settings.
+    one, other = first.get("settings") or {}, second.get("settings") or {}
+    own = {"policy_arguments", "policy_config", "trained_on"}  # of a policy, and not of its trials
+    return {key: [one[key], other[key]] for key in one if key in other and key not in own and one[key] != other[key]}
 
 
 def _is_same_trial_start(one: Mapping[str, Any], other: Mapping[str, Any]) -> bool:

@@ -7,6 +7,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from yamsim_cli.core.attempt_data import ActionSequence, Attempt, AttemptJob, Outcome
 from yamsim_cli.core.config.recording import RecordConfig
 from yamsim_cli.core.config.session import Session
@@ -31,7 +33,7 @@ from yamsim_cli.trials import (
 )
 
 from .policy_choice import PolicyChoice
-from .policy_trial import MEASURED_ENDS, TrialEnd, TrialResult, TrialRunner
+from .policy_trial import MEASURED_ENDS, TrialEnd, TrialResult, TrialRunner, trial_rules
 
 
 @dataclass(frozen=True)
@@ -89,6 +91,14 @@ def rates_by_objects(evaluation: Evaluation) -> list[dict[str, Any]]:
     return rows
 
 
+def _mean_offset(offsets: Sequence[tuple[float, ...] | None]) -> dict[str, Any] | None:
+    """Return mean and standard deviation of offsets by axis, m, and their number; None without offsets."""
+    rows = np.array([offset for offset in offsets if offset is not None])
+    if not len(rows):
+        return None
+    return {"n": len(rows), "mean": rows.mean(axis=0).tolist(), "deviation": rows.std(axis=0).tolist()}
+
+
 def _chunk_totals(results: Sequence[TrialResult], tick: float) -> dict[str, Any]:
     counts = [result.chunk_stats for result in results]
     return {
@@ -127,6 +137,8 @@ def evaluation_report(evaluation: Evaluation, config: RecordConfig, thresholds: 
         "policy_s": summarize_values(calls),
         "chunks": _chunk_totals(results, tick),
         "by_instance": rates_by_objects(evaluation),
+        "offset_m": _mean_offset([result.offset for result in results]),
+        "offset_in_hand_m": _mean_offset([result.offset_in_hand for result in results]),
         "slower_than_real_time": sum(seconds > tick for seconds in calls) / len(calls) if calls else None,
     }
     return {
@@ -134,6 +146,7 @@ def evaluation_report(evaluation: Evaluation, config: RecordConfig, thresholds: 
         "stats": stats,
         **trial_settings(config),
         "end_rule": evaluation.choice.end.value,
+        "settings": report_settings(evaluation, config),
         "tick_s": tick,
         "seconds": evaluation.seconds,
         "ticks_per_second": sum(result.ticks for result in results) / evaluation.seconds,
@@ -141,6 +154,27 @@ def evaluation_report(evaluation: Evaluation, config: RecordConfig, thresholds: 
             _trial_report(result, tick) | {"instance": evaluation.object_instances[k]}
             for k, result in enumerate(results)
         ],
+    }
+
+
+def report_settings(evaluation: Evaluation, config: RecordConfig) -> dict[str, Any]:
+    """Return what else decides the trials, as JSON data. `execute` is the policy's own value if none was given."""
+    choice = evaluation.choice
+    used = [result.chunking for result in evaluation.results if result.chunking is not None]
+    chunking = used[0] if used else choice.chunking
+    return {
+        "policy_arguments": dict(choice.arguments),
+        "policy_config": choice.mapping,
+        "execute": chunking.execute,
+        "ensemble": chunking.ensemble,
+        "latency_s": "measured" if chunking.latency is None else chunking.latency,
+        "time_limit_s": round((trial_rules(config, choice).max_ticks or 0) * config.task.timing.tick_seconds, 6),
+        "policy_timeout_s": choice.call_seconds,
+        "size_px": list(config.image.size_px),
+        "quality": config.render.name,
+        "randomization": config.randomization.name,
+        "randomized": list(config.randomization.varied_parts),
+        "camera_effects": [entry.model_dump(mode="json") for entry in config.camera_effects],
     }
 
 
@@ -166,6 +200,8 @@ def _trial_report(result: TrialResult, tick: float) -> dict[str, Any]:
         "simulated_s": round(result.ticks * tick, 6),
         "policy_s": summarize_values(result.seconds),
         "outcome": record_data(result.outcome),
+        "offset_m": result.offset,
+        "offset_in_hand_m": result.offset_in_hand,
         "layout": {name: list(pose) for name, pose in result.attempt.object_places.items()},
     }
 

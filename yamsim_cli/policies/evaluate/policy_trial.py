@@ -19,10 +19,11 @@ from yamsim_cli.core.geometry.se3 import Array
 from yamsim_cli.core.images.image import Image
 from yamsim_cli.core.workers.job_server import kill_forks_at_exit
 
-from ..action_chunks import ChunkScheduler, ChunkStats
+from ..action_chunks import ChunkScheduler, ChunkSettings, ChunkStats
 from ..policy_faults import PolicyFault
 from ..policy_loading import reset_policy, wanted_images, wanted_state
 from ..policy_protocol import InvalidActionError, Observation, read_chunk
+from .grasp_offset import GraspOffsetMonitor, final_offset
 from .observation import ObservationBuilder, ObservationRenderer, policy_cameras
 from .policy_calls import PolicyCaller, PolicyFailedError, PolicyTimeoutError, output_on_stderr
 from .policy_choice import PolicyChoice
@@ -61,6 +62,10 @@ class TrialResult:
         ticks: simulated control ticks.
         seconds: duration of each inference, s.
         actions: None if no tick was simulated.
+        offset: final position of the task's object from its target (x, y) in `world`, m; None without a target.
+        offset_in_hand: position of that object's origin (x, y, z) in `pinch_site` when a hand last grasped it, m; None
+            if no hand did.
+        chunking: the settings of chunks, with the policy's own values where none are given.
     """
 
     attempt: Attempt
@@ -72,6 +77,9 @@ class TrialResult:
     seconds: tuple[float, ...] = ()
     actions: ActionSequence | None = field(default=None, repr=False)
     chunk_stats: ChunkStats = field(default_factory=ChunkStats)
+    offset: tuple[float, float] | None = None
+    offset_in_hand: tuple[float, float, float] | None = None
+    chunking: ChunkSettings | None = None
 
 
 def trial_rules(config: RecordConfig, choice: PolicyChoice) -> EpisodeRules:
@@ -120,7 +128,7 @@ class TrialRunner(Closable):
         if start is not None:
             attempt = replace(attempt, start=start)
         seconds: list[float] = []
-        episode, ended, fault, count = self._drive_episode(simulator, attempt, seconds)
+        episode, ended, fault, count, offset_in_hand = self._drive_episode(simulator, attempt, seconds)
         result = episode.end_episode()
         outcome = build_outcome(simulator, result)
         if scripted:
@@ -130,12 +138,23 @@ class TrialRunner(Closable):
             record = record.model_copy(update={"success": False, "cause": ended.value, "detail": fault.text})
         actions = episode.executed_actions if episode.ticks else None
         return TrialResult(
-            attempt, record, ended, fault.text, fault.traceback, episode.ticks, tuple(seconds), actions, count
+            attempt,
+            record,
+            ended,
+            fault.text,
+            fault.traceback,
+            episode.ticks,
+            tuple(seconds),
+            actions,
+            count,
+            final_offset(simulator, result.T_at_end),
+            offset_in_hand,
+            self._chunking,
         )
 
     def _drive_episode(
         self, simulator: Simulator, attempt: Attempt, seconds: list[float]
-    ) -> tuple[Episode, TrialEnd, PolicyFault, ChunkStats]:
+    ) -> tuple[Episode, TrialEnd, PolicyFault, ChunkStats, tuple[float, float, float] | None]:
         config = self._config
         episode = open_episode(simulator, attempt, trial_rules(config, self._choice))
         renderer = ObservationRenderer(lambda qpos, camera: self._render_camera(simulator, attempt, qpos, camera))
@@ -144,11 +163,12 @@ class TrialRunner(Closable):
         scheduler = ChunkScheduler(
             self._chunking, config.task.timing.tick_seconds, hold, episode.simulated_encoder_readings(attempt.job)
         )
+        grasps = GraspOffsetMonitor(simulator, episode)
         try:
-            ended, fault = self._run_policy(scheduler, episode, observer, attempt, renderer, seconds)
+            ended, fault = self._run_policy(scheduler, episode, observer, attempt, renderer, seconds, grasps)
         finally:
             renderer.finish()
-        return episode, ended, fault, scheduler.chunk_stats
+        return episode, ended, fault, scheduler.chunk_stats, grasps.offset
 
     def _run_policy(
         self,
@@ -158,6 +178,7 @@ class TrialRunner(Closable):
         attempt: Attempt,
         renderer: ObservationRenderer,
         seconds: list[float],
+        grasps: GraspOffsetMonitor,
     ) -> tuple[TrialEnd, PolicyFault]:
         try:
             self._caller.call(lambda: reset_policy(self.policy, _policy_seed(attempt.job)))
@@ -168,6 +189,7 @@ class TrialRunner(Closable):
                     scheduler.add_chunk(read_chunk(answer, *observer.drive_shape), episode.ticks, self._caller.seconds)
                 ctrl, magnet = scheduler.command_at(episode.ticks)
                 episode.step(ctrl, magnet)
+                grasps.measure_tick()
         except InvalidActionError as error:
             return TrialEnd.INVALID, PolicyFault(str(error))
         except PolicyTimeoutError:

@@ -1,0 +1,216 @@
+"""A small policy from images, as an example of a training loop of your own. It needs PyTorch.
+
+    python -m tools.picture_policy demos picture_policy.pt
+    yamsim eval --policy tools/picture_policy.py:PicturePolicy --policy-arg weights=picture_policy.pt \
+        --trained-on demos --execute 2 --ensemble 0.01
+
+A convolutional trunk reads the scene camera's image, cropped to the table. A linear layer on its maps and two layers
+on top answer with a chunk of absolute actions. The loss is the mean absolute error (L1).
+"""
+
+from __future__ import annotations
+
+import argparse
+import copy
+import math
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import nn
+
+from yamsim_cli import ChunkWindows, ShuffledBatches, open_dataset
+
+CAMERA = "scene_camera"
+CROP = (
+    0.125,
+    0.29,
+    0.875,
+    0.96,
+)  # left, top, right, bottom as shares of the image: the table, seen by the rig `single`
+CHUNK = 32  # actions of 64 ms in an answer
+TICKS = 2  # control ticks of an action: two for each frame of a dataset
+CHANNELS, MAPS, FEATURES = 32, 16, 256  # of convolutions, of the last convolution, of linear layers
+BATCH, LEARNING_RATE, WEIGHT_DECAY = 64, 1.5e-3, 1e-3
+AVERAGE = 0.995  # share of the old value in the running mean of the weights, at each step
+BRIGHTNESS = 0.1  # largest random change of the gain of each colour, as a share
+SHIFT = 1  # px, largest random shift of the image
+JOINT_NOISE = 0.02  # standard deviation of noise on joints, in their own standard deviations
+SMALLEST_DEVIATION = 1e-3  # rad or m, so that a drive that hardly moves is not scaled to noise
+
+
+@dataclass(frozen=True)
+class Scaling:
+    """Means and standard deviations of joints (drives,) and actions (drives + arms,)."""
+
+    joint_mean: torch.Tensor
+    joint_deviation: torch.Tensor
+    action_mean: torch.Tensor
+    action_deviation: torch.Tensor
+
+    @classmethod
+    def of(cls, windows: ChunkWindows) -> Scaling:
+        """Compute them from all frames."""
+        rows = (np.array(windows.arrays[key]) for key in ("joints", "action"))
+        found = [
+            torch.from_numpy(values.astype(np.float32))
+            for row in rows
+            for values in (row.mean(axis=0), np.maximum(row.std(axis=0), SMALLEST_DEVIATION))
+        ]
+        return cls(*found)
+
+
+class PictureNet(nn.Module):
+    """Image and joints to a chunk of actions, all scaled.
+
+    Args:
+        height, width: of the cropped image, px.
+        drives, numbers: of the joints, and of an action.
+    """
+
+    def __init__(self, height: int, width: int, drives: int, numbers: int) -> None:
+        super().__init__()
+        inner = [
+            layer
+            for _ in range(2)
+            for layer in (nn.Conv2d(CHANNELS, CHANNELS, 3, padding=1), nn.GroupNorm(4, CHANNELS), nn.ReLU())
+        ]
+        self.trunk = nn.Sequential(
+            nn.Conv2d(3, CHANNELS, 5, stride=2, padding=2),
+            nn.ReLU(),
+            *inner,
+            nn.Conv2d(CHANNELS, MAPS, 3, padding=1),
+            nn.ReLU(),
+            nn.Flatten(),
+            nn.Linear(MAPS * math.ceil(height / 2) * math.ceil(width / 2), FEATURES),
+        )
+        self.head = nn.Sequential(
+            nn.LayerNorm(FEATURES + drives),
+            nn.Linear(FEATURES + drives, FEATURES),
+            nn.ReLU(),
+            nn.Linear(FEATURES, CHUNK * numbers),
+        )
+
+    def forward(self, image: torch.Tensor, joints: torch.Tensor) -> torch.Tensor:
+        """Return actions (batch, chunk, numbers) for images (batch, 3, height, width) and joints (batch, drives)."""
+        features = torch.cat([self.trunk(image), joints], dim=1)
+        return self.head(features).unflatten(1, (CHUNK, -1))
+
+
+def crop(images: np.ndarray) -> np.ndarray:
+    """Return the part of images (..., height, width, 3) that shows the table."""
+    height, width = images.shape[-3:-1]
+    left, top, right, bottom = (round(share * size) for share, size in zip(CROP, (width, height) * 2, strict=True))
+    return images[..., top:bottom, left:right, :]
+
+
+def to_input(images: np.ndarray) -> torch.Tensor:
+    """Convert cropped images (batch, height, width, 3), uint8, to an input (batch, 3, height, width), -1 to 1."""
+    return torch.from_numpy(np.ascontiguousarray(images)).permute(0, 3, 1, 2).float() / 127.5 - 1
+
+
+def augment(image: torch.Tensor, generator: torch.Generator) -> torch.Tensor:
+    """Vary the gain of colours, and shift the images of a batch."""
+    gain = 1 + BRIGHTNESS * (2 * torch.rand(len(image), 3, 1, 1, generator=generator) - 1)
+    x, y = (int(torch.randint(-SHIFT, SHIFT + 1, (1,), generator=generator)) for _ in range(2))
+    return torch.roll((image + 1) * gain - 1, (y, x), dims=(2, 3))
+
+
+def train(demos: Path, out: Path, *, steps: int, seed: int, episodes: int | None = None, batch: int = BATCH) -> float:
+    """Train on the first `episodes` of a dataset, write the weights to `out`, and return the last mean loss."""
+    torch.manual_seed(seed)
+    generator = torch.Generator().manual_seed(seed)
+    windows = ChunkWindows(open_dataset(demos)[:episodes], [CAMERA], chunk=CHUNK)
+    scaling, first = Scaling.of(windows), windows[0]
+    height, width = crop(first[CAMERA]).shape[:2]
+    net = PictureNet(height, width, first["joints"].size, first["action"].shape[-1])
+    net = net.to(memory_format=torch.channels_last)
+    averaged = copy.deepcopy(net)
+    optimizer = torch.optim.AdamW(net.parameters(), LEARNING_RATE, weight_decay=WEIGHT_DECAY)
+    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, steps)
+    batches = ShuffledBatches(len(windows), min(batch, len(windows)), seed=seed)
+    done, losses, began = 0, [], time.process_time()
+    for epoch in range(math.ceil(steps / len(batches))):
+        batches.set_epoch(epoch)
+        for rows in batches:
+            window = windows[rows]
+            joints = (torch.from_numpy(window["joints"]) - scaling.joint_mean) / scaling.joint_deviation
+            joints = joints + JOINT_NOISE * torch.randn(joints.shape, generator=generator)
+            wanted = (torch.from_numpy(window["action"]) - scaling.action_mean) / scaling.action_deviation
+            image = augment(to_input(crop(window[CAMERA])), generator).contiguous(memory_format=torch.channels_last)
+            with torch.autocast("cpu", torch.bfloat16):
+                answer = net(image, joints)
+            loss = nn.functional.l1_loss(answer.float(), wanted)
+            optimizer.zero_grad()
+            loss.backward()
+            optimizer.step()
+            schedule.step()
+            done += 1
+            share = min(AVERAGE, done / (done + 10))  # from a short mean at the beginning to a long one
+            with torch.no_grad():
+                for mean, value in zip(averaged.parameters(), net.parameters(), strict=True):
+                    mean.lerp_(value, 1 - share)
+            losses.append(loss.item())
+            if done % 100 == 0 or done == steps:
+                last = float(np.mean(losses[-100:]))
+                print(
+                    f"step {done}: loss {last:.4f}, {time.process_time() - began:.0f} s of processor time", flush=True
+                )
+            if done == steps:
+                break
+    torch.save({"weights": averaged.state_dict(), "scaling": vars(scaling), "shape": (height, width)}, out)
+    return float(np.mean(losses[-100:]))
+
+
+class PicturePolicy:
+    """The trained policy for `yamsim eval`."""
+
+    images = ("scene",)
+    ticks = TICKS
+
+    def __init__(self, weights: str) -> None:
+        stored = torch.load(weights, weights_only=True)
+        self._scaling, self._shape = Scaling(**stored["scaling"]), tuple(stored["shape"])
+        drives, numbers = len(self._scaling.joint_mean), len(self._scaling.action_mean)
+        height, width = self._shape
+        self._net = PictureNet(height, width, drives, numbers).eval()
+        self._net.load_state_dict(stored["weights"])
+        torch.set_num_threads(1)
+
+    def reset(self) -> None:
+        """Do nothing: the policy has no memory."""
+
+    def __call__(self, observation: Mapping[str, Any]) -> dict[str, Any]:
+        """Return a chunk of commands and welds."""
+        image = crop(observation["scene_rgb"])
+        if image.shape[:2] != self._shape:
+            raise ValueError(f"the cropped image is {image.shape[:2]}, in training {self._shape}: give --trained-on")
+        scaling = self._scaling
+        joints = torch.from_numpy(np.asarray(observation["joints"], np.float32))
+        with torch.inference_mode():
+            answer = self._net(to_input(image[None]), ((joints - scaling.joint_mean) / scaling.joint_deviation)[None])
+        actions = (answer[0] * scaling.action_deviation + scaling.action_mean).numpy()
+        drives = len(joints)
+        return {"ctrl": actions[:, :drives], "magnet": actions[:, drives:] > 0.5}
+
+
+def main() -> None:
+    """Train by command line."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("demos", type=Path, help="dataset of yamsim record")
+    parser.add_argument("out", type=Path, help="file of the weights")
+    parser.add_argument("--episodes", type=int, help="train on the first ones only")
+    parser.add_argument("--steps", type=int, default=2500)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--threads", type=int, default=1)
+    given = parser.parse_args()
+    torch.set_num_threads(given.threads)
+    train(given.demos, given.out, steps=given.steps, seed=given.seed, episodes=given.episodes)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,18 @@
+"""Settings of a recording on which a policy that was trained on it depends."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from .core.config.recording import RecordConfig
+
+
+def describe_recorded_settings(config: RecordConfig) -> dict[str, Any]:
+    """Return image size (width, height), px, rendering quality, rig, task and grasp of a recording, as JSON data."""
+    return {
+        "size_px": list(config.image.size_px),
+        "quality": config.render.model_dump(mode="json"),
+        "rig": config.rig.name,
+        "task": config.task.name,
+        "grasp": config.grasp,
+    }
