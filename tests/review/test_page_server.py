@@ -231,9 +231,12 @@ def test_a_page_that_vanished_blocks_for_a_few_seconds() -> None:
 def test_a_second_review_of_the_same_file_is_refused(server: ReviewServer, dataset: Path) -> None:
     run = yamsim("review", dataset)
     assert run.code == 4
-    assert "is being written by another `yamsim review`" in run.err
-    with pytest.raises(ResourceError, match="another `yamsim review`"):
+    assert f"is being written by process {os.getpid()} on " in run.err
+    assert "choose another --out" in run.err
+    with pytest.raises(ResourceError, match="selection.yaml is being written by process"):
         DecisionFile(dataset / "selection.yaml", dataset, {}, None)
+    DecisionFile(dataset / "bob.yaml", dataset, {}, None).close()
+    assert [path.name for path in dataset.glob(".*.lock")] == [".selection.yaml.lock"]
 
 
 def test_a_changed_episode_is_undecided_again(ask: Ask, token: str, dataset: Path, tmp_path: Path) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -82,7 +82,7 @@ def read_rows(dataset: Path, problems: Mapping[int, tuple[str, ...]]) -> list[di
         else:
             record = open_recorded_episode(directory.path).record
             row = _row_of_record(number, record, frames.get(number, (0, None))[1])
-        rows.append(asdict(row) | {"problems": problems.get(number, ())})
+        rows.append(vars(row) | {"problems": problems.get(number, ())})
     filled = [key for key in EpisodeRow.__dataclass_fields__ if any(row[key] not in (None, "", ()) for row in rows)]
     return [{key: row[key] for key in filled} for row in rows]
 
