@@ -142,7 +142,7 @@ def write_stubs(path: Path, episodes: int) -> None:
 def _served(dataset: Path) -> Iterator[tuple[str, int, float]]:
     """Yield the page's address, the server's process id, and the seconds of its start."""
     began = time.perf_counter()
-    command = [sys.executable, "-m", "yamsim_cli", "review", dataset, "--port", "0"]
+    command = [sys.executable, "-m", "yamsim_cli", "review", str(dataset), "--port", "0"]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
     try:
         assert process.stdout is not None

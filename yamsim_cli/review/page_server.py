@@ -26,6 +26,7 @@ from ..http_origin import refusal_reason
 from ..selection import EpisodeDecision
 from .decisions import DecisionFile
 from .episode_detail import film_strip, read_picture, timeline
+from .episode_index import COLUMN_NAMES
 
 LOOPBACK = "127.0.0.1"
 CLAIM_SECONDS = 6.0  # s after which a page that no longer renews its claim counts as closed; it renews every 2 s
@@ -158,6 +159,7 @@ class ReviewServer(ThreadingHTTPServer):
             "stale": self._decisions.stale,
             "session": self._session,
             "decisions": decisions,
+            "names": COLUMN_NAMES,
         }
         return f'{json.dumps(head, ensure_ascii=False)[:-1]},"episodes":{self._rows}}}'.encode()
 
