@@ -199,6 +199,16 @@ def test_an_invalid_decision_is_refused(ask: Ask, token: str, dataset: Path, val
     assert not (dataset / "selection.yaml").exists()
 
 
+def test_only_the_page_that_decides_starts_the_scene_of_an_episode_that_exists(
+    ask: Ask, token: str, server: ReviewServer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(server.scenes, "play", lambda directory: f"http://127.0.0.1:1/{directory.name}")
+    assert ask("/api/scene", {"token": token, "episode": 3}) == (200, {"url": "http://127.0.0.1:1/ep_000003"})
+    assert ask("/api/scene", {"token": "other", "episode": 3})[0] == 409
+    assert ask("/api/scene", {"token": token, "episode": "../../3"})[0] == 400
+    assert ask("/api/scene", {"token": token, "episode": 77})[0] == 422
+
+
 def test_a_request_that_is_no_decision_is_refused(ask: Ask) -> None:
     assert ask("/api/decide", [3])[0] == 400
     assert ask("/api/decide", {"note": "x" * 200_000})[0] == 400

@@ -110,13 +110,14 @@ def _require_dataset(path: Path) -> None:
     )
 
 
-def _read_rows(dataset: Path, reports: list[Path], rig: RigConfig | None, motion: bool) -> list[dict[str, Any]]:
-    """Return the rows of a dataset with the values of reports and, with `motion`, of all frames."""
+def _read_rows(
+    dataset: Path, more: dict[int, dict[str, Any]], rig: RigConfig | None, motion: bool
+) -> list[dict[str, Any]]:
+    """Return the rows of a dataset with `more` values and, with `motion`, those of all frames."""
     from yamsim_cli.core.dataset.dataset_paths import episode_directories
-    from yamsim_cli.review.episode_index import read_reports, read_rows
+    from yamsim_cli.review.episode_index import read_rows
     from yamsim_cli.review.episode_motion import MOTION_CACHE, read_motion
 
-    more = read_reports(reports)
     if motion:
         cache = session_opener.find_locations().assets.parent / "review" / MOTION_CACHE
         with progress_bar("reading", "episodes") as advance:
@@ -148,7 +149,7 @@ def _compare(paths: list[Path], html: Path | None, motion: bool, overwrite: bool
 
     from yamsim_cli.review.dataset_diff import compare_rows
 
-    first, second = (_read_rows(path, [], _read_rig(path) if motion else None, motion) for path in paths)
+    first, second = (_read_rows(path, {}, _read_rig(path) if motion else None, motion) for path in paths)
     difference = compare_rows(first, second)
     report: dict[str, Any] = {
         "datasets": [{"path": str(path), "episodes": len(of)} for path, of in zip(paths, (first, second), strict=True)],
@@ -216,11 +217,13 @@ def _serve(
 
     from yamsim_cli.core.dataset.dataset_paths import episode_directories
     from yamsim_cli.review.decisions import DecisionFile
+    from yamsim_cli.review.episode_index import read_reports
     from yamsim_cli.review.page_server import ReviewServer
     from yamsim_cli.selection import SELECTION_FILE
 
+    more = read_reports(reports)
     rig = _read_rig(dataset)
-    rows = _read_rows(dataset, reports, rig, motion)
+    rows = _read_rows(dataset, more, rig, motion)
     directories = dict(episode_directories(dataset))
     with DecisionFile(out or dataset / SELECTION_FILE, dataset, directories, undecided) as decisions:
         if decisions.stale:

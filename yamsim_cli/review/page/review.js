@@ -3,7 +3,7 @@
 import {EpisodeView} from "/episode.js";
 import {Grid} from "/grid.js";
 import {Plot} from "/plot.js";
-import {decide, get, keepClaim} from "/server.js";
+import {decide, get, keepClaim, playScene} from "/server.js";
 
 const LARGE_TAIL = 0.05;  // share of the episodes with the smallest margin, and of the longest and shortest, that deserve a look
 
@@ -222,6 +222,23 @@ async function askNote() {
   if (text != null) change(episode, {note: text.trim()});
 }
 
+/** Play the 3D scene on a page of its own. The page opens at once, because browsers refuse one that opens later. */
+async function showScene() {
+  if (state.open == null) return;
+  const page = window.open("about:blank"), told = find("scene-state"), link = document.createElement("a");
+  told.textContent = "The 3D scene is being built, which takes some seconds.";
+  try {
+    link.href = link.textContent = await playScene(state.open);
+    link.target = "_blank";
+    if (page) page.location = link.href;
+    told.replaceChildren(`3D scene of episode ${state.open}: `, link);
+  } catch (error) {
+    page?.close();
+    told.textContent = "";
+    fail(error.message);
+  }
+}
+
 const trim = (values) => { if (state.open != null && view.detail) change(state.open, values); };
 
 const KEYS = {
@@ -236,6 +253,7 @@ const EPISODE_KEYS = {
   "]": () => trim({last_frame: view.frame}),
   "\\": () => trim({first_frame: null, last_frame: null}),
   c: () => { find("pin").ariaPressed = view.pin(); },
+  s: showScene,
   Escape: close,
 };
 
@@ -277,7 +295,7 @@ function connect() {
   for (const id of ["plot-x", "plot-y"]) find(id).addEventListener("input", setAxes);
   for (const id of ["x-from", "x-to", "y-from", "y-to"]) find(id).addEventListener("change", readRange);
   const actions = {
-    "clear-range": () => setRange(null), next, undo, back: close, pin: EPISODE_KEYS.c, "help-button": KEYS["?"],
+    "clear-range": () => setRange(null), next, undo, back: close, pin: EPISODE_KEYS.c, scene: showScene, "help-button": KEYS["?"],
     "trim-first": EPISODE_KEYS["["], "trim-last": EPISODE_KEYS["]"], "trim-none": EPISODE_KEYS["\\"],
   };
   for (const [id, act] of Object.entries(actions)) find(id).addEventListener("click", act);
