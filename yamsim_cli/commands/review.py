@@ -167,9 +167,9 @@ def _compare(paths: list[Path], html: Path | None, motion: bool, overwrite: bool
         print_json(report)
         return
     for column in difference.columns:
-        print_line(f"{'differs' if column.differs else 'agrees '}  p {column.p_holm:<8.2g} {column.describe()}")
+        print_line(f"{'differs' if column.differs else '       '}  p {column.p_holm:<8.2g} {column.describe()}")
     print_line(
-        f"{report['differing']} of {count_noun(len(difference.columns), 'value')} differ; "
+        f"{report['differing']} of {count_noun(len(difference.columns), 'value')} differ significantly; "
         f"{count_noun(len(difference.pairs), 'pair')} of episodes have the same seed and attempt"
     )
     if html:
