@@ -182,11 +182,12 @@ def plot_curves(
     y_label: str,
     mark: float | None = None,
     min_span: float = 0.0,
+    x_label: str = "s",
 ) -> Markup:
-    """Return a plot of curves over time.
+    """Return a plot of curves over time, or over another value.
 
     Args:
-        times: (n,), s.
+        times: (n,), s, or another value that `x_label` names.
         lines: class in the style sheet -> values (n,) of a curve, NaN where unknown.
         mark: time of a vertical line, s.
         min_span: of the vertical axis, so that noise does not look large.
@@ -208,7 +209,7 @@ def plot_curves(
     if mark is not None:
         x = axes.x(mark)
         parts.append(html_tag("line", x1=x, x2=x, y1=20, y2=height - 46, class_="limit"))
-    return _svg_figure(title, _WIDTH, height, axes.draw("s", y_label, x_grid=False, y_ticks=4), parts)
+    return _svg_figure(title, _WIDTH, height, axes.draw(x_label, y_label, x_grid=False, y_ticks=4), parts)
 
 
 def _polyline_points(axes: Axes, times: Values, values: Values) -> str:

@@ -8,7 +8,7 @@ import socket
 import time
 import urllib.error
 import urllib.request
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -49,9 +49,9 @@ class WebDriverError(Exception):
 class Browser:
     """A session of Chromium."""
 
-    def __init__(self, port: int, profile: Path) -> None:
+    def __init__(self, port: int, profile: Path, args: Sequence[str] = CHROMIUM_ARGS) -> None:
         self._root = f"http://127.0.0.1:{port}"
-        options = {"binary": str(CHROMIUM), "args": [*CHROMIUM_ARGS, f"--user-data-dir={profile}"]}
+        options = {"binary": str(CHROMIUM), "args": [*args, f"--user-data-dir={profile}"]}
         timeouts = {"script": 1000 * PAGE_TIMEOUT_S, "pageLoad": 1000 * PAGE_TIMEOUT_S}
         wanted = {"browserName": "chrome", "goog:chromeOptions": options, "timeouts": timeouts}
         session = self._call("POST", "/session", {"capabilities": {"alwaysMatch": wanted}})

@@ -105,6 +105,38 @@ def brush_left_half(browser: Browser) -> None:
     wait_until(lambda: not counted(browser).startswith(f"{EPISODES} of"), 30)
 
 
+def test_two_episodes_side_by_side(browser: Browser, dataset: Path) -> None:
+    with served(dataset) as url:
+        open_page(browser, url)
+        browser.keys("\ue007")  # open the first
+        wait_until(lambda: "frame 0 of 3" in browser.text(), 30)
+        browser.keys("c\ue00c\ue014\ue007")  # compare, back, right, open
+        wait_until(
+            lambda: browser.run("return document.getElementById('episode-title').textContent") == "Episode 1", 30
+        )
+        left = (
+            "return ['cameras', 'pinned'].map(id => document.querySelector(`#${id} canvas`)?.getBoundingClientRect().x)"
+        )
+        wait_until(lambda: None not in browser.run(left), 30)
+        here, there = browser.run(left)
+        assert here < there
+        assert "Episode 0, 4 frames" in browser.text()
+        assert browser.run("return document.documentElement.scrollWidth") <= 1366
+        assert "faint: the joints of episode 0" in browser.run("return document.getElementById('timeline').ariaLabel")
+        browser.keys("c")  # the same key pins this one
+        wait_until(lambda: "Episode 1, 4 frames" in browser.text(), 30)
+        browser.keys("c")
+        wait_until(lambda: browser.run("return document.getElementById('pinned-side').hidden"), 30)
+
+
+def test_a_scene_that_cannot_be_played_is_told(browser: Browser, dataset: Path) -> None:
+    """The stubs have no config that `yamsim replay` can simulate."""
+    with served(dataset) as url:
+        open_page(browser, url)
+        browser.keys("\ue007s")
+        wait_until(lambda: "the 3D scene cannot be shown" in browser.text(), 120)
+
+
 def test_a_second_page_is_told(browser: Browser, dataset: Path) -> None:
     with served(dataset) as url:
         open_page(browser, url)

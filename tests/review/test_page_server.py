@@ -24,7 +24,7 @@ from yamsim_cli.core.dataset.writing.directory_claim import ExistingDatasetMode
 from yamsim_cli.core.dataset.writing.writer import DatasetWriter
 from yamsim_cli.core.errors import DatasetError, ResourceError
 from yamsim_cli.review.decisions import DecisionFile
-from yamsim_cli.review.episode_index import read_problems, read_rows
+from yamsim_cli.review.episode_index import read_reports, read_rows
 from yamsim_cli.review.page_server import CLAIM_SECONDS, PageClaim, ReviewServer
 from yamsim_cli.selection import episode_hash, read_selection
 
@@ -81,7 +81,7 @@ def test_the_overview_knows_the_ledger_without_opening_episodes(tmp_path: Path) 
         publish(writer, made(1, attempt=2))
         writer.write_manifest()
     (tmp_path / "d/ep_000000/episode.json").write_text("not opened")
-    rows = read_rows(tmp_path / "d", {1: ("lowdim.jump",)})
+    rows = read_rows(tmp_path / "d", {1: {"problems": ("lowdim.jump",)}})
     assert [row["episode"] for row in rows] == [0, 1]
     assert (rows[0]["frames"], rows[0]["distance_mm"], rows[0]["x_m"]) == (FRAMES, 20.0, 0.3)
     assert rows[1]["problems"] == ("lowdim.jump",)
@@ -102,10 +102,10 @@ def test_an_episode_that_ledger_or_manifest_lack_is_opened(dataset: Path) -> Non
 def test_problems_of_a_report(tmp_path: Path, dataset: Path) -> None:
     report = yamsim("summarize", dataset, "--json").json
     (tmp_path / "report.json").write_text(json.dumps(report))
-    found = read_problems(tmp_path / "report.json")
+    found = read_reports([tmp_path / "report.json"])
     wanted = {problem["code"] for problem in report["problems"] if problem["episode"] == "ep_000003"}
     assert wanted
-    assert set(found[3]) == wanted
+    assert set(found[3]["problems"]) == wanted
     (tmp_path / "report.json").write_text('{"problems": [3]}')
     run = yamsim("review", dataset, "--report", tmp_path / "report.json")
     assert run.code == 3
@@ -199,6 +199,16 @@ def test_an_invalid_decision_is_refused(ask: Ask, token: str, dataset: Path, val
     assert not (dataset / "selection.yaml").exists()
 
 
+def test_only_the_page_that_decides_starts_the_scene_of_an_episode_that_exists(
+    ask: Ask, token: str, server: ReviewServer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(server.scenes, "play", lambda directory: f"http://127.0.0.1:1/{directory.name}")
+    assert ask("/api/scene", {"token": token, "episode": 3}) == (200, {"url": "http://127.0.0.1:1/ep_000003"})
+    assert ask("/api/scene", {"token": "other", "episode": 3})[0] == 409
+    assert ask("/api/scene", {"token": token, "episode": "../../3"})[0] == 400
+    assert ask("/api/scene", {"token": token, "episode": 77})[0] == 422
+
+
 def test_a_request_that_is_no_decision_is_refused(ask: Ask) -> None:
     assert ask("/api/decide", [3])[0] == 400
     assert ask("/api/decide", {"note": "x" * 200_000})[0] == 400
@@ -231,9 +241,12 @@ def test_a_page_that_vanished_blocks_for_a_few_seconds() -> None:
 def test_a_second_review_of_the_same_file_is_refused(server: ReviewServer, dataset: Path) -> None:
     run = yamsim("review", dataset)
     assert run.code == 4
-    assert "is being written by another `yamsim review`" in run.err
-    with pytest.raises(ResourceError, match="another `yamsim review`"):
+    assert f"is being written by process {os.getpid()} on " in run.err
+    assert "choose another --out" in run.err
+    with pytest.raises(ResourceError, match=r"selection\.yaml is being written by process"):
         DecisionFile(dataset / "selection.yaml", dataset, {}, None)
+    DecisionFile(dataset / "bob.yaml", dataset, {}, None).close()
+    assert [path.name for path in dataset.glob(".*.lock")] == [".selection.yaml.lock"]
 
 
 def test_a_changed_episode_is_undecided_again(ask: Ask, token: str, dataset: Path, tmp_path: Path) -> None:

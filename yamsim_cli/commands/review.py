@@ -4,15 +4,18 @@ import getpass
 import threading
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
 from yamsim_cli.core.errors import DatasetError, PartialJobError, UsageError, YamsimError, count_noun
 from yamsim_cli.flags.output_files import Overwrite, require_unused_paths
 from yamsim_cli.flags.session_options import Json, session_opener
-from yamsim_cli.terminal.console import print_json, print_line, print_note, print_result_now
+from yamsim_cli.terminal.console import print_json, print_line, print_note, print_result_now, progress_bar
 from yamsim_cli.terminal.signals import defer_signals
+
+if TYPE_CHECKING:
+    from yamsim_cli.core.config.rig import RigConfig
 
 _DEFAULT_PORT = 8091  # TCP port of the page
 _POLL_SECONDS = 0.2  # s between looks whether a signal has arrived
@@ -21,8 +24,11 @@ _POLL_SECONDS = 0.2  # s between looks whether a signal has arrived
 def review(
     paths: Annotated[
         list[Path],
-        typer.Argument(metavar="DATASET", help="A dataset; with --merge two selections.", show_default=False),
+        typer.Argument(
+            metavar="DATASET", help="A dataset; with --diff two, with --merge two selections.", show_default=False
+        ),
     ],
+    diff: Annotated[bool, typer.Option("--diff", help="Say in which values two datasets differ.")] = False,
     merge: Annotated[bool, typer.Option("--merge", help="Merge the selections of two reviewers into --out.")] = False,
     out: Annotated[
         Path | None,
@@ -36,8 +42,18 @@ def review(
         typer.Option(help="What --selection does with undecided episodes.  [default: as in the file, or keep]"),
     ] = None,
     report: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="Show the problems in a report of `yamsim summarize DATASET --json`."),
+        list[Path] | None,
+        typer.Option(
+            metavar="FILE",
+            help="Show the problems or the gap in a report of `yamsim summarize DATASET --json` or `yamsim gap DATASET "
+            "--json`; may be repeated.",
+        ),
+    ] = None,
+    motion: Annotated[
+        bool, typer.Option("--motion", help="Read all frames first, for jerk, durations and joint ranges.")
+    ] = False,
+    html: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="With --diff: also write a page with plots and pictures.")
     ] = None,
     port: Annotated[
         int | None,
@@ -49,18 +65,115 @@ def review(
     """Look at a dataset on a page of this machine, and keep or drop its episodes. The dataset does not change.
 
     --merge merges the decisions of two reviewers instead. Where they disagree, episodes stay undecided, with exit code
-    6.
+    6. --diff compares two datasets instead: each value that both know has a test, with Holm's correction.
 
     Example: yamsim review dataset/
     """
+    if merge and diff:
+        raise UsageError("--merge and --diff exclude each other; give one of them")
+    if html and not diff:
+        raise UsageError("--html is for --diff: a review is a page anyway")
     if merge:
         _merge(paths, out, overwrite, json)
         return
+    if diff:
+        if out or report:
+            raise UsageError(f"{'--out' if out else '--report'} is not for --diff, which takes datasets alone")
+        _compare(paths, html, motion, overwrite, json)
+        return
     if len(paths) != 1:
-        raise UsageError(f"yamsim review takes one dataset, not {len(paths)}; --merge takes two selections")
+        raise UsageError(
+            f"yamsim review takes one dataset, not {len(paths)}; --diff takes two, and --merge two selections"
+        )
     if overwrite:
-        raise UsageError("--overwrite is for --merge: a review continues its selection")
-    _serve(paths[0], out, reviewer, undecided, report, _DEFAULT_PORT if port is None else port, json)
+        raise UsageError("--overwrite is for --merge and --diff: a review continues its selection")
+    dataset = paths[0]
+    _require_dataset(dataset)
+    _serve(dataset, out, reviewer, undecided, report or [], motion, _DEFAULT_PORT if port is None else port, json)
+
+
+def _require_dataset(path: Path) -> None:
+    """Refuse recordings of other programs, with the command that imports them."""
+    from yamsim_cli.core.dataset.imported_records import is_yamsim_data
+
+    if is_yamsim_data(path) or any(path.glob("ep_*/episode.json")):
+        return
+    from yamsim_cli.real.recordings.motion_reading import detect_format
+
+    try:
+        found = detect_format(path)
+    except YamsimError:
+        return  # the reader of datasets says what is wrong
+    raise DatasetError(
+        f"{path} is a recording ({found}) without hashes, so decisions on it could not be kept; import it with "
+        f"`yamsim import {path} --rig RIG --out DIR`, and review DIR"
+    )
+
+
+def _read_rows(
+    dataset: Path, more: dict[int, dict[str, Any]], rig: RigConfig | None, motion: bool
+) -> list[dict[str, Any]]:
+    """Return the rows of a dataset with `more` values and, with `motion`, those of all frames."""
+    from yamsim_cli.core.dataset.dataset_paths import episode_directories
+    from yamsim_cli.review.episode_index import read_rows
+    from yamsim_cli.review.episode_motion import MOTION_CACHE, read_motion
+
+    if motion:
+        cache = session_opener.find_locations().assets.parent / "review" / MOTION_CACHE
+        with progress_bar("reading", "episodes") as advance:
+            found = read_motion(dict(episode_directories(dataset)), rig, cache, dataset, advance)
+        more = {number: more.get(number, {}) | found.get(number, {}) for number in more.keys() | found.keys()}
+    rows = read_rows(dataset, more)
+    if not rows:
+        raise DatasetError(f"{dataset} holds no episodes yet; record some with `yamsim record`")
+    return rows
+
+
+def _read_rig(dataset: Path) -> RigConfig | None:
+    from yamsim_cli.core.dataset.reader import read_recorded_rig
+
+    try:
+        return read_recorded_rig(dataset, session_opener.find_locations())
+    except YamsimError as error:
+        print_note(f"The drives of {dataset} are numbered, because their names are unknown: {error}")
+        return None
+
+
+def _compare(paths: list[Path], html: Path | None, motion: bool, overwrite: bool, json: bool) -> None:
+    if len(paths) != 2:
+        raise UsageError(f"--diff takes two datasets, not {len(paths)}: give A/ B/")
+    if html:
+        require_unused_paths("--html", html, overwrite=overwrite)
+    for path in paths:
+        _require_dataset(path)
+
+    from yamsim_cli.review.dataset_diff import compare_rows
+
+    first, second = (_read_rows(path, {}, _read_rig(path) if motion else None, motion) for path in paths)
+    difference = compare_rows(first, second)
+    report: dict[str, Any] = {
+        "datasets": [{"path": str(path), "episodes": len(of)} for path, of in zip(paths, (first, second), strict=True)],
+        "differing": sum(column.differs for column in difference.columns),
+        "values": [column.to_json_data() for column in difference.columns],
+        "pairs": [list(pair) for pair in difference.pairs],
+    }
+    if html:
+        from yamsim_cli.core.markup import write_page
+        from yamsim_cli.review.diff_page import diff_page
+
+        write_page(diff_page(difference, (first, second), (paths[0], paths[1])), html)
+        report["html"] = str(html)
+    if json:
+        print_json(report)
+        return
+    for column in difference.columns:
+        print_line(f"{'differs' if column.differs else '       '}  p {column.p_holm:<8.2g} {column.describe()}")
+    print_line(
+        f"{report['differing']} of {count_noun(len(difference.columns), 'value')} differ significantly; "
+        f"{count_noun(len(difference.pairs), 'pair')} of episodes have the same seed and attempt"
+    )
+    if html:
+        print_note(f"The page is in {html}.")
 
 
 def _merge(paths: list[Path], out: Path | None, overwrite: bool, json: bool) -> None:
@@ -95,28 +208,23 @@ def _serve(
     out: Path | None,
     reviewer: str | None,
     undecided: Literal["keep", "drop"] | None,
-    report: Path | None,
+    reports: list[Path],
+    motion: bool,
     port: int,
     json: bool,
 ) -> None:
     session_opener.disable_gl()
 
     from yamsim_cli.core.dataset.dataset_paths import episode_directories
-    from yamsim_cli.core.dataset.reader import read_recorded_rig
     from yamsim_cli.review.decisions import DecisionFile
-    from yamsim_cli.review.episode_index import read_problems, read_rows
+    from yamsim_cli.review.episode_index import read_reports
     from yamsim_cli.review.page_server import ReviewServer
     from yamsim_cli.selection import SELECTION_FILE
 
-    rows = read_rows(dataset, read_problems(report))
-    if not rows:
-        raise DatasetError(f"{dataset} holds no episodes yet; record some with `yamsim record`")
+    more = read_reports(reports)
+    rig = _read_rig(dataset)
+    rows = _read_rows(dataset, more, rig, motion)
     directories = dict(episode_directories(dataset))
-    try:
-        rig = read_recorded_rig(dataset, session_opener.find_locations())
-    except YamsimError as error:
-        print_note(f"The page numbers the drives, because their names are unknown: {error}")
-        rig = None
     with DecisionFile(out or dataset / SELECTION_FILE, dataset, directories, undecided) as decisions:
         if decisions.stale:
             print_note(

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import fcntl
-import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal
@@ -13,6 +11,7 @@ from pydantic import ValidationError
 from ..core.closable import Closable
 from ..core.dataset.dataset_paths import episode_name
 from ..core.dataset.reader import open_recorded_episode
+from ..core.dataset.writing.directory_claim import DirectoryLock
 from ..core.errors import DatasetError, ResourceError, UsageError
 from ..selection import EpisodeDecision, Selection, episode_hash, read_selection, write_selection
 
@@ -117,29 +116,12 @@ class DecisionFile(Closable):
 
     def close(self) -> None:
         """Let another review write the file."""
-        _lock_file(self.path).unlink(missing_ok=True)
-        os.close(self._lock)
+        self._lock.release()
 
 
-def _lock_file(path: Path) -> Path:
-    return path.with_name(f".{path.name}.lock")
-
-
-def _lock(path: Path) -> int:
-    """Return the descriptor of a locked file beside `path`. The lock ends with this process."""
-    file = _lock_file(path)
+def _lock(path: Path) -> DirectoryLock:
+    """Lock a selection file for this process."""
     try:
-        descriptor = os.open(file, os.O_RDWR | os.O_CREAT, 0o644)
+        return DirectoryLock.acquire(path.parent, name=f".{path.name}.lock", used=f"{path} is being written")
     except OSError as error:
         raise ResourceError(f"{path.parent} cannot be written: {error.strerror}; choose another --out") from error
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        os.close(descriptor)
-        raise ResourceError(
-            f"{path} is being written by another `yamsim review`; end it, or choose another --out and merge the two "
-            "with `yamsim review --merge`"
-        ) from None
-    except OSError:
-        pass  # a filesystem without locks
-    return descriptor

@@ -103,7 +103,7 @@ def timeline(directory: Path, rig: RigConfig | None, root: Path) -> dict[str, An
         "prompt": str(frames[0].get("language_prompt", "")) if frames else "",
         "series": {"joints": joints, "commands": _rows(frames, "ctrl")},
         "names": names,
-        "grippers": _gripper_columns(rig, count),
+        "grippers": gripper_columns(rig, count),
         "measures": _measures(record),
         "events": _events(record, frames),
     }
@@ -116,7 +116,8 @@ def _rows(frames: list[dict[str, Any]], key: str) -> list[list[float | None]]:
     return [[value if math.isfinite(value) else None for value in row] for row in rows]
 
 
-def _gripper_columns(rig: RigConfig | None, count: int) -> list[int]:
+def gripper_columns(rig: RigConfig | None, count: int) -> list[int]:
+    """Return the columns of `joints` that are finger openings, of `count` columns; none if the rig is unknown."""
     if rig is None:
         return []
     columns: list[int] = []

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,32 @@ from ..core.dataset.writing.ledger import Ledger
 from ..core.errors import ConfigError, DatasetError
 
 _MAX_REPORT_BYTES = 500_000_000  # bytes of a report of `yamsim summarize --json`
+
+# Names of columns for people; others are shown as they are.
+COLUMN_NAMES = {
+    "episode": "number",
+    "frames": "frames",
+    "bytes": "size, bytes",
+    "success": "success",
+    "distance_mm": "distance, mm",
+    "margin": "goal margin",
+    "cause": "cause of failure",
+    "recoveries": "recoveries",
+    "phrase": "phrase",
+    "objects": "objects",
+    "x_m": "start x, m",
+    "y_m": "start y, m",
+    "origin": "file",
+    "format": "format",
+    "seed": "seed",
+    "attempt": "attempt",
+    "duration_s": "duration, s",
+    "jerk": "jerk, rad/s\N{SUPERSCRIPT THREE}",
+    "path_rad": "path of all joints, rad",
+    "gap_mrad": "gap to simulation, mrad",
+    "problems": "problems",
+    "look": "deserves a look",
+}
 
 
 @dataclass(frozen=True)
@@ -33,7 +59,8 @@ class EpisodeRow:
         phrase: instruction of the episode.
         objects: objects and the names of their configs.
         x_m, y_m: position of the first object in `world` at the start, m.
-        origin: file of an imported recording.
+        origin, format: file of an imported recording, and its format.
+        seed, attempt: seed of the recording, and number of the attempt, which together give the start.
         problems: codes of the problems that `yamsim summarize` found.
     """
 
@@ -50,17 +77,20 @@ class EpisodeRow:
     x_m: float | None = None
     y_m: float | None = None
     origin: str = ""
+    format: str = ""
+    seed: int | None = None
+    attempt: int | None = None
     problems: tuple[str, ...] = ()
 
 
-def read_rows(dataset: Path, problems: Mapping[int, tuple[str, ...]]) -> list[dict[str, Any]]:
+def read_rows(dataset: Path, more: Mapping[int, Mapping[str, Any]]) -> list[dict[str, Any]]:
     """Return the rows of all episodes as JSON data, in order, with columns that some episode fills.
 
     Manifest and ledger answer for recorded datasets, so that 10,000 episodes need two files. Episodes that one of them
     lacks, and all episodes of other datasets, are opened.
 
     Args:
-        problems: episode number -> codes of `yamsim summarize`.
+        more: episode number -> further values, such as those of `read_reports` and `read_motion`.
 
     Raises:
         DatasetError: `dataset` is no dataset of yamsim, or a record is damaged.
@@ -82,9 +112,10 @@ def read_rows(dataset: Path, problems: Mapping[int, tuple[str, ...]]) -> list[di
         else:
             record = open_recorded_episode(directory.path).record
             row = _row_of_record(number, record, frames.get(number, (0, None))[1])
-        rows.append(asdict(row) | {"problems": problems.get(number, ())})
-    filled = [key for key in EpisodeRow.__dataclass_fields__ if any(row[key] not in (None, "", ()) for row in rows)]
-    return [{key: row[key] for key in filled} for row in rows]
+        rows.append({**vars(row), **more.get(number, {})})
+    names = dict.fromkeys(key for row in rows for key in row)
+    filled = [key for key in names if any(row.get(key) not in (None, "", ()) for row in rows)]
+    return [{key: row.get(key) for key in filled} for row in rows]
 
 
 def _read_manifest(dataset: Path) -> list[Any]:
@@ -105,7 +136,14 @@ def _read_attempts(dataset: Path) -> dict[int, AttemptRecord]:
 
 def _row_of_record(number: int, record: EpisodeRecord | RealEpisodeRecord, size: int | None) -> EpisodeRow:
     if isinstance(record, RealEpisodeRecord):
-        return EpisodeRow(number, record.frames, size, phrase=record.prompt, origin=record.imported.name)
+        return EpisodeRow(
+            number,
+            record.frames,
+            size,
+            phrase=record.prompt,
+            origin=record.imported.name,
+            format=record.imported.format,
+        )
     return _row(number, record.frames, size, record)
 
 
@@ -125,6 +163,8 @@ def _row(number: int, frames: int, size: int | None, source: AttemptRecord | Epi
         objects=", ".join(name if kinds.get(name, name) == name else f"{name} {kinds[name]}" for name in source.layout),
         x_m=None if place is None else round(place[0], 4),
         y_m=None if place is None else round(place[1], 4),
+        seed=source.seed,
+        attempt=source.attempt,
     )
 
 
@@ -132,24 +172,58 @@ def _smallest_margin(outcome: OutcomeRecord) -> float | None:
     return min((round(measure.margin, 5) for measure in outcome.measures), default=None)
 
 
-def read_problems(report: Path | None) -> dict[int, tuple[str, ...]]:
-    """Return episode number -> problem codes from a report of `yamsim summarize --json`; empty without a report.
+def read_reports(reports: Sequence[Path]) -> dict[int, dict[str, Any]]:
+    """Return episode number -> values from reports of `yamsim summarize --json` and `yamsim gap --json`.
+
+    `problems` has the codes of an episode's problems, and `gap_mrad` its RMS error in simulation, mrad.
 
     Raises:
-        ConfigError: the file is unreadable or no such report.
+        ConfigError: a file is unreadable or no such report.
     """
-    if report is None:
-        return {}
+    found: dict[int, dict[str, Any]] = {}
+    for report in reports:
+        data = _read_report(report)
+        try:
+            for number, values in _report_values(data):
+                known = found.setdefault(number, {})
+                values["problems"] = tuple(dict.fromkeys((*known.get("problems", ()), *values.get("problems", ()))))
+                known |= values
+        except (KeyError, TypeError, ValueError) as error:
+            raise _not_a_report(report) from error
+    return found
+
+
+def _read_report(report: Path) -> Mapping[str, Any]:
     try:
         if report.stat().st_size > _MAX_REPORT_BYTES:
             raise ConfigError(f"--report {report}: {report.stat().st_size} bytes is too large for a report")
-        found: dict[int, list[str]] = {}
-        for problem in json.loads(report.read_bytes())["problems"]:
-            name = str(problem["episode"])
-            if name.startswith("ep_") and name[3:].isdecimal():
-                found.setdefault(int(name[3:]), []).append(str(problem["code"]))
+        data = json.loads(report.read_bytes())
     except OSError as error:
         raise ConfigError(f"--report {report}: cannot be read: {error.strerror}") from error
-    except (ValueError, KeyError, TypeError) as error:
-        raise ConfigError(f"--report {report}: it is no report of `yamsim summarize DATASET --json`") from error
-    return {number: tuple(dict.fromkeys(codes)) for number, codes in found.items()}
+    except (ValueError, RecursionError) as error:
+        raise _not_a_report(report) from error
+    if not isinstance(data, dict) or not ("problems" in data or "recordings" in data):
+        raise _not_a_report(report)
+    return data
+
+
+def _report_values(data: Mapping[str, Any]) -> Iterator[tuple[int, dict[str, Any]]]:
+    if "recordings" in data:
+        for recording in data["recordings"]:
+            if (number := _number_of(Path(str(recording["name"])).name)) is not None:
+                rms = recording["rms_rad"]
+                yield number, {} if rms is None else {"gap_mrad": round(1000 * float(rms), 3)}
+        return
+    for problem in data["problems"]:
+        if (number := _number_of(str(problem["episode"]))) is not None:
+            yield number, {"problems": (str(problem["code"]),)}
+
+
+def _number_of(name: str) -> int | None:
+    return int(name[3:]) if name.startswith("ep_") and name[3:].isdecimal() else None
+
+
+def _not_a_report(report: Path) -> ConfigError:
+    return ConfigError(
+        f"--report {report}: it is no report of `yamsim summarize DATASET --json` or `yamsim gap DATASET --json`"
+    )

@@ -26,6 +26,8 @@ from ..http_origin import refusal_reason
 from ..selection import EpisodeDecision
 from .decisions import DecisionFile
 from .episode_detail import film_strip, read_picture, timeline
+from .episode_index import COLUMN_NAMES
+from .scene_player import ScenePlayer
 
 LOOPBACK = "127.0.0.1"
 CLAIM_SECONDS = 6.0  # s after which a page that no longer renews its claim counts as closed; it renews every 2 s
@@ -126,6 +128,7 @@ class ReviewServer(ThreadingHTTPServer):
         self._write_lock = threading.Lock()
         self._session = secrets.token_hex(4)  # in the addresses of pictures, so that no browser shows older ones
         self._rows = json.dumps(rows, separators=(",", ":"), ensure_ascii=False)
+        self.scenes = ScenePlayer()
         self.strip = functools.lru_cache(_STRIPS)(self._make_strip)
         self.opened = functools.lru_cache(16)(open_recorded_episode)
         try:
@@ -158,22 +161,37 @@ class ReviewServer(ThreadingHTTPServer):
             "stale": self._decisions.stale,
             "session": self._session,
             "decisions": decisions,
+            "names": COLUMN_NAMES,
         }
         return f'{json.dumps(head, ensure_ascii=False)[:-1]},"episodes":{self._rows}}}'.encode()
 
     def decide(self, body: Mapping[str, Any]) -> dict[str, Any]:
         """Store a decision of the page. Raises as `DecisionFile.decide`."""
-        number = body.get("episode")
-        if not isinstance(number, int):
-            raise UsageError("episode: it must be a number")
+        number = _episode_number(body)
         with self._write_lock:
             made = self._decisions.decide(number, body, self.reviewer)
         return {"episode": number, "decision": made and _decision_data(made)}
+
+    def play_scene(self, body: Mapping[str, Any]) -> dict[str, Any]:
+        """Return the address of the 3D scene of an episode. Raises as `ScenePlayer.play`."""
+        return {"url": self.scenes.play(self.directory(_episode_number(body)))}
+
+    def server_close(self) -> None:
+        """Stop listening, and end the player of the 3D scene."""
+        super().server_close()
+        self.scenes.close()
 
     def handle_error(self, request: Any, client_address: Any) -> None:
         """Ignore lost connections, such as those of pictures that were scrolled away."""
         if not isinstance(sys.exception(), ConnectionError):
             super().handle_error(request, client_address)
+
+
+def _episode_number(body: Mapping[str, Any]) -> int:
+    number = body.get("episode")
+    if not isinstance(number, int):
+        raise UsageError("episode: it must be a number")
+    return number
 
 
 def _decision_data(decision: EpisodeDecision) -> dict[str, Any]:
@@ -221,11 +239,13 @@ class _Handler(BaseHTTPRequestHandler):
             elif self.path == "/api/release":
                 self.server.claim.release(token)
                 self._send_json(200, {})
-            elif self.path == "/api/decide":
-                if self.server.claim.holds(token):
+            elif self.path in ("/api/decide", "/api/scene"):
+                if not self.server.claim.holds(token):
+                    self._send_json(409, {"error": "another page is open; only one page may decide"})
+                elif self.path == "/api/decide":
                     self._send_json(200, self.server.decide(body))
                 else:
-                    self._send_json(409, {"error": "another page is open; only one page may decide"})
+                    self._send_json(200, self.server.play_scene(body))
             else:
                 self._send_json(404, {"error": "there is no such page"})
         except YamsimError as error:

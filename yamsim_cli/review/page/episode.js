@@ -113,12 +113,14 @@ export class EpisodeView {
 
   pin() {
     const isNew = this.pinned.detail !== this.detail;
-    this.find("pinned").hidden = !isNew;
+    this.find("pinned-side").hidden = !isNew;
     this.pinned.detail = null;
-    if (!isNew) return false;
-    this.pinned.open(this.detail);
+    if (isNew) {
+      this.pinned.open(this.detail);
+      this.find("pinned-title").textContent = `Episode ${this.detail.episode}, ${this.detail.frames} frames; its joints are faint below`;
+    }
     this.seek(this.frame);
-    return true;
+    return isNew;
   }
 
   async seek(frame) {
@@ -176,6 +178,9 @@ export class EpisodeView {
     const joints = detail.names.map((_, k) => k).filter((k) => !detail.grippers.includes(k));
     this.paintSeries(pen, joints, across, 4, split - 4);
     this.paintSeries(pen, detail.grippers, across, split + 4, height - 4);
+    this.canvas.ariaLabel = this.pinned.detail
+      ? `Joints, commands, grippers and events over time; faint: the joints of episode ${this.pinned.detail.episode}`
+      : "Joints, commands, grippers and events over time";
     pen.fillStyle = style.getPropertyValue("--muted");
     pen.globalAlpha = 0.35;
     pen.fillRect(0, 0, across(this.first ?? 0), height);
@@ -187,14 +192,15 @@ export class EpisodeView {
   }
 
   paintSeries(pen, columns, across, top, bottom) {
-    const {series} = this.detail;
+    const {series} = this.detail, other = this.pinned.detail?.series.joints ?? [];
     let low = Infinity, high = -Infinity;
-    for (const row of [...series.joints, ...series.commands]) {
+    for (const row of [...series.joints, ...series.commands, ...other]) {
       for (const k of columns) if (row[k] != null) { low = Math.min(low, row[k]); high = Math.max(high, row[k]); }
     }
     const up = (value) => bottom - ((value - low) / (high - low || 1)) * (bottom - top);
-    for (const [rows, dash] of [[series.joints, []], [series.commands, [4, 3]]]) {
+    for (const [rows, dash, share] of [[other, [], 0.35], [series.joints, [], 1], [series.commands, [4, 3], 1]]) {
       pen.setLineDash(dash);
+      pen.globalAlpha = share;
       for (const k of columns) {
         pen.strokeStyle = this.colour(k);
         pen.beginPath();
@@ -203,5 +209,6 @@ export class EpisodeView {
       }
     }
     pen.setLineDash([]);
+    pen.globalAlpha = 1;
   }
 }

@@ -3,17 +3,12 @@
 import {EpisodeView} from "/episode.js";
 import {Grid} from "/grid.js";
 import {Plot} from "/plot.js";
-import {decide, get, keepClaim} from "/server.js";
+import {decide, get, keepClaim, playScene} from "/server.js";
 
-const NAMES = {
-  episode: "number", frames: "frames", bytes: "size, bytes", success: "success", distance_mm: "distance, mm",
-  margin: "goal margin", cause: "cause of failure", recoveries: "recoveries", phrase: "phrase", objects: "objects",
-  x_m: "start x, m", y_m: "start y, m", origin: "file", problems: "problems", look: "deserves a look",
-};
 const LARGE_TAIL = 0.05;  // share of the episodes with the smallest margin, and of the longest and shortest, that deserve a look
 
 const find = (id) => document.getElementById(id);
-const state = {rows: [], byNumber: new Map(), decisions: new Map(), stale: new Set(), undo: [], range: null, open: null};
+const state = {names: {}, rows: [], byNumber: new Map(), decisions: new Map(), stale: new Set(), undo: [], range: null, open: null};
 let picture, grid, plot, view, queue = Promise.resolve();
 
 function fail(text) {
@@ -32,11 +27,11 @@ function rankRows() {
     return values[Math.floor((values.length - 1) * (low ? LARGE_TAIL : 1 - LARGE_TAIL))];
   };
   const shortest = tails("frames", true), longest = tails("frames", false), tight = tails("margin", true);
-  const far = tails("distance_mm", false);
+  const far = tails("distance_mm", false), jerky = tails("jerk", false), apart = tails("gap_mrad", false);
   for (const row of state.rows) {
     row.look = 4 * (row.problems?.length ?? 0) + 4 * state.stale.has(row.episode) + 3 * (row.success === false)
       + 2 * (row.recoveries ?? 0) + (row.margin < tight) + (row.distance_mm > far)
-      + (row.frames < shortest) + (row.frames > longest);
+      + (row.jerk > jerky) + (row.gap_mrad > apart) + (row.frames < shortest) + (row.frames > longest);
   }
 }
 
@@ -46,6 +41,7 @@ function describe(episode) {
   const title = `${episode}${row.phrase ? ` ${row.phrase}` : row.origin ? ` ${row.origin}` : ""}`;
   const facts = [
     `${row.frames} frames`, row.distance_mm != null && `${row.distance_mm} mm`, row.margin != null && `margin ${row.margin}`,
+    row.jerk != null && `jerk ${Math.round(row.jerk)}`, row.gap_mrad != null && `gap ${row.gap_mrad} mrad`,
     row.recoveries && `${row.recoveries} recoveries`, row.cause, ...(row.problems ?? []),
     isTrimmed(decision) && "trimmed", state.stale.has(episode) && "stale", notes,
   ].filter(Boolean).join(" · ");
@@ -63,7 +59,7 @@ function matches(row) {
   const search = find("search").value.trim().toLowerCase();
   if (!search) return true;
   if (/^\d+$/.test(search)) return row.episode === Number(search);
-  const texts = [row.phrase, row.objects, row.cause, row.origin, ...(row.problems ?? []), ...(decision?.tags ?? []), decision?.note];
+  const texts = [row.phrase, row.objects, row.cause, row.origin, row.format, ...(row.problems ?? []), ...(decision?.tags ?? []), decision?.note];
   return texts.some((text) => text?.toLowerCase().includes(search));
 }
 
@@ -226,6 +222,23 @@ async function askNote() {
   if (text != null) change(episode, {note: text.trim()});
 }
 
+/** Play the 3D scene on a page of its own. The page opens at once, because browsers refuse one that opens later. */
+async function showScene() {
+  if (state.open == null) return;
+  const page = window.open("about:blank"), told = find("scene-state"), link = document.createElement("a");
+  told.textContent = "The 3D scene is being built, which takes some seconds.";
+  try {
+    link.href = link.textContent = await playScene(state.open);
+    link.target = "_blank";
+    if (page) page.location = link.href;
+    told.replaceChildren(`3D scene of episode ${state.open}: `, link);
+  } catch (error) {
+    page?.close();
+    told.textContent = "";
+    fail(error.message);
+  }
+}
+
 const trim = (values) => { if (state.open != null && view.detail) change(state.open, values); };
 
 const KEYS = {
@@ -240,6 +253,7 @@ const EPISODE_KEYS = {
   "]": () => trim({last_frame: view.frame}),
   "\\": () => trim({first_frame: null, last_frame: null}),
   c: () => { find("pin").ariaPressed = view.pin(); },
+  s: showScene,
   Escape: close,
 };
 
@@ -259,7 +273,7 @@ function onKey(event) {
 function fillSelects(keys) {
   const numeric = keys.filter((key) => state.rows.some((row) => typeof row[key] === "number"));
   const add = (id, names, chosen) => {
-    find(id).replaceChildren(...names.map((key) => new Option(NAMES[key] ?? key, key, false, key === chosen)));
+    find(id).replaceChildren(...names.map((key) => new Option(state.names[key] ?? key, key, false, key === chosen)));
   };
   add("sort", keys, "episode");
   const has = (...wanted) => wanted.find((key) => numeric.includes(key));
@@ -269,8 +283,8 @@ function fillSelects(keys) {
 
 function setAxes() {
   const [x, y] = [find("plot-x").value, find("plot-y").value];
-  find("x-name").textContent = NAMES[x] ?? x;
-  find("y-name").textContent = NAMES[y] ?? y;
+  find("x-name").textContent = state.names[x] ?? x;
+  find("y-name").textContent = state.names[y] ?? y;
   plot.setData(state.rows, x, y);
   setRange(null);
 }
@@ -281,7 +295,7 @@ function connect() {
   for (const id of ["plot-x", "plot-y"]) find(id).addEventListener("input", setAxes);
   for (const id of ["x-from", "x-to", "y-from", "y-to"]) find(id).addEventListener("change", readRange);
   const actions = {
-    "clear-range": () => setRange(null), next, undo, back: close, pin: EPISODE_KEYS.c, "help-button": KEYS["?"],
+    "clear-range": () => setRange(null), next, undo, back: close, pin: EPISODE_KEYS.c, scene: showScene, "help-button": KEYS["?"],
     "trim-first": EPISODE_KEYS["["], "trim-last": EPISODE_KEYS["]"], "trim-none": EPISODE_KEYS["\\"],
   };
   for (const [id, act] of Object.entries(actions)) find(id).addEventListener("click", act);
@@ -298,7 +312,7 @@ function connect() {
 async function start() {
   const data = await get("/api/episodes");
   Object.assign(state, {
-    rows: data.episodes, undecided: data.undecided, stale: new Set(data.stale),
+    names: data.names, rows: data.episodes, undecided: data.undecided, stale: new Set(data.stale),
     byNumber: new Map(data.episodes.map((row) => [row.episode, row])),
     decisions: new Map(Object.entries(data.decisions).map(([number, each]) => [Number(number), each])),
   });

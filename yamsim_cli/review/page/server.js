@@ -41,3 +41,10 @@ export async function decide(body) {
   if (status !== 200) throw new Error(data.error);
   return data.decision;
 }
+
+/** Start the player of an episode's 3D scene, and return its address; throw an Error with the server's message. */
+export async function playScene(episode) {
+  const {status, data} = await post("/api/scene", {episode});
+  if (status !== 200) throw new Error(data.error);
+  return data.url;
+}

@@ -153,17 +153,22 @@ class _LockHolder:
 
 
 class DirectoryLock:
-    """A lock on a directory, held from `acquire` until `release` or the end of the process."""
+    """A lock on a directory or a file in it, held from `acquire` until `release` or the end of the process."""
 
-    def __init__(self, directory: Path, descriptor: int) -> None:
+    def __init__(self, directory: Path, descriptor: int, name: str = LOCK_FILE_NAME) -> None:
         self._directory = directory
         self._descriptor = descriptor
+        self._name = name
 
     @classmethod
-    def acquire(cls, directory: Path, *, reaches_others: bool = True) -> DirectoryLock:
+    def acquire(
+        cls, directory: Path, *, reaches_others: bool = True, name: str = LOCK_FILE_NAME, used: str | None = None
+    ) -> DirectoryLock:
         """Lock an existing directory for this process.
 
         Args:
+            name: of the lock file; another one locks a part of the directory.
+            used: what is locked, and how it is used, for the message; by default, that `directory` is recorded into.
             reaches_others: whether the filesystem's locks work between machines. If not, the lock file of a process on
                 another machine counts as a lock.
 
@@ -171,15 +176,15 @@ class DirectoryLock:
             ResourceError: another recorder holds the lock; the message names its process and machine.
             OSError: the directory cannot be written.
         """
-        path = directory / LOCK_FILE_NAME
+        path = directory / name
         while True:
             descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
             try:
                 taken, holder = _try_flock(descriptor), _read_lock_holder(descriptor)
                 if taken is False:
                     raise ResourceError(
-                        f"{directory} is being recorded into by {holder or 'another process'}; wait for it, end it, or "
-                        "choose another --out"
+                        f"{used or f'{directory} is being recorded into'} by {holder or 'another process'}; wait for "
+                        "it, end it, or choose another --out"
                     )
                 if holder and (holder.may_be_alive if taken is None else not holder.is_local and not reaches_others):
                     raise ResourceError(
@@ -189,7 +194,7 @@ class DirectoryLock:
                 if _is_same_file(descriptor, path):
                     os.ftruncate(descriptor, 0)
                     os.pwrite(descriptor, json.dumps({"pid": os.getpid(), "host": socket.gethostname()}).encode(), 0)
-                    return cls(directory, descriptor)
+                    return cls(directory, descriptor, name)
             except BaseException:
                 os.close(descriptor)
                 raise
@@ -203,7 +208,7 @@ class DirectoryLock:
     def release(self) -> None:
         """Release the lock and remove its file."""
         with contextlib.suppress(OSError):
-            (self._directory / LOCK_FILE_NAME).unlink(missing_ok=True)
+            (self._directory / self._name).unlink(missing_ok=True)
         os.close(self._descriptor)
 
 
