@@ -34,8 +34,8 @@ def imported(file: Path) -> Iterator[str]:
             yield str(node.module)
 
 
-def test_lerobots_are_there() -> None:
-    assert NAMES == ["lerobot_env_yamsim", "lerobot_robot_yamsim"]
+def test_all_are_there() -> None:
+    assert NAMES == ["lerobot_env_yamsim", "lerobot_robot_yamsim", "maker_station_yamsim"]
 
 
 @pytest.mark.parametrize("folder", DISTRIBUTIONS, ids=NAMES)

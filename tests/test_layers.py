@@ -60,6 +60,7 @@ FLOORS: dict[str, int] = {
     "training": 10,
     "viewers": 10,
     # Code that joins wings, and entry points of users.
+    "agent_server": 11,
     "calibration": 11,
     "camera_reader": 11,
     "doctor": 11,

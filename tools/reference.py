@@ -18,6 +18,9 @@ from yamsim_cli.core.config.loader import CONFIG_KINDS
 from yamsim_cli.main import app
 
 PAGES = Path(__file__).resolve().parents[1] / "docs" / "reference"
+# For coding agents; between its two marks it lists the commands.
+SKILL = PAGES.parent / "SKILL.md"
+_LIST_BEGIN, _LIST_END = "<!-- Commands, made by `python -m tools.reference`: -->\n", "<!-- End of the commands. -->\n"
 
 _MADE = "<!-- Made by `python -m tools.reference`; change the code instead. -->\n\n"
 
@@ -47,6 +50,19 @@ def commands_page() -> str:
             parts.append("\n| flag | value | what |\n|---|---|---|\n")
             parts += [_option_row(p, typer.Context(command)) for p in options]
     return "".join(parts)
+
+
+def skill_page(text: str) -> str:
+    """Return the page for coding agents with its list of commands made anew: a line for each, from its help."""
+    head, _, rest = text.partition(_LIST_BEGIN)
+    _, mark, tail = rest.partition(_LIST_END)
+    if not mark:
+        raise ValueError(f"{SKILL.name} lacks the line {_LIST_BEGIN!r} or {_LIST_END!r}")
+    rows = ["\n| command | what |\n|---|---|\n"]
+    for path, command in sorted(_leaves(typer.main.get_command(app))):
+        first = " ".join(inspect.cleandoc(command.help).partition("\n\n")[0].split())
+        rows.append(f"| `yamsim {path}` | {_cell(first)} |\n")
+    return "".join([head, _LIST_BEGIN, *rows, "\n", _LIST_END, tail])
 
 
 def _leaves(command: Any, path: str = "") -> Iterator[tuple[str, Any]]:
@@ -182,6 +198,7 @@ def main() -> None:
     PAGES.mkdir(parents=True, exist_ok=True)
     for name, text in pages().items():
         (PAGES / name).write_text(text, encoding="utf-8")
+    SKILL.write_text(skill_page(SKILL.read_text(encoding="utf-8")), encoding="utf-8")
 
 
 if __name__ == "__main__":

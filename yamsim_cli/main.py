@@ -26,6 +26,7 @@ from .commands.gap import gap
 from .commands.identify import excite, identify
 from .commands.import_recording import import_recording
 from .commands.match import match
+from .commands.mcp import mcp
 from .commands.overlay import overlay
 from .commands.record import record
 from .commands.render_views import render_views
@@ -73,6 +74,7 @@ app.command()(gap)
 app.command("import")(import_recording)
 app.command()(boards)
 app.command()(view)
+app.command()(mcp)
 app.command()(doctor)
 app.add_typer(export.app, name="export")
 app.command()(teleop)

@@ -233,3 +233,17 @@ def test_a_line_that_would_fail_does_not_parse(line: str) -> None:
 def test_reference_pages_say_what_the_code_says(name: str) -> None:
     text = (reference.PAGES / name).read_text(encoding="utf-8")
     assert text == reference.pages()[name], "stale: python -m tools.reference"
+
+
+def test_the_page_for_agents_lists_all_commands_and_is_a_skill() -> None:
+    text = reference.SKILL.read_text(encoding="utf-8")
+    assert text == reference.skill_page(text), "stale: python -m tools.reference"
+    assert all(f"| `yamsim {path}` |" in text for path in LEAVES)
+    # The format of agents' skills: a name of small letters, and a description of at most 1024 characters.
+    head = re.match(r"---\nname: ([a-z-]{1,64})\ndescription: (.{1,1024})\n---\n", text)
+    assert head and head[1] == "yamsim"
+
+
+def test_a_page_without_its_marks_is_not_overwritten() -> None:
+    with pytest.raises(ValueError, match=r"SKILL\.md lacks the line"):
+        reference.skill_page("# For coding agents\n")

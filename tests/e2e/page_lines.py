@@ -55,6 +55,8 @@ NOT_RUN = {
     r"^yamsim trials --task tower": "a later line, `yamsim tasks check tower`, tries the same",
     r"^yamsim assets certify kitchen_": "another line certifies a mug; tests/objects/certify has all objects",
     r"^yamsim serve-robot (--rig yam_v1|--fault)": "tests/clients/test_i2rt.py serves arms with faults",
+    r"^yamsim serve-robot .*--leader|--out performed\b|^yamsim-maker\b": "tests/clients/test_maker_station.py has it",
+    r"^yamsim mcp\b": "an agent's program starts it, as tests/cli/test_mcp_command.py does",
     r"--selection dataset/selection.yaml|^yamsim review --merge": "a person decides first; see tests/test_selection.py",
     r"^yamsim (merge|split)\b": "it needs other datasets; tests/datasets/test_derive.py has some",
     r"picture_policy": "it needs PyTorch, with which tests/test_picture_policy.py runs these lines in miniature",

@@ -3,6 +3,7 @@ from __future__ import annotations
 import os
 import sys
 import time
+from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import asdict
 from pathlib import Path
@@ -19,6 +20,7 @@ from yamsim_cli.terminal.signals import stop_on_signal
 
 if TYPE_CHECKING:
     from yamsim_cli.core.config.session import Session
+    from yamsim_cli.real.motors.motor_bus import BusFault
     from yamsim_cli.real.serve.can_bus import KernelBus, UnixBus
     from yamsim_cli.real.serve.policy_robot import PolicyRobot
     from yamsim_cli.real.serve.realtime_loop import PolledServer
@@ -53,7 +55,8 @@ def serve_robot(
     fault: Annotated[
         list[str] | None,
         typer.Option(
-            metavar="FAULT", help="Simulated fault: lost:motor=3,at=5,for=2; hot:motor=2; drop:share=0.1; or stuck."
+            metavar="FAULT",
+            help="Simulated fault: lost:motor=3,at=5,for=2; hot:motor=2; drop:share=0.1; stuck; or silent:camera=top.",
         ),
     ] = None,
     gap: Annotated[
@@ -74,6 +77,13 @@ def serve_robot(
     chiral: Annotated[
         int | None,
         typer.Option(min=0, max=65535, help="Also serve raiden's policies on this port, such as 8765."),
+    ] = None,
+    leader: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="EPISODE",
+            help="Also simulate passive leader arms (GELLO) on can_lead_l and can_lead_r, which perform this episode.",
+        ),
     ] = None,
     host: Annotated[
         str,
@@ -106,6 +116,8 @@ def serve_robot(
     from yamsim_cli.real.serve.realtime_loop import RealtimeLoop
     from yamsim_cli.real.serve.served_arms import VALID_START_POSTURES, make_policy_robot, serve_arms
 
+    if not cameras and any(one.camera for one in faults):
+        raise UsageError("--fault silent: no camera is served; give --cameras")
     if start not in VALID_START_POSTURES:
         raise UsageError(f"--start {start!r} is not valid; valid: {', '.join(VALID_START_POSTURES)}")
     served = serve_arms(session, channel or (), faults, start)
@@ -113,12 +125,14 @@ def serve_robot(
         where = _bus_folder(folder)
         sockets = _open_bus_sockets(stack, served, None if kernel else where)
         ports = _open_portals(stack, served, host, portal)
+        if leader is not None:
+            ports.append(_open_leaders(stack, session, served, leader, None if kernel else where))
         policy_robot = None
         if cameras or chiral is not None:
             source = _start_render_process(stack, session, served, camera_fps)
             ports.append(source)
             if cameras:
-                ports.append(_camera_server(stack, where, source))
+                ports.append(_camera_server(stack, where, source, faults))
             if chiral is not None:
                 policy_robot = make_policy_robot(session, served, source)
                 ports.append(_open_chiral_server(stack, policy_robot, host, chiral))
@@ -145,15 +159,19 @@ def serve_robot(
 
 def _open_bus_sockets(stack: ExitStack, served: ServedArms, folder: Path | None) -> list[UnixBus | KernelBus]:
     """Open each CAN bus: a Unix socket in `folder`, or without a folder one of the kernel's interfaces."""
-    from yamsim_cli.real.serve.can_bus import KernelBus, UnixBus
-
-    sockets: list[UnixBus | KernelBus] = []
+    sockets = []
     for side, bus in zip(served.sides, served.motor_simulation.buses, strict=True):
-        one = KernelBus(bus.channel) if folder is None else UnixBus(folder, bus.channel)
-        stack.callback(one.close)
-        sockets.append(one)
+        sockets.append(_open_bus_socket(stack, bus.channel, folder))
         print_note(f"{bus.channel}: the {side} arm, {len(bus.motors)} motors")
     return sockets
+
+
+def _open_bus_socket(stack: ExitStack, channel: str, folder: Path | None) -> UnixBus | KernelBus:
+    from yamsim_cli.real.serve.can_bus import KernelBus, UnixBus
+
+    bus = KernelBus(channel) if folder is None else UnixBus(folder, channel)
+    stack.callback(bus.close)
+    return bus
 
 
 def _open_portals(stack: ExitStack, served: ServedArms, host: str, port: int | None) -> list[PolledServer]:
@@ -168,6 +186,19 @@ def _open_portals(stack: ExitStack, served: ServedArms, host: str, port: int | N
     return ports
 
 
+def _open_leaders(
+    stack: ExitStack, session: Session, served: ServedArms, episode: Path, folder: Path | None
+) -> PolledServer:
+    from yamsim_cli.real.serve.leader_arms import LeaderArms, leader_channels, read_leader_motion
+
+    motion = read_leader_motion(episode, session.config.rig, session.locations)
+    buses = []
+    for side, channel in leader_channels(served):
+        buses.append(_open_bus_socket(stack, channel, folder))
+        print_note(f"{channel}: the {side} leader, which performs {motion.duration:.1f} s of {episode}")
+    return LeaderArms(served, motion, buses)
+
+
 def _start_render_process(stack: ExitStack, session: Session, served: ServedArms, fps: float) -> RenderProcess:
     from yamsim_cli.real.serve.render_process import RenderProcess
     from yamsim_cli.real.serve.served_arms import served_cameras
@@ -177,10 +208,10 @@ def _start_render_process(stack: ExitStack, session: Session, served: ServedArms
     return source
 
 
-def _camera_server(stack: ExitStack, folder: Path, source: RenderProcess) -> PolledServer:
+def _camera_server(stack: ExitStack, folder: Path, source: RenderProcess, faults: Sequence[BusFault]) -> PolledServer:
     from yamsim_cli.real.serve.cameras import CameraServer
 
-    server = CameraServer(folder, source)
+    server = CameraServer(folder, source, faults)
     stack.callback(server.close)
     print_note(f"{server.path}: pictures of {', '.join(source.cameras)}")
     return server

@@ -57,6 +57,7 @@ GRIPPERS: Mapping[str, Fingers | None] = {
     # The manufacturer's second finger opens to the left.
     "flexible_4310": Fingers(("linear_module_2", "linear_module"), ("joint8", "joint7")),
     "no_gripper": None,
+    "yam_teaching_handle": None,
 }
 
 # Half a turn about z from the manufacturer's flange to yamsim's.

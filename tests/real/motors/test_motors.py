@@ -215,13 +215,16 @@ def test_a_fault_by_its_flag() -> None:
     assert parse_fault("lost:motor=3,at=5,for=2,channel=can_left") == BusFault("lost", "can_left", 3, 5.0, 2.0)
     assert parse_fault("stuck") == BusFault("stuck")
     assert parse_fault("drop:share=0.5").lost_frame_share == 0.5
+    assert parse_fault("silent:camera=top,for=2") == BusFault("silent", seconds=2.0, camera="top")
 
 
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        ("broken", "unknown fault 'broken'; valid: lost, hot, drop, stuck"),
+        ("broken", "unknown fault 'broken'; valid: lost, hot, drop, stuck, silent"),
         ("lost", "give a motor, as in lost:motor=3"),
+        ("silent:at=3", "give a camera, as in silent:camera=top"),
+        ("silent:channel=can0", "a silent fault has no 'channel'; valid: camera, at, for"),
         ("lost:motor=x", "motor 'x' is not valid; it must lie in 1..15"),
         ("lost:motor=1.5", "motor '1.5' is not valid"),
         ("drop:motor=1", "a drop fault has no 'motor'; valid: share, channel, at, for"),

@@ -17,6 +17,7 @@ import pytest
 from tests.real.serve.shots import SIZE, FakeRenderProcess
 from yamsim_cli.camera_reader import CameraReader, served_cameras
 from yamsim_cli.core.errors import ResourceError, UsageError
+from yamsim_cli.real.motors.motor_bus import BusFault
 from yamsim_cli.real.serve.cameras import CameraServer
 
 
@@ -207,3 +208,21 @@ def test_a_lying_server_is_found_out(answer: bytes, says: str, tmp_path: Path) -
     reader.close()
     thread.join()
     listener.close()
+
+
+def test_a_silent_camera_sends_nothing_for_a_time(shots: FakeRenderProcess, tmp_path: Path) -> None:
+    fault = BusFault("silent", start_time=1.0, seconds=2.0, camera="top")
+    server = CameraServer(tmp_path / "served", shots, [fault])  # type: ignore[arg-type]
+    try:
+        for number, (sim_time, answered) in enumerate(((0.9, True), (1.0, False), (2.9, False), (3.0, True))):
+            shots.take(number, sim_time)
+            for camera, wanted in (("top", answered), ("left", True)):
+                with join(server) as client:
+                    client.sendall(said({"ask": "picture", "camera": camera}))
+                    for _ in range(3):
+                        turn(server, 0.01)
+                    assert bool(select.select([client], [], [], 0)[0]) is wanted
+    finally:
+        server.close()
+    with pytest.raises(UsageError, match=r"no camera 'upper'; valid: top, left"):
+        CameraServer(tmp_path / "other", shots, [BusFault("silent", camera="upper")])  # type: ignore[arg-type]

@@ -14,10 +14,17 @@ from .motor import Motor
 
 _UPDATE_SECONDS = 0.01  # s
 
-LOST, HOT, DROP, STUCK = "lost", "hot", "drop", "stuck"
-# Fault -> its own keys in a `--fault` flag, besides _COMMON.
-_FAULT_KEYS = {LOST: ("motor",), HOT: ("motor", "celsius"), DROP: ("share",), STUCK: ()}
-_COMMON_KEYS = ("channel", "at", "for")
+LOST, HOT, DROP, STUCK, SILENT = "lost", "hot", "drop", "stuck", "silent"
+# Fault -> its keys in a `--fault` flag, besides _TIME_KEYS.
+_FAULT_KEYS = {
+    LOST: ("motor", "channel"),
+    HOT: ("motor", "celsius", "channel"),
+    DROP: ("share", "channel"),
+    STUCK: ("channel",),
+    SILENT: ("camera",),
+}
+_TIME_KEYS = ("at", "for")
+_TEXT_KEYS = ("channel", "camera")
 # Valid values; `at` and `for` in s, `celsius` in degrees Celsius.
 _RANGES = {"motor": (1, 15), "at": (0, 86_400), "for": (0, 86_400), "celsius": (0, 250), "share": (0, 1)}
 _FIELD_OF_KEY = {"at": "start_time", "for": "seconds", "share": "lost_frame_share"}  # where the names differ
@@ -26,14 +33,15 @@ _EXAMPLE = "lost:motor=3,at=5,for=2"
 
 @dataclass(frozen=True)
 class BusFault:
-    """A fault to inject into a bus.
+    """A fault to inject into a bus or a camera.
 
     Attributes:
-        kind: LOST, HOT, DROP or STUCK.
+        kind: LOST, HOT, DROP, STUCK, or SILENT for a camera.
         channel: empty for all buses.
         start_time, seconds: start and duration in simulation time.
         celsius: of a hot rotor.
         lost_frame_share: of dropped frames, in each direction.
+        camera: name of a SILENT camera.
     """
 
     kind: str
@@ -43,6 +51,11 @@ class BusFault:
     seconds: float = float("inf")
     celsius: float = 110.0
     lost_frame_share: float = 0.1
+    camera: str = ""
+
+    def is_active(self, now: float) -> bool:
+        """Return whether the fault acts at simulation time `now`, s."""
+        return self.start_time <= now < self.start_time + self.seconds
 
 
 def parse_fault(text: str) -> BusFault:
@@ -56,7 +69,7 @@ def parse_fault(text: str) -> BusFault:
         raise UsageError(
             f"--fault {text!r}: unknown fault {kind!r}; valid: {', '.join(_FAULT_KEYS)}, such as {_EXAMPLE}"
         )
-    valid = (*_FAULT_KEYS[kind], *_COMMON_KEYS)
+    valid = (*_FAULT_KEYS[kind], *_TIME_KEYS)
     given: dict[str, Any] = {}
     for part in filter(None, rest.split(",")):
         key, _, value = part.partition("=")
@@ -65,9 +78,10 @@ def parse_fault(text: str) -> BusFault:
         field = _FIELD_OF_KEY.get(key, key)
         if field in given:
             raise UsageError(f"--fault {text!r}: {key} is given twice")
-        given[field] = value if key == "channel" else _parse_fault_number(text, key, value)
-    if "motor" in valid and "motor" not in given:
-        raise UsageError(f"--fault {text!r}: give a motor, as in {kind}:motor=3")
+        given[field] = value if key in _TEXT_KEYS else _parse_fault_number(text, key, value)
+    for key, example in (("motor", "3"), ("camera", "top")):
+        if key in valid and key not in given:
+            raise UsageError(f"--fault {text!r}: give a {key}, as in {kind}:{key}={example}")
     return BusFault(kind, **given)
 
 
@@ -116,7 +130,7 @@ class MotorBus:
         if (seconds := now - self._updated) < _UPDATE_SECONDS:
             return
         self._updated = now
-        acting = [fault for fault in self._faults if fault.start_time <= now < fault.start_time + fault.seconds]
+        acting = [fault for fault in self._faults if fault.is_active(now)]
         self.is_gripper_stuck = any(fault.kind == STUCK for fault in acting)
         self._drop_share = max((fault.lost_frame_share for fault in acting if fault.kind == DROP), default=0.0)
         lost = {fault.motor for fault in acting if fault.kind == LOST}

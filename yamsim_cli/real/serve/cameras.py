@@ -7,9 +7,13 @@ with a number `after`, and get an image as soon as one has a larger number.
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from yamsim_cli.core.errors import UsageError
+
+from ..motors.motor_bus import SILENT, BusFault
 from .render_process import CameraFrames, RenderProcess
 from .socket_servers import CAMERA_SOCKET, ClientConnection, UnixServer
 
@@ -24,12 +28,20 @@ class _InvalidRequestError(ValueError):
 class CameraServer(UnixServer):
     """Sends camera images to clients. The caller closes the server; no method blocks.
 
+    Args:
+        faults: cameras that send nothing for a time; faults of buses are ignored.
+
     Raises:
         ResourceError: another program serves cameras in the folder, or the socket cannot be made.
+        UsageError: a fault's camera does not exist.
     """
 
-    def __init__(self, folder: Path, source: RenderProcess) -> None:
+    def __init__(self, folder: Path, source: RenderProcess, faults: Sequence[BusFault] = ()) -> None:
         self._source = source
+        self._faults = [fault for fault in faults if fault.kind == SILENT]
+        for fault in self._faults:
+            if fault.camera not in source.cameras:
+                raise UsageError(f"--fault {SILENT}: no camera {fault.camera!r}; valid: {', '.join(source.cameras)}")
         super().__init__(folder / CAMERA_SOCKET, _READ_BYTES)
         # Client -> requested camera, and the number to exceed.
         self._requests: dict[ClientConnection, tuple[str, int]] = {}
@@ -45,13 +57,16 @@ class CameraServer(UnixServer):
         self._requests = {client: request for client, request in self._requests.items() if client in clients}
         shot = self._source.newest_frames
         for client, (camera, after) in list(self._requests.items()):
-            if shot is not None and shot.number > after:
+            if shot is not None and shot.number > after and not self._is_silent(camera, shot.sim_time):
                 del self._requests[client]
                 _queue_picture_answer(client, camera, shot)
         super().flush()
         for client in clients:
             if client.received and not client.outgoing:
                 self._answer_received_requests(client)
+
+    def _is_silent(self, camera: str, now: float) -> bool:
+        return any(fault.camera == camera and fault.is_active(now) for fault in self._faults)
 
     def _answer_received_requests(self, client: ClientConnection) -> None:
         try:

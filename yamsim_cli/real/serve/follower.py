@@ -23,6 +23,9 @@ class JointController:
     """Controls arm `number`. Until its first command, other programs may drive the motors.
 
     Vectors (dofs,) have joints in rad, and last the gripper, 0 (closed) to 1 (open).
+
+    Attributes:
+        full_opening: opening of one finger at gripper value 1, m.
     """
 
     def __init__(self, plant: MotorSimulation, number: int, arm: ArmAddresses, can_config: CanConfig) -> None:
@@ -34,9 +37,11 @@ class JointController:
         self._kp, self._kd = np.array(arm.position_gain), np.array(arm.velocity_gain)
         self._low, self._high = arm.joint_range[:, 0] - _LIMIT_TOLERANCE, arm.joint_range[:, 1] + _LIMIT_TOLERANCE
         self._grip_torque = 0.0
+        self.full_opening = 1.0
         if hand is not None and arm.fingers is not None:
             # A gripper value of 1 is the fingers' joint limit, which the maker's SDK detects on the real arm.
-            self._ratio = np.append(self._ratio, hand.shaft_ratio * max(arm.fingers.opening_limits))
+            self.full_opening = float(max(arm.fingers.opening_limits))
+            self._ratio = np.append(self._ratio, hand.shaft_ratio * self.full_opening)
             self._offset = np.append(self._offset, hand.closed)
             self._kp, self._kd = np.append(self._kp, hand.kp), np.append(self._kd, hand.kd)
             self._low, self._high = np.append(self._low, 0.0), np.append(self._high, 1.0)
